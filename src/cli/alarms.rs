@@ -12,7 +12,7 @@ use super::{
 use crate::{
     bus,
     daemon::StatusReport,
-    diagnose::{Cause, Severity},
+    diagnose::{AlarmState, Cause, Severity},
     store::Window,
     throw::{MachineId, utc},
     web,
@@ -161,7 +161,7 @@ pub(super) fn print_open(
 
 /// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
 /// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one
-/// entry, unless `all` is set.
+/// entry, unless `all` is set; those that are over are an entry of their own.
 fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
     let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
     let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
@@ -172,7 +172,8 @@ fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec
     let (grouped, mut entries): (Vec<&Alarm>, Vec<&Alarm>) = alarms.iter().partition(|alarm| !all && common(alarm));
     let mut groups: BTreeMap<_, Vec<&Alarm>> = BTreeMap::new();
     for alarm in grouped {
-        groups.entry((alarm.cause, alarm.severity, wire::kind_of(&alarm.text))).or_default().push(alarm);
+        let is_over = alarm.state == AlarmState::ClearedUnacknowledged;
+        groups.entry((alarm.cause, alarm.severity, is_over, wire::kind_of(&alarm.text))).or_default().push(alarm);
     }
     let (mut groups, few): (Vec<_>, Vec<_>) = groups.into_values().partition(|group| group.len() >= GROUP_SIZE);
     for group in &mut groups {
@@ -197,7 +198,9 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
         let size = output::size(drift.change_pct, drift.change_pct_sd);
         indented(&format!("now {size} (95 %){limit}"))?;
     }
-    indented(&format!("report of {}: {}", utc(&alarm.event_at), alarm.text))
+    // A daemon of an earlier version does not publish the time of the text.
+    let reported_at = alarm.text_at.unwrap_or(alarm.event_at);
+    indented(&format!("report of {}: {}", utc(&reported_at), alarm.text))
 }
 
 /// Prints many alarms of one kind as one entry, the newest first.
@@ -212,9 +215,10 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let severity = newest.severity.as_str().to_uppercase();
     output::line(format_args!("{severity:8}  {} machines  {}", alarms.len(), newest.cause))?;
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
+    let over = if newest.state == AlarmState::ClearedUnacknowledged { ", over and not acknowledged" } else { "" };
     let silenced = alarms.iter().filter(|alarm| alarm.state.is_silenced()).count();
     let silenced = if silenced > 0 { format!("; {silenced} shelved or in maintenance") } else { String::new() };
-    indented(&format!("raised {} to {}; by site: {}{silenced}", utc(&first), utc(&last), sites.join(", ")))?;
+    indented(&format!("raised {} to {}{over}; by site: {}{silenced}", utc(&first), utc(&last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
     indented("pointsd alarms --all lists all of them")
 }
@@ -292,5 +296,11 @@ mod tests {
         };
         assert_eq!(names(false), ["pointsd", "worn", "m0 m1 m2 m3 m4", "clock"]);
         assert_eq!(names(true).len(), alarms.len());
+        // An alarm that is over is not among those that are not.
+        alarms[0].event.state = AlarmState::ClearedUnacknowledged;
+        alarms.push(lost(GROUP_SIZE));
+        let entries = entries(&alarms, &daemons, false);
+        let group = entries.iter().find(|entry| entry.len() > 1).unwrap();
+        assert!(group.len() == GROUP_SIZE && group.iter().all(|alarm| alarm.state.is_active()));
     }
 }

@@ -9,7 +9,7 @@ use crate::{
 };
 
 /// Checks a configuration: every key, type, range and path, the zenoh section, and that the file of the database is
-/// neither text nor the database of another program, and writable.
+/// neither text nor the database of another program or of a newer version, and writable.
 ///
 /// Exit codes: 0 valid; 78 invalid, with file, line, key and reason in one line on stderr.
 #[derive(Debug, clap::Args)]

@@ -44,7 +44,7 @@ pub(super) struct Shelve {
 }
 
 /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
-/// ends at the given time, by default after 8 hours.
+/// ends at the given time, by default after 8 hours. During a maintenance a new window replaces the old one.
 ///
 /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
 /// invalid.

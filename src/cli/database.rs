@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 
 use super::{Exit, Failure, ResultExt};
-use crate::store;
+use crate::store::{self, StoreError};
 
 /// Configuration of the installed service.
 const SERVICE: &str = "/etc/pointsd/pointsd.toml";
@@ -49,6 +49,14 @@ impl Location {
                 .or_exit(Exit::NoInput),
         }
     }
+}
+
+/// Refuses a database of another version, whose queries would fail with an error of SQL.
+pub(super) async fn require_this_version(path: &Path) -> Result<(), Failure> {
+    store::refuse_other_version(path).await.map_err(|error| match error {
+        StoreError::Open { .. } => Failure::new(Exit::NoInput, error),
+        _ => Failure::new(Exit::Data, error),
+    })
 }
 
 /// Reads only the key `path` of the section `[store]`, so that the rest of the configuration may be invalid.

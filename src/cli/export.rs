@@ -10,7 +10,13 @@ use anyhow::{Context, anyhow};
 use indicatif::ProgressBar;
 use jiff::Timestamp;
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, database::Location, output, runtime::block_on, sql::text};
+use super::{
+    Exit, Failure, Outcome, ResultExt, argument,
+    database::{Location, require_this_version},
+    output,
+    runtime::block_on,
+    sql::text,
+};
 use crate::{
     store::{Export, Exported, StoreError},
     throw::MachineId,
@@ -48,6 +54,7 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     block_on(async {
+        require_this_version(&path).await?;
         let Arguments { machine, since, until, .. } = arguments;
         let mut export = Export::open(&path, machine.clone(), *since, *until).await.or_exit(Exit::NoInput)?;
         let mut out = csv::Writer::from_writer(io::stdout().lock());

@@ -20,7 +20,7 @@ use crate::{
     Exit codes: 0 accepted, 1 rejected (the reason is printed), 64 an option is wrong, 65 the file is not a recording, 66 it \
     cannot be read.")]
 pub(super) struct Arguments {
-    /// The recorded trace.
+    /// The recorded trace, or - for standard input.
     #[arg(value_name = "FILE.csv")]
     file: PathBuf,
     /// Print one JSON object.
@@ -158,8 +158,10 @@ fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serd
 }
 
 fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> String {
+    // Intervals of 95 %, as in every text for people.
     let row = |name: &str, value: f64, sd: f64, unit: &str| {
-        format!("{name:<5}  {value:>10.5} ± {sd:.5} {unit}  ({:.2} %)\n", 100.0 * sd / value)
+        let half_width = 1.96 * sd;
+        format!("{name:<5}  {value:>10.5} ± {half_width:.5} {unit}  (± {:.2} %)\n", 100.0 * half_width / value)
     };
     let ([b0, a1, a0], [b0_sd, a1_sd, a0_sd]) = (estimate.coefficients(), estimate.sd());
     let coefficients = if estimate.ratios_only {
@@ -173,6 +175,7 @@ fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> St
         coefficients,
         row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
         row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),
+        "± is the half width of the 95 % interval\n".to_owned(),
         if estimate.iterations > 0 {
             format!("fit {:.4} % in {} iterations, ", estimate.fit_pct, estimate.iterations)
         } else {

@@ -4,7 +4,6 @@ use std::{
     collections::HashMap,
     ffi::{OsStr, OsString},
     fs,
-    io::{self, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -21,7 +20,7 @@ use super::{
 use crate::{
     daemon::{Judged, Offline, clock},
     store::Spooled,
-    throw::{MachineId, Throw, ThrowRef, utc},
+    throw::{MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
 };
 
@@ -53,9 +52,9 @@ pub(super) struct Arguments {
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the throw in the first CSV file (RFC 3339), a minute more for each further file [default: from
+    /// Time of the throw in the first CSV file, a date or a time as 2026-05-04T06:00:00Z, a minute more for each further file [default: from
     /// `throws.csv`, else the times of the files].
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.
     #[arg(long)]
@@ -86,7 +85,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         if !arguments.json {
             let Count { new, known, refused, alarms } = count;
             output::line(format_args!(
-                "{new} throws imported ({refused} not evaluated), {known} known before, {alarms} alarm events"
+                "{} imported ({refused} not evaluated), {known} known before, {}",
+                counted(new, "throw"),
+                counted(alarms, "alarm event")
             ))?;
         }
         outcome
@@ -142,17 +143,17 @@ fn is_json(file: &Path) -> bool {
 
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
-    let bytes = if file == Path::new("-") {
-        let mut bytes = Vec::new();
-        io::stdin().read_to_end(&mut bytes).map(|_| bytes)
-    } else {
-        fs::read(file)
-    };
-    let bytes = bytes.with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
-    match wire::decode_throw(Encoding::Json, &bytes) {
+    let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+    // The byte order mark of some editors.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    if bytes.trim_ascii_start().starts_with(b"[") {
+        let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
+        return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
+    }
+    match wire::decode_throw(Encoding::Json, bytes) {
         Ok(throw) => return Ok(vec![throw]),
         // Otherwise a file of lines would be explained by its first.
-        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(&bytes) => {
+        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
         }
         Err(_) => {}
@@ -182,6 +183,9 @@ struct Exported {
     temperature_c: Option<f64>,
     supply_v: Option<f64>,
     anti_alias_hz: Option<f64>,
+    /// Missing in files of another program.
+    #[serde(default)]
+    sample_rate_hz: Option<f64>,
 }
 
 /// The lines of each folder's `throws.csv`, by the names of their traces.
@@ -214,7 +218,7 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
             id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
             started_at: line.started_at,
             direction: line.direction.parse().ok(),
-            trace: recording.trace,
+            trace: recording.trace.with_exact_rate(line.sample_rate_hz),
             temperature_c: line.temperature_c,
             supply_v: line.supply_v,
             anti_alias_hz: line.anti_alias_hz,

@@ -132,6 +132,7 @@ pub(super) fn failure(error: OperatorError) -> Failure {
 /// The arguments of commands that change something: the machine, name of the operator, connection, format of the answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
+    /// The machine.
     #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
     machine: MachineId,
     /// Your name, stored with the alarm [default: your login name].

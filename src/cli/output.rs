@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::Context;
-use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use comfy_table::{Cell, CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -86,6 +86,35 @@ pub(super) fn plain_table<const N: usize>(header: [&str; N]) -> Table {
     table
 }
 
+/// The table as text. A table that is wider than the terminal is wrapped if this leaves `least` characters for each
+/// column; else each row becomes one line for each column.
+pub(super) fn fitted(table: Table, least: usize) -> String {
+    let width = io::stdout().is_terminal().then(|| usize::from(width()));
+    fitted_to(width, table, least)
+}
+
+/// As [`fitted`], on a terminal of this width, or for `None` in a pipe.
+fn fitted_to(width: Option<usize>, mut table: Table, least: usize) -> String {
+    table.set_content_arrangement(ContentArrangement::Disabled);
+    let whole = table.to_string();
+    let Some(width) = width else { return whole };
+    if whole.lines().all(|line| line.trim_end().chars().count() <= width) {
+        return whole;
+    }
+    if table.column_count() * least <= width {
+        let width = u16::try_from(width).unwrap_or(u16::MAX);
+        return table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width).to_string();
+    }
+    let names: Vec<String> = table.header().into_iter().flat_map(Row::cell_iter).map(Cell::content).collect();
+    let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    let record = |row: &Row| {
+        let cells = names.iter().zip(row.cell_iter());
+        let lines: Vec<String> = cells.map(|(name, cell)| format!("{name:>longest$} = {}", cell.content())).collect();
+        lines.join("\n")
+    };
+    table.row_iter().map(record).collect::<Vec<_>>().join("\n\n")
+}
+
 /// A table with borders, at most as wide as the terminal.
 pub(super) fn table<const N: usize>(header: [&str; N]) -> Table {
     let mut table = Table::new();
@@ -142,5 +171,20 @@ mod tests {
     #[test]
     fn control_characters_do_not_reach_the_terminal() {
         assert_eq!(harmless("mia\u{1b}[2J\u{7}\r\n\t±\u{9b}31m"), "mia\\u{1b}[2J\\u{7}\\r\n\t±\\u{9b}31m");
+    }
+
+    #[test]
+    fn a_row_that_does_not_fit_is_one_line_for_each_column() {
+        let mut table = plain_table(["machine", "b0"]);
+        table.add_row(["north/21B", "50.25"]).add_row(["north/21A", ""]);
+        let whole = fitted_to(None, table.clone(), 20);
+        assert!(whole.contains("north/21B  50.25"), "{whole}");
+        assert_eq!(fitted_to(Some(40), table.clone(), 20), whole);
+        assert_eq!(
+            fitted_to(Some(12), table.clone(), 20),
+            "machine = north/21B\n     b0 = 50.25\n\nmachine = north/21A\n     b0 = "
+        );
+        let wrapped = fitted_to(Some(12), table, 6);
+        assert!(wrapped.lines().all(|line| line.chars().count() <= 12) && !wrapped.contains('='), "{wrapped}");
     }
 }

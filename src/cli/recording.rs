@@ -4,7 +4,11 @@
 //! samples the channels are interpolated linearly to an even grid with the mean interval. More than five intervals
 //! without a sample are a gap; a trace with a gap is an error.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    io::{self, Read as _},
+    path::Path,
+};
 
 use anyhow::{Context, anyhow, bail};
 
@@ -41,8 +45,18 @@ struct Columns {
 /// # Errors
 /// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
-    let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
+    let bytes = bytes(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
     parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+}
+
+/// The content of a file, or of standard input for `-`.
+pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
+    if path != Path::new("-") {
+        return fs::read(path);
+    }
+    let mut bytes = Vec::new();
+    io::stdin().read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {

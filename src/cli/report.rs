@@ -4,7 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, database::Location, output, runtime::block_on};
+use super::{
+    Exit, Failure, Outcome, ResultExt, argument,
+    database::{Location, require_this_version},
+    output,
+    runtime::block_on,
+};
 use crate::{
     daemon::config::{Document, diagnosis},
     diagnose,
@@ -24,6 +29,7 @@ use crate::{
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {
+    /// The machine.
     #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
     machine: MachineId,
     /// The HTML file, or - for standard output.
@@ -45,6 +51,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let machine = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
+        require_this_version(&path).await?;
         let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
         web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;

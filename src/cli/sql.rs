@@ -4,7 +4,7 @@ use std::io::{self, BufWriter, Write};
 
 use anyhow::Context;
 use clap::Args;
-use comfy_table::{ContentArrangement, Table, presets};
+use comfy_table::{Table, presets};
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, database::Location, output, runtime::block_on};
@@ -83,6 +83,9 @@ trait Answer {
     fn end(&mut self) -> io::Result<()>;
 }
 
+/// Least width of a column of a wrapped table \[characters\]: in a narrower one times and numbers are broken.
+const LEAST_WIDTH: usize = 20;
+
 /// A table, printed when it is complete; on a terminal at most as wide as the terminal.
 struct Plain(Option<Table>);
 
@@ -91,7 +94,7 @@ impl Answer for Plain {
         // Prints the answer to the previous statement, if there is one.
         self.end()?;
         let table = self.0.insert(Table::new());
-        table.load_style(presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic).set_header(names);
+        table.load_style(presets::NOTHING).set_header(names);
         Ok(())
     }
 
@@ -103,7 +106,8 @@ impl Answer for Plain {
     }
 
     fn end(&mut self) -> io::Result<()> {
-        self.0.take().map_or(Ok(()), |table| writeln!(io::stdout(), "{}", output::harmless(&table.to_string())))
+        let Some(table) = self.0.take() else { return Ok(()) };
+        writeln!(io::stdout(), "{}", output::harmless(&output::fitted(table, LEAST_WIDTH)))
     }
 }
 

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use comfy_table::{ColumnConstraint, ContentArrangement};
+use comfy_table::ColumnConstraint;
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 
@@ -29,6 +29,8 @@ use crate::{
 const MAX_LISTED: usize = 40;
 /// Largest number of machines of which the daemons that serve them are named.
 const MAX_ASKED: usize = 10;
+/// Least width of a column of the wrapped table of machines \[characters\]: "not monitored" has two lines then.
+const LEAST_WIDTH: usize = 10;
 /// Time between two updates with `--watch`.
 const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 
@@ -47,7 +49,7 @@ pub(super) struct Arguments {
     /// List only machines of this site.
     #[arg(long)]
     site: Option<Name>,
-    /// List only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
+    /// List only machines in this state, and their alarms: learning, healthy, warning, critical, `not_monitored` or maintenance.
     #[arg(long, value_parser = argument::machine_state)]
     state: Option<MachineState>,
     /// List every machine.
@@ -66,16 +68,19 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let mut signals = Signals::listen()?;
         let Client { session, .. } = arguments.connection.open().await?;
         let outcome = loop {
-            if arguments.watch {
+            if arguments.watch && io::stdout().is_terminal() {
                 output::clear()?;
             }
             let outcome = show(&session, arguments).await;
             if !arguments.watch {
                 break outcome;
             }
-            // A daemon that restarts, for example.
-            if let Err(failure) = outcome {
-                eprintln!("{:#}", failure.error);
+            match outcome {
+                // The reader closed the pipe.
+                Err(failure) if failure.exit == Exit::Ok => break Err(failure),
+                // A daemon that restarts, for example.
+                Err(failure) => eprintln!("{:#}", failure.error),
+                Ok(_) => {}
             }
             tokio::select! {
                 () = tokio::time::sleep(WATCH_INTERVAL) => {}
@@ -115,7 +120,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     }
     let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
     let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
-    let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
+    let mut windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
     health.retain(|health| is_asked(&health.machine));
     alarms.retain(|alarm| is_asked(&alarm.machine));
     if let Some(site) = &arguments.site
@@ -125,6 +130,12 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     {
         let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
         return Err(Failure::new(Exit::Unavailable, error));
+    }
+    if let Some(state) = arguments.state {
+        let is_in = |row: &&Health| row.state.unwrap_or_default() == state;
+        let chosen: HashSet<&MachineId> = health.iter().filter(is_in).map(|row| &row.machine).collect();
+        windows.retain(|window| chosen.contains(&window.machine));
+        alarms.retain(|alarm| chosen.contains(&alarm.machine));
     }
     let print = || {
         reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
@@ -184,9 +195,6 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state(rows).is_well())).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
-    if io::stdout().is_terminal() {
-        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(output::width());
-    }
     // Names are not wrapped, and in a pipe no cell is: programs search them.
     if let Some(name) = table.column_mut(0) {
         name.set_constraint(ColumnConstraint::ContentWidth);
@@ -208,7 +216,7 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         }
     }
     if !shown.is_empty() {
-        output::line(table)?;
+        output::line(output::fitted(table, LEAST_WIDTH))?;
     }
     for window in windows.iter().filter(|window| window.cause.is_none()) {
         output::line(format_args!("{} is in maintenance {}", window.machine, window.sentence()))?;

@@ -1,6 +1,9 @@
 //! `pointsim throw`: simulates one throw, writes its trace as CSV, and prints its true coefficients.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, anyhow, bail};
 use rand::SeedableRng;
@@ -16,6 +19,7 @@ use crate::throw::Direction;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   pointsim throw --out throw.csv
+  pointsim throw --out - | pointsd identify -
   pointsim throw --out worn.csv --direction reverse-to-normal --fault friction=25 --seed 7 --json
   pointsim throw --out slow.csv --set sensors.sample_rate_hz=100 --set sensors.anti_alias_hz=40
   pointsim throw --out other.csv --set machine.stroke_mm=150 --set machine.rails.slide_friction=0.1
@@ -23,7 +27,8 @@ use crate::throw::Direction;
 Exit codes: 0 written; 64 wrong command line; 66 the configuration file cannot be read; 73 the CSV file cannot be
 created; 78 a machine or sensor value is out of its range.")]
 pub(super) struct Arguments {
-    /// The CSV file to write: `time_s,current_a,position_mm`.
+    /// The CSV file to write: `time_s,current_a,position_mm`; - for standard output, with the coefficients on standard
+    /// error.
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
     /// Direction of the throw.
@@ -98,9 +103,15 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })?;
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
-    write_csv(&arguments.out, &recording)
-        .with_context(|| format!("{} cannot be written", arguments.out.display()))
-        .or_exit(Exit::CannotCreate)?;
+    let is_stdout = arguments.out == Path::new("-");
+    if is_stdout {
+        output::written(write_csv(io::stdout().lock(), &recording))?;
+    } else {
+        fs::File::create(&arguments.out)
+            .and_then(|file| write_csv(file, &recording))
+            .with_context(|| format!("{} cannot be written", arguments.out.display()))
+            .or_exit(Exit::CannotCreate)?;
+    }
     let coefficients = worn.at_temperature(arguments.temperature_c).coefficients().or_exit(Exit::Config)?;
     let truth = Truth {
         coefficients,
@@ -115,10 +126,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         samples: recording.trace.len(),
         temperature_c: arguments.temperature_c,
     };
-    if arguments.json {
-        output::json(&truth)?;
-    } else {
-        output::line(text(&truth, &arguments.out))?;
+    match (is_stdout, arguments.json) {
+        (true, true) => eprintln!("{}", serde_json::to_string_pretty(&truth).or_exit(Exit::Software)?),
+        (true, false) => eprintln!("{}", text(&truth, &arguments.out)),
+        (false, true) => output::json(&truth)?,
+        (false, false) => output::line(text(&truth, &arguments.out))?,
     }
     Ok(Exit::Ok)
 }
@@ -192,14 +204,13 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
     Ok(condition)
 }
 
-fn write_csv(path: &Path, recording: &Recording) -> anyhow::Result<()> {
-    let mut writer = csv::Writer::from_path(path)?;
-    writer.write_record(["time_s", "current_a", "position_mm"])?;
+fn write_csv(out: impl io::Write, recording: &Recording) -> io::Result<()> {
+    let mut writer = csv::Writer::from_writer(out);
+    writer.write_record(["time_s", "current_a", "position_mm"]).map_err(output::io_error)?;
     let samples = recording.trace.current_a().iter().zip(recording.trace.position_mm());
     for (time_s, (current_a, position_mm)) in recording.time_s.iter().zip(samples) {
         let row = [format!("{time_s:.7}"), format!("{current_a:.6}"), format!("{position_mm:.6}")];
-        writer.write_record(&row)?;
+        writer.write_record(&row).map_err(output::io_error)?;
     }
-    writer.flush()?;
-    Ok(())
+    writer.flush()
 }

@@ -46,7 +46,8 @@ pub enum Command {
         /// Reason given by the operator.
         why: String,
     },
-    /// Take the machine out of service: its throws are not diagnosed and not added to a baseline.
+    /// Take the machine out of service: its throws are not diagnosed and not added to a baseline. During a maintenance
+    /// it replaces end, operator and reason.
     MaintenanceStart {
         /// End of the window, within `longest_shelving_days`.
         until: Timestamp,
@@ -121,9 +122,6 @@ pub enum CommandError {
         /// `by` or `why`.
         field: &'static str,
     },
-    /// The machine is out of service already.
-    #[error("the machine is out of service already")]
-    InMaintenance,
     /// The machine is in service.
     #[error("the machine is not out of service")]
     NotInMaintenance,

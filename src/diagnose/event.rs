@@ -234,7 +234,8 @@ pub struct AlarmEvent {
     pub last_throw: Option<ThrowRef>,
     /// Text for people: what happened, how certain it is, what to check.
     pub text: String,
-    /// Time of the text, which is that of an earlier event if an operator's command caused this one. Not published.
+    /// Time of the text, which is that of an earlier event if an operator's command caused this one.
+    /// `None` in databases of earlier versions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_at: Option<Timestamp>,
     /// Operator who acknowledged the alarm, if it is acknowledged. Not published.

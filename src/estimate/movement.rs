@@ -217,12 +217,13 @@ impl Movement {
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
             release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),
-            peak_current_a: Some(self.peak_a),
+            // The offset of a huge current overflows.
+            peak_current_a: Some(self.peak_a).filter(|peak_a| peak_a.is_finite()),
             running_current_a: running
                 .filter(|running| !running.is_empty())
                 .map(|running| mean(current[running].iter().map(magnitude))),
-            mean_current_a: self.motor_off.map(|_| self.mean_a),
-            charge_as: on_s.map(|on_s| on_s * self.mean_a),
+            mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
+            charge_as: on_s.map(|on_s| on_s * self.mean_a).filter(|charge_as| charge_as.is_finite()),
             quiet_current_a: (self.current.samples >= MIN_QUIET).then_some(self.current.mean),
             travel_mm: Some(self.travel_mm),
             start_position_mm: Some(self.position.mean),

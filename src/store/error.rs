@@ -77,6 +77,16 @@ pub enum StoreError {
         /// Newest schema version of this program.
         known: i64,
     },
+    /// A database of an older version, which lacks columns.
+    #[error(
+        "the database {} is of an older version of pointsd: make a copy, name it in store.path of a configuration, and \
+         start `pointsd run` with it once, which brings it up to date",
+        path.display()
+    )]
+    Older {
+        /// The database file.
+        path: PathBuf,
+    },
     /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,

@@ -23,6 +23,7 @@ use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_interrupted},
     files::DatabaseFiles,
+    read_only,
     salvage::{PARTS, Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
@@ -206,8 +207,8 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
     copied
 }
 
-/// Refuses a file that is not ours: a text file, or the database of another program. A file that cannot be read here is
-/// checked when it is opened for writing.
+/// Refuses a file that is not ours: a text file, or the database of another program or of a newer version that this one
+/// could damage. A file that cannot be read here is checked when it is opened for writing.
 pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
@@ -218,12 +219,34 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
         sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
+    let needed = needed(&mut connection).await;
     // An error of the close does not change the result.
     let _ = connection.close().await;
     match table {
         Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
-        _ => Ok(()),
+        _ => refuse_newer(path, needed.unwrap_or(0)),
     }
+}
+
+/// Refuses a database of another version, for commands that only read it: their queries need every migration.
+pub(crate) async fn refuse_other_version(path: &Path) -> Result<(), StoreError> {
+    let mut connection = read_only::connect(path).await?;
+    let versions = async { Ok((needed(&mut connection).await?, applied(&mut connection).await?)) };
+    let (needed, applied) = versions.await.map_err(StoreError::read)?;
+    refuse_newer(path, needed)?;
+    // Without any migration it is no database of pointsd.
+    let is_older = !applied.is_empty() && !applied.contains(&newest_known());
+    if is_older { Err(StoreError::Older { path: path.to_owned() }) } else { Ok(()) }
+}
+
+fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
+    let known = newest_known();
+    if needed > known { Err(StoreError::TooNew { path: path.to_owned(), needed, known }) } else { Ok(()) }
+}
+
+/// Oldest schema version that may use the database: see [`migrator`].
+async fn needed(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
+    sqlx::query_scalar("PRAGMA user_version").fetch_one(connection).await
 }
 
 /// Whether a file begins with printable text only. A database with damaged pages has zeros in the others.
@@ -303,8 +326,7 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
 }
 
 async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Result<Report, Trouble> {
-    let needed: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
-    let known = newest_known();
+    let (needed, known) = (needed(&mut *connection).await?, newest_known());
     if needed > known {
         return Err(Trouble::TooNew { needed, known });
     }

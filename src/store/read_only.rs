@@ -120,7 +120,8 @@ impl Backup {
     /// A backup of the database `from`, which may be in use, to the new file `to`.
     pub(crate) fn new(from: &Path, to: &Path) -> Result<Self, StoreError> {
         if to.exists() {
-            let source = std::io::Error::from(std::io::ErrorKind::AlreadyExists);
+            let says = "this file exists already, name a new one";
+            let source = std::io::Error::new(std::io::ErrorKind::AlreadyExists, says);
             return Err(StoreError::File { action: "create", path: to.to_owned(), source });
         }
         Ok(Self { from: from.to_owned(), to: to.to_owned(), partial: beside(to, ".partial") })
@@ -165,7 +166,7 @@ impl Backup {
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
         vacuum.execute(&mut connection).await.map_err(|error| {
             // Only the copy is written.
-            let source = std::io::ErrorKind::StorageFull.into();
+            let source = std::io::Error::new(std::io::ErrorKind::StorageFull, "no space is left on its disk");
             let full = StoreError::File { action: "write", path: self.partial.clone(), source };
             if is_full(&error) { full } else { StoreError::read(error) }
         })?;

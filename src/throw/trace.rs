@@ -10,6 +10,8 @@ pub const MAX_SAMPLES: usize = 1_000_000;
 pub const MIN_SAMPLE_RATE_HZ: f64 = 1.0;
 /// Highest sampling rate that a trace accepts \[Hz\].
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
+/// Relative difference of two rates that are the same: the times in a file have at least six digits.
+const SAME_RATE: f64 = 1e-6;
 
 /// Motor current and toe position, sampled together at a constant rate.
 ///
@@ -63,6 +65,15 @@ impl Trace {
             return Err(InvalidTrace::SampleCount { samples: current_a.len() });
         }
         Ok(Self { sample_rate_hz, current_a: Arc::new(current_a), position_mm: Arc::new(position_mm) })
+    }
+
+    /// The trace with its nominal rate, if the rate measured from the times of the samples is this one within their
+    /// precision.
+    #[must_use]
+    pub(crate) fn with_exact_rate(self, nominal_hz: Option<f64>) -> Self {
+        let is_same = |nominal_hz: &f64| (nominal_hz / self.sample_rate_hz - 1.0).abs() < SAME_RATE;
+        let sample_rate_hz = nominal_hz.filter(is_same).unwrap_or(self.sample_rate_hz);
+        Self { sample_rate_hz, ..self }
     }
 
     /// Sampling rate \[Hz\].

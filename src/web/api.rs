@@ -3,7 +3,7 @@
 //! | address | answers with |
 //! |---|---|
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
-//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, present drifts, last throw |
+//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`; `machines`: up to 100 with state, present drifts, last throw; `next_page`: number of the next page, which is null after the last one. Pages are counted from 0 |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
 //! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site, each with the address of its `machines` |
 //!
@@ -49,13 +49,18 @@ pub(super) async fn status(State(web): State<Arc<Web>>, RawQuery(query): RawQuer
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
-    let query = FleetQuery { spark: 0, ..Filters::from_query(query.as_deref())?.query()? };
+    let filters = Filters::from_query(query.as_deref())?;
+    let query = FleetQuery { spark: 0, ..filters.query()? };
     let itself = web.view.config().monitor.as_machine();
     let _turn = web.turn().await?;
     let reader = web.view.gauges.store.reader();
     let tally = reader.tally(&query, &itself).await?;
+    let matching = query.state.map_or_else(|| tally.total(), |state| tally.of(state));
     let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
-    Ok(page::json(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
+    let machines = reader.fleet(&query, &itself).await?;
+    let has_more = u64::from(query.offset) + (machines.len() as u64) < matching;
+    let next_page = has_more.then_some(filters.page + 1);
+    Ok(page::json(&json!({"tally": tally, "machines": machines, "next_page": next_page})))
 }
 
 pub(super) async fn machine(

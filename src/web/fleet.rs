@@ -98,7 +98,8 @@ pub(super) struct Filters {
     pub(super) state: String,
     pub(super) cause: String,
     pub(super) search: String,
-    page: u32,
+    /// From 0.
+    pub(super) page: u32,
 }
 
 impl Filters {

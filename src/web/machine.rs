@@ -90,6 +90,8 @@ struct Page {
     throws: Vec<Row>,
     takes_commands: bool,
     form: Form,
+    /// Longest window in the form [h].
+    longest_hours: u32,
     /// The style sheet, in a file without links; `None` for a page of the dashboard.
     file_style: Option<&'static str>,
     volatile: String,
@@ -235,6 +237,7 @@ async fn read(
         commands,
         takes_commands: false,
         form: Form::default(),
+        longest_hours: 24 * settings.longest_shelving_days,
         file_style: None,
         volatile: format!("As of {}.", utc(&clock::now())),
         machine: machine.clone(),

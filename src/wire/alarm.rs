@@ -51,11 +51,10 @@ impl Alarm {
         }
     }
 
-    /// The message without operators, boots and the time of the text, which stay in the database.
+    /// The message without operators and boots, which stay in the database.
     #[must_use]
     pub fn published(mut self) -> Self {
         (self.event.by, self.event.why, self.event.acknowledged_by) = (None, None, None);
-        self.event.text_at = None;
         for throw in [&mut self.event.first_throw, &mut self.event.last_throw].into_iter().flatten() {
             throw.boot_id.clear();
         }
@@ -132,7 +131,7 @@ mod tests {
             "state": "active_unacknowledged", "raised_at": "2026-05-04T10:11:12Z", "event_at": "2026-05-04T10:11:12Z",
             "change_pct": 18.0, "change_pct_sd": null, "direction": "normal_to_reverse",
             "runner_up": {"cause": "kt", "margin": 3.5}, "correlation": {"b0_a1": 0.1, "b0_a0": 0.2, "a1_a0": 0.3},
-            "first_throw_no": 7, "last_throw_no": null, "text": "what",
+            "first_throw_no": 7, "last_throw_no": null, "text": "what", "text_at": "2026-05-04T10:11:12Z",
             "limit_in_throws": {"low": 1.0, "mid": 2.0, "high": 3.0},
         });
         assert_eq!(serde_json::from_slice::<serde_json::Value>(&message).unwrap(), expected);

@@ -4,6 +4,7 @@ use std::{collections::HashSet, fs, path::Path};
 
 use pointsd::{
     daemon::StatusReport,
+    store::DiskLevel,
     wire::{Alarm, Health, decode_command, decode_throw},
 };
 use serde_json::{Value, json};
@@ -48,7 +49,7 @@ fn the_page_of_messages_has_every_field() {
     let alarm: Alarm = serde_json::from_value(json!({
         "schema": Alarm::SCHEMA, "alarm_id": "a", "event_no": 1, "site": "north", "machine": "21B", "cause": "sensor",
         "severity": "warning", "state": "shelved", "raised_at": "2026-05-04T10:11:12Z", "channel": "clock",
-        "event_at": "2026-05-04T10:11:12Z", "text": "what"
+        "event_at": "2026-05-04T10:11:12Z", "text": "what", "text_at": "2026-05-04T10:11:12Z"
     }))
     .unwrap();
     let alarm: Value = serde_json::from_slice(&alarm.into_message()).unwrap();
@@ -65,6 +66,44 @@ fn the_page_of_messages_has_every_field() {
 
     let status = serde_json::to_value(StatusReport::default()).unwrap();
     assert_eq!(first_cells(&page, "Status").into_iter().collect::<HashSet<_>>(), keys(&status));
+}
+
+/// The words in capitals of each line of `status` are in its table.
+#[test]
+fn the_page_of_the_installation_has_every_problem_of_the_status() {
+    let page = read("INSTALL.md");
+    let (_, table) = page.split_once("| status | meaning |").unwrap();
+    let (table, _) = table.split_once("\n\n").unwrap();
+    let capitals = |part: &str| -> String {
+        let words = part.split([' ', ':', '`']).filter(|word| word.len() > 1);
+        words.filter(|word| word.chars().all(|letter| letter.is_ascii_uppercase())).collect::<Vec<_>>().join(" ")
+    };
+    let rows: Vec<String> = table.lines().map(capitals).collect();
+    let report = |disk| {
+        let mut report = StatusReport {
+            disk,
+            copying: true,
+            silent: vec!["receive".to_owned()],
+            loggers_ahead: 2,
+            refused: vec!["north/x".to_owned()],
+            webhook_fails: true,
+            webhook_refused: 2,
+            lost: 3,
+            backlog: 40,
+            ..StatusReport::default()
+        };
+        report.standing.own_alarms = 2;
+        report.standing.shelved_alarms = 2;
+        report
+    };
+    let parts: Vec<String> = [DiskLevel::Low, DiskLevel::Full, DiskLevel::Failing]
+        .into_iter()
+        .flat_map(|disk| report(disk).parts())
+        .collect();
+    assert!(parts.len() > 30, "{parts:?}");
+    for part in parts.iter().filter(|part| !capitals(part).is_empty()) {
+        assert!(rows.contains(&capitals(part)), "{part}: {rows:?}");
+    }
 }
 
 #[test]

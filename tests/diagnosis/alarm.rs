@@ -195,7 +195,6 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let until = now() + SignedDuration::from_hours(8);
     let start = Command::MaintenanceStart { until, by: by(), why: "slide chairs".to_owned() };
     monitor.command(&start, now(), &settings).unwrap();
-    assert_eq!(monitor.command(&start, now(), &settings), Err(CommandError::InMaintenance));
     assert_eq!(run(&mut machine, &mut monitor, 50, shift(Cause::Friction, 80.0)), []);
     assert_eq!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
     monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
@@ -205,6 +204,12 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let (mut machine, mut monitor, raised) = alarmed(6);
     let out = monitor.command(&start, now(), &settings).unwrap();
     assert_eq!(states(&out), [AlarmState::OutOfService]);
+    let longer = until + SignedDuration::from_hours(1);
+    let again = Command::MaintenanceStart { until: longer, by: by(), why: "still at work".to_owned() };
+    monitor.command(&again, now(), &settings).unwrap();
+    let mut later = monitor.clone();
+    assert_eq!(later.tick(until, &settings), [], "the new window replaces the old one");
+    assert_eq!(states(&later.tick(longer, &settings)), [AlarmState::ActiveUnacknowledged]);
     let back = monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
     assert_eq!(states(&back), [AlarmState::ActiveUnacknowledged]);
     assert!(back[0].text.contains("before the maintenance"), "{}", back[0].text);

@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    io::Write as _,
     path::Path,
     process::{Command, Stdio},
 };
@@ -11,7 +12,7 @@ use pointsd::throw::Throw;
 use crate::{
     http::small_history,
     operators::daemon_with_alarm,
-    rig::{pointsd, pointsim, throws},
+    rig::{Rig, pointsd, pointsim, throws},
 };
 
 type Row = std::collections::HashMap<String, String>;
@@ -152,6 +153,40 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
     assert_eq!(report.status.code(), Some(78), "{}", String::from_utf8_lossy(&report.stderr));
     let backup = pointsd(&["backup", "/no/such/folder/copy.db", "--config"]).arg(&other).output().unwrap();
     assert_eq!(backup.status.code(), Some(73), "{}", String::from_utf8_lossy(&backup.stderr));
+}
+
+#[test]
+fn a_trace_goes_through_a_pipe() {
+    let made = pointsim(&["throw", "--out", "-"]).output().unwrap();
+    assert!(made.stdout.starts_with(b"time_s,current_a,position_mm\n"));
+    assert!(String::from_utf8_lossy(&made.stderr).contains("true coefficients"));
+    let mut identify = pointsd(&["identify", "-"]);
+    let mut identify = identify.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    identify.stdin.take().unwrap().write_all(&made.stdout).unwrap();
+    let found = identify.wait_with_output().unwrap();
+    assert!(found.status.success() && String::from_utf8_lossy(&found.stdout).contains("95 % interval"), "{found:?}");
+}
+
+/// A backup of another version: the commands that only read it do not bring it up to date.
+#[tokio::test]
+async fn a_database_of_another_version_is_named_as_such() {
+    let rig = Rig::new();
+    fs::write(rig.database(), []).unwrap();
+    rig.change(include_str!("../storage/released.sql")).await;
+    let refused = |arguments: &[&str], exit: i32, says: &str| {
+        let output = pointsd(arguments).arg("--config").arg(rig.config()).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(exit) && error.contains(says), "{arguments:?}: {error}");
+    };
+    for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"]] {
+        refused(command, 65, "of an older version of pointsd: make a copy");
+    }
+    rig.change("PRAGMA user_version = 9999").await;
+    for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"]] {
+        refused(command, 65, "by a newer version of pointsd");
+    }
+    refused(&["check"], 78, "by a newer version of pointsd");
+    refused(&["run"], 74, "by a newer version of pointsd");
 }
 
 /// The names of the commands in `--help`.

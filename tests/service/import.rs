@@ -28,6 +28,13 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     // One throw in a line, with an empty line, and again the throw of the other file.
     fs::write(&many, [&json(1)[..], b"\n\n", &json(2), b"\r\n", &json(0), b"\n", &json(3), b"\n"].concat()).unwrap();
 
+    let array = rig.folder().join("array.json");
+    fs::write(&array, [b"[\n", &json(0)[..], b"]"].concat()).unwrap();
+    let (code, _, error) = import(&rig, &[&array], &[]);
+    assert!(code == Some(65) && error.contains("a JSON array: write each throw"), "{error}");
+    // Some editors begin a file with a byte order mark.
+    fs::write(&one, [b"\xef\xbb\xbf", &json(0)[..]].concat()).unwrap();
+
     let (code, said, error) = import(&rig, &[&one, &many], &[]);
     assert_eq!(code, Some(0), "{error}");
     assert_eq!(said.trim(), "4 throws imported (0 not evaluated), 1 known before, 0 alarm events");
@@ -77,7 +84,7 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     fs::copy(&file, &copy).unwrap();
     let (code, said, error) = import(&rig, &[&file, &copy], &["--started-at", "2026-01-01T00:00:00Z"]);
     assert_eq!(code, Some(0), "{error}");
-    assert_eq!(said.trim(), "1 throws imported (0 not evaluated), 1 known before, 0 alarm events");
+    assert_eq!(said.trim(), "1 throw imported (0 not evaluated), 1 known before, 0 alarm events");
     let (code, said, error) = import(&rig, &[&copy], &[]);
     assert_eq!(code, Some(0), "{error}");
     assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
@@ -88,11 +95,11 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     fs::write(&copy, text).unwrap();
     let (code, said, error) = import(&rig, &[&copy], &[]);
     assert_eq!(code, Some(0), "{error}");
-    assert!(said.starts_with("1 throws imported (0 not evaluated)") && error.is_empty(), "{said}{error}");
+    assert!(said.starts_with("1 throw imported (0 not evaluated)") && error.is_empty(), "{said}{error}");
     // A recording older than the stored throws would be the present state.
     fs::write(&copy, fs::read_to_string(&file).unwrap() + "8.0,0\n").unwrap();
     let (code, said, error) = import(&rig, &[&copy], &["--started-at", "2025-01-01T00:00:00Z"]);
-    assert!(code == Some(0) && said.starts_with("1 throws imported"), "{said}{error}");
+    assert!(code == Some(0) && said.starts_with("1 throw imported"), "{said}{error}");
     assert!(error.starts_with("warning: ") && error.contains("before the last one of north/21B"), "{error}");
 }
 
@@ -128,6 +135,8 @@ fn exported_traces_are_imported_as_the_same_throws() {
         let [b0, original] = [row, &original].map(|row| row["b0"].as_f64().unwrap());
         assert!((b0 / original - 1.0).abs() < 1e-6, "{b0} {original}");
     }
+    let rates = |rig: &Rig| rig.sql("SELECT sample_rate_hz, samples FROM throw ORDER BY throw_row");
+    assert_eq!(rates(&other), rates(&rig), "exact, not from the times of the samples");
     let boots = other.sql("SELECT DISTINCT boot_id FROM boot");
     assert_eq!(boots, [serde_json::json!({"boot_id": "recorded"})]);
 
@@ -152,7 +161,7 @@ fn a_wrong_line_is_named_and_the_files_before_it_are_kept() {
     assert_eq!(code, Some(65), "{error}");
     assert!(error.starts_with("error: ") && error.contains("bad.jsonl, line 2: "), "{error}");
     assert_eq!(error.lines().count(), 1, "{error}");
-    assert!(said.starts_with("1 throws imported"), "{said}");
+    assert!(said.starts_with("1 throw imported"), "{said}");
 
     let (code, _, error) = import(&rig, &[Path::new("/no/such/throws.json")], &[]);
     assert_eq!(code, Some(66), "{error}");

@@ -127,9 +127,14 @@ impl Document {
         let holds = |place: &&Place, at: usize| place.key.contains(&at) || place.value.contains(&at);
         let key = start
             .and_then(|at| self.places.iter().filter(|place| holds(place, at)).max_by_key(|place| place.path.len()));
-        let mut problem = error.message().lines().collect::<Vec<_>>().join(", ");
+        let mut problem = plain(&error.message().lines().collect::<Vec<_>>().join(", "));
         if problem.is_empty() {
             "not valid TOML".clone_into(&mut problem);
+        }
+        if problem == "duplicate key"
+            && let Some(name) = error.span().and_then(|span| self.text.get(span))
+        {
+            problem = format!("duplicate key {name}");
         }
         // `north` without quotes reads like the beginning of `nan`, `inf` or `false`.
         if ["invalid float", "invalid boolean", "invalid literal", "string values must be quoted"]
@@ -152,6 +157,22 @@ impl Document {
     fn line(&self, at: usize) -> usize {
         1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
     }
+}
+
+/// The message of the parser without the names of Rust's types.
+fn plain(message: &str) -> String {
+    let mut plain = message.replace("expected path string", "expected a text in quotes").replace(
+        "map, expected a sequence",
+        "section, expected a list; a section of a list has two brackets, as [[machine]]",
+    );
+    for (of_type, words) in [("u", "a whole number from 0"), ("i", "a whole number"), ("f", "a number")] {
+        for bits in ["8", "16", "32", "64", "size"] {
+            plain = plain.replace(&format!("expected {of_type}{bits}"), &format!("expected {words}"));
+        }
+    }
+    let Some((before, rest)) = plain.split_once("expected struct ") else { return plain };
+    let rest = rest.trim_start_matches(|letter: char| letter.is_alphanumeric() || letter == '_');
+    format!("{before}expected a table of keys with values{rest}")
 }
 
 fn collect(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
@@ -211,7 +232,9 @@ mod tests {
         assert!(complaint("[store]\n\nsize = \"1\"\n").starts_with("x.toml:3: store.size: invalid type"));
         assert!(complaint("[store]\n").starts_with("x.toml:1: store: missing field `size`"));
         assert!(complaint("\nstore = {\n").starts_with("x.toml:"));
-        assert!(complaint("[store]\nsize = 1\nsize = 2\n").starts_with("x.toml:3: "));
+        assert_eq!(complaint("[store]\nsize = 1\nsize = 2\n"), "x.toml:3: duplicate key size");
+        assert!(complaint("[store]\nsize = \"1\"\n").ends_with("expected a whole number from 0"));
+        assert!(complaint("store = 1\n").ends_with("expected a table of keys with values"));
     }
 
     #[test]

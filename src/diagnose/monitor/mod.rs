@@ -245,7 +245,7 @@ impl MachineMonitor {
                 self.boots = Boots::default();
                 self.rebaseline(by, why, actor, now);
             }
-            Command::MaintenanceStart { .. } if self.maintenance.is_some() => return Err(CommandError::InMaintenance),
+            // In maintenance already: the new window replaces the old one, as a second shelving does.
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));
                 self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));

@@ -154,14 +154,15 @@
     }));
     const kept = [...edges, ...panel.levels.map(([y]) => y)];
     const axis = { stroke: colour.ink, font: FONT, labelFont: FONT, labelSize: 17, labelGap: 0, grid: { stroke: colour.line, width: 1 }, ticks: { show: false } };
-    // Least step [s], label, and what is below it when the year, month, day, hour or minute changes.
+    // Least step [s], label, and what is below it when the year, month, day, hour or minute changes. A date with its year is
+    // wider than the least space between two labels.
     const dates = [
       [31536000, "{YYYY}", null, null, null, null, null, null, 1],
       [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
       [86400, "{D} {MMM}", "\n{YYYY}", null, null, null, null, null, 1],
-      [60, "{HH}:{mm}", "\n{D} {MMM} {YYYY}", null, "\n{D} {MMM}", null, null, null, 1],
-      [1, "{HH}:{mm}:{ss}", "\n{D} {MMM} {YYYY}", null, "\n{D} {MMM}", null, null, null, 1],
-      [0.001, "{ss}.{fff}", "\n{D} {MMM} {YYYY} {HH}:{mm}", null, "\n{D} {MMM} {HH}:{mm}", null, "\n{HH}:{mm}", null, 1],
+      [60, "{HH}:{mm}", "\n{D} {MMM}", null, "\n{D} {MMM}", null, null, null, 1],
+      [1, "{HH}:{mm}:{ss}", "\n{D} {MMM}", null, "\n{D} {MMM}", null, null, null, 1],
+      [0.001, "{ss}.{fff}", "\n{D} {MMM} {HH}:{mm}", null, "\n{D} {MMM} {HH}:{mm}", null, "\n{HH}:{mm}", null, 1],
     ];
     return {
       title: panel.title,

@@ -149,7 +149,10 @@ fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
         time.as_second() >= -62_167_219_200
     });
     parsed.ok_or_else(|| {
-        let problem = format!("{}, must be RFC 3339 with Z or an offset, as 2026-05-04T10:11:12.345Z", quote(text));
+        let problem = format!(
+            "{}, must be RFC 3339 with Z or an offset, as 2026-05-04T10:11:12.345Z, and before 9999-12-30T22:00:00Z",
+            quote(text)
+        );
         wrong("started_at", problem)
     })
 }
