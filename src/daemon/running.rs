@@ -71,7 +71,6 @@ pub struct View {
 
 impl View {
     /// The present configuration.
-    #[must_use]
     pub fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
     }
@@ -178,7 +177,6 @@ impl Daemon {
     }
 
     /// Receiver of the throws judged from now on.
-    #[must_use]
     pub fn watch(&self) -> broadcast::Receiver<Judged> {
         self.watchers.subscribe()
     }
@@ -189,19 +187,16 @@ impl Daemon {
     }
 
     /// The database.
-    #[must_use]
     pub fn store(&self) -> &Store {
         &self.store
     }
 
     /// The status of the daemon.
-    #[must_use]
     pub fn report(&self) -> StatusReport {
         self.gauges.report()
     }
 
     /// A view of the daemon for the dashboard.
-    #[must_use]
     pub fn view(&self) -> View {
         View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }

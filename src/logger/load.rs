@@ -69,7 +69,6 @@ pub struct Loaded {
 }
 
 /// The quantile of sorted latencies for this share of them; `None` without latencies.
-#[must_use]
 pub fn quantile(latencies: &[Duration], share: f64) -> Option<Duration> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
     let rank = (share * latencies.len() as f64).ceil() as usize;

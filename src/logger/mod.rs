@@ -104,13 +104,11 @@ impl Logger {
     }
 
     /// The machines of the fleet, in the order of their index.
-    #[must_use]
     pub fn machines(&self) -> &[MachineId] {
         &self.machines
     }
 
     /// Number of throws published so far, of all machines.
-    #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }

@@ -48,7 +48,6 @@ impl LoggerSettings {
     }
 
     /// The machine with index `number`, from 0.
-    #[must_use]
     pub fn machine_id(&self, number: usize) -> MachineId {
         let name = format!("{}-{}", self.machine, number + 1);
         // `validate` keeps the prefix short, so that the name is valid.

@@ -125,7 +125,6 @@ pub struct Coefficients {
 
 impl Coefficients {
     /// b0, a1, a0.
-    #[must_use]
     pub fn values(&self) -> [f64; 3] {
         [self.b0, self.a1, self.a0]
     }
@@ -243,7 +242,6 @@ impl Parameters {
     }
 
     /// A machine with a series-wound motor that throws in about 4 s.
-    #[must_use]
     pub fn series() -> Self {
         Self {
             motor: MotorKind::Series,

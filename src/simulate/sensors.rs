@@ -93,7 +93,6 @@ pub struct Recording {
 
 impl Sensors {
     /// Sensors without noise and errors, sampled at `sample_rate_hz`.
-    #[must_use]
     pub fn perfect(sample_rate_hz: f64) -> Self {
         let channel = Channel { noise: 0.0, ..Channel::default() };
         Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
@@ -121,7 +120,6 @@ impl Sensors {
 
     /// The simulation step for these sensors: a whole fraction of the sampling period, at most [`STEP_S`], and with an
     /// anti-alias filter at most a quarter of the period.
-    #[must_use]
     pub fn step_s(&self) -> f64 {
         let oversampling = if self.anti_alias_hz.is_some() { 4.0 } else { 1.0 };
         let steps = (1.0 / (STEP_S * self.sample_rate_hz)).ceil().max(oversampling);

@@ -81,13 +81,11 @@ impl Store {
     }
 
     /// The reader of this database.
-    #[must_use]
     pub fn reader(&self) -> &Reader {
         &self.reader
     }
 
     /// Path of the database.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.settings.path
     }

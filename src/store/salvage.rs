@@ -111,19 +111,16 @@ pub struct Salvaged {
 
 impl Salvaged {
     /// Copied rows of a table.
-    #[must_use]
     pub fn saved(&self, table: &str) -> u64 {
         self.rows.get(table).copied().unwrap_or(0)
     }
 
     /// Lost rows of a table.
-    #[must_use]
     pub fn lost(&self, table: &str) -> u64 {
         self.lost.get(table).copied().unwrap_or(0)
     }
 
     /// One sentence for a person.
-    #[must_use]
     pub fn text(&self) -> String {
         if self.saved("machine") == 0 {
             return "nothing of it could be read: every machine learns a new baseline".to_owned();

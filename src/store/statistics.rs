@@ -45,7 +45,6 @@ pub struct Statistics {
 
 impl Statistics {
     /// Counters since the creation of the database, by name.
-    #[must_use]
     pub fn counters(&self) -> BTreeMap<String, u64> {
         serde_json::from_str(&self.counters).unwrap_or_default()
     }
@@ -68,19 +67,16 @@ impl Store {
     }
 
     /// State of the disk. Fast enough for every second.
-    #[must_use]
     pub fn disk_level(&self) -> DiskLevel {
         self.disk.level()
     }
 
     /// Whether the database is being copied to a new file, with progress in the last 30 s. Writes wait meanwhile.
-    #[must_use]
     pub fn is_copying(&self) -> bool {
         self.disk.is_copying()
     }
 
     /// Size of the write-ahead log \[bytes\].
-    #[must_use]
     pub fn wal_bytes(&self) -> u64 {
         self.files.log_bytes()
     }

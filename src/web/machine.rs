@@ -58,7 +58,6 @@ impl Span {
     }
 
     /// The span of the word `100`, `1000` or `all`.
-    #[must_use]
     pub fn from_word(word: &str) -> Option<Self> {
         Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }

@@ -87,7 +87,6 @@ impl Listening {
     }
 
     /// The address for a browser.
-    #[must_use]
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }

@@ -193,7 +193,6 @@ impl Config {
     }
 
     /// Settings that are valid and have no effect.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let key = &self.subscribe.key;
         let served =
