@@ -342,12 +342,8 @@ impl Copy {
         };
         match counted {
             Ok(unsound) => Ok(Some(i64::cast_unsigned(unsound))),
-            Err(error) if is_full(&error) || !connection_works(connection).await => Err(error),
+            Err(error) if is_full(&error) || connection.ping().await.is_err() => Err(error),
             Err(_) => Ok(None),
         }
     }
-}
-
-async fn connection_works(connection: &mut SqliteConnection) -> bool {
-    connection.ping().await.is_ok()
 }
