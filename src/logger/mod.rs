@@ -114,9 +114,6 @@ impl Logger {
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
-    ///
-    /// # Errors
-    /// When publishing failed.
     pub async fn finished(&mut self) -> Result<u64, LoggerError> {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }
