@@ -193,14 +193,14 @@ impl Status {
 
 /// The sources of a status report.
 #[derive(Clone)]
-pub(crate) struct Gauges {
+pub(crate) struct StatusSources {
     pub(crate) status: Arc<Status>,
     pub(crate) inbox: Arc<InboxCounters>,
     pub(super) outlet: Arc<OutletCounters>,
     pub(crate) store: Store,
 }
 
-impl Gauges {
+impl StatusSources {
     pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
         let copying = self.store.is_copying();

@@ -162,7 +162,7 @@ async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let config = web.view.config();
-    let page = read(web.view.gauges.store.reader(), machine, span, &config.diagnosis).await?;
+    let page = read(web.reader(), machine, span, &config.diagnosis).await?;
     let page = page.ok_or_else(|| Failure::not_found(format!("No throw of a machine {machine} is known.")))?;
     Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), form, ..page }))
 }

@@ -133,7 +133,7 @@ fn router(web: Arc<Web>) -> Router {
 
 /// Healthy while no loop of the daemon is without a fresh heartbeat.
 async fn healthz(State(web): State<Arc<Web>>) -> Response {
-    let silent = web.view.gauges.report().silent;
+    let silent = web.view.sources.report().silent;
     if silent.is_empty() {
         return page::text(StatusCode::OK, "every loop of the daemon beats\n".to_owned());
     }
