@@ -14,6 +14,9 @@ use crate::{
     wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
+/// Time until a query of an operator fails; longer than a daemon needs for a batch of throws.
+pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
+
 /// A query or command without a usable answer.
 #[derive(Debug, thiserror::Error)]
 pub enum OperatorError {
@@ -82,18 +85,12 @@ pub struct Answers {
 
 impl Answers {
     /// The messages, if no daemon replied with an error.
-    ///
-    /// # Errors
-    /// The first error of a daemon.
     pub fn complete(self) -> Result<Vec<(String, Vec<u8>)>, OperatorError> {
         self.errors.into_iter().next().map_or(Ok(self.messages), Err)
     }
 }
 
 /// Queries all daemons.
-///
-/// # Errors
-/// When zenoh refuses the query.
 pub async fn ask(
     session: &Session,
     selector: &str,
@@ -140,10 +137,9 @@ pub(crate) async fn command(
     machine: &MachineId,
     expected: Option<&MachineId>,
     payload: Vec<u8>,
-    timeout: Duration,
 ) -> Result<Vec<u8>, OperatorError> {
     let key = machine_key(machine, Kind::Command);
-    let replies = ask(session, &key, None, timeout).await?.complete()?;
+    let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
     let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<Commander>(payload));
     let daemons = daemons.collect::<Result<Vec<_>, _>>().map_err(|_| OperatorError::Nameless(machine.to_string()))?;
     let commander = match daemons.as_slice() {
@@ -160,7 +156,7 @@ pub(crate) async fn command(
         return Err(OperatorError::AnotherDaemon { found: commander.monitor.clone(), expected });
     }
     let gone = || OperatorError::Gone(commander.monitor.clone());
-    let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), timeout).await?;
+    let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), ANSWER_TIMEOUT).await?;
     match answers.complete() {
         Ok(replies) => replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(gone),
         Err(OperatorError::Timeout) => Err(gone()),
@@ -169,12 +165,8 @@ pub(crate) async fn command(
 }
 
 /// The names of the daemons that serve a machine.
-pub(crate) async fn serving(
-    session: &Session,
-    machine: &MachineId,
-    timeout: Duration,
-) -> Result<Vec<String>, OperatorError> {
-    let replies = ask(session, &machine_key(machine, Kind::Command), None, timeout).await?.messages;
+pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Vec<String>, OperatorError> {
+    let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.messages;
     let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<Commander>(payload).ok());
     Ok(daemons.map(|daemon| daemon.monitor).collect())
 }
@@ -204,16 +196,12 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
 
 /// Distinguishes "no alarms" from "no daemon monitors this": checks that a daemon runs and, for a given machine, that a
 /// daemon knows it.
-pub(crate) async fn require_monitored(
-    session: &Session,
-    machine: Option<&MachineId>,
-    timeout: Duration,
-) -> Result<(), OperatorError> {
+pub(crate) async fn require_monitored(session: &Session, machine: Option<&MachineId>) -> Result<(), OperatorError> {
     if monitors(session).await?.is_empty() {
         return Err(OperatorError::NoDaemon);
     }
     let Some(machine) = machine else { return Ok(()) };
-    let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?.complete()?;
+    let health = ask(session, &machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
     if health.is_empty() && !is_running(session, machine).await? {
         return Err(OperatorError::Unknown(machine.to_string()));

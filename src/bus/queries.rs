@@ -36,7 +36,6 @@ pub struct Question {
 
 impl Question {
     /// Key expression of the query.
-    #[must_use]
     pub fn key(&self) -> &str {
         self.query.key_expr().as_str()
     }
@@ -75,9 +74,6 @@ pub struct Questions {
 
 impl Questions {
     /// Declares the queryable.
-    ///
-    /// # Errors
-    /// When zenoh refuses the key expression.
     pub async fn declare(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let (sender, waiting) = mpsc::channel(QUEUE);
         let dropped = Arc::<AtomicU64>::default();
@@ -105,7 +101,6 @@ impl Questions {
     }
 
     /// Number of queries refused since the last call: the queue was full, or their payload too large.
-    #[must_use]
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)
     }

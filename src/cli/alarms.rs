@@ -6,7 +6,7 @@ use jiff::Timestamp;
 
 use super::{
     Exit, Failure, Outcome, argument,
-    operator::{self, ANSWER_TIMEOUT, Client, Connection},
+    operator::{self, Client, Connection},
     output, runtime,
 };
 use crate::{
@@ -64,17 +64,17 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let Client { session, .. } = arguments.connection.open().await?;
-        let answer = bus::ask(&session, &selector(arguments), None, ANSWER_TIMEOUT).await;
-        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_TIMEOUT).await;
+        let answer = bus::ask(&session, &selector(arguments), None, bus::ANSWER_TIMEOUT).await;
+        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, bus::ANSWER_TIMEOUT).await;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
         let shows_open = !arguments.json && !is_history;
         let health = match &arguments.machine {
             _ if !shows_open => Ok(bus::Answers::default()),
-            machine => bus::ask(&session, &key(machine.as_ref(), Kind::Health), None, ANSWER_TIMEOUT).await,
+            machine => bus::ask(&session, &key(machine.as_ref(), Kind::Health), None, bus::ANSWER_TIMEOUT).await,
         };
         let watched = match &answer {
             Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
-                bus::require_monitored(&session, arguments.machine.as_ref(), ANSWER_TIMEOUT).await
+                bus::require_monitored(&session, arguments.machine.as_ref()).await
             }
             _ => Ok(()),
         };

@@ -35,13 +35,11 @@ mod throw;
 pub use exit::{Exit, Failure, Outcome, ResultExt};
 
 /// Runs `pointsd` with the arguments of the process and returns the exit code.
-#[must_use]
 pub fn pointsd() -> std::process::ExitCode {
-    exit::finish(pointsd::main())
+    exit::finish(exit::parse().map_or_else(Ok, pointsd::main))
 }
 
 /// Runs `pointsim` with the arguments of the process and returns the exit code.
-#[must_use]
 pub fn pointsim() -> std::process::ExitCode {
-    exit::finish(pointsim::main())
+    exit::finish(exit::parse().map_or_else(Ok, pointsim::main))
 }

@@ -1,6 +1,6 @@
 //! Common parts of the operators' commands: the connection to a daemon, shared arguments, and sending a command.
 
-use std::{path::PathBuf, time::Duration};
+use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use serde::de::DeserializeOwned;
@@ -15,8 +15,6 @@ use crate::{
     wire::{Reply, json, json_bytes, parse_monitor_key},
 };
 
-/// Time until a query fails; longer than a daemon needs for a batch of throws.
-pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
 /// Time until a connection fails.
 const CONNECT_TIMEOUT_MS: u32 = 5_000;
 
@@ -156,7 +154,7 @@ impl Sender {
         runtime::block_on(async {
             let payload = json_bytes(command);
             let Client { session, monitor } = self.connection.open().await?;
-            let answer = bus::command(&session, &self.machine, monitor.as_ref(), payload, ANSWER_TIMEOUT).await;
+            let answer = bus::command(&session, &self.machine, monitor.as_ref(), payload).await;
             close(session).await;
             let answer = answer.map_err(failure)?;
             let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;

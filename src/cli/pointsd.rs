@@ -3,14 +3,14 @@
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 use super::{
-    Outcome, alarms, backup, check, commands, completions, demo, evaluate, exit, export, identify, import, man, replay,
+    Outcome, alarms, backup, check, commands, completions, demo, evaluate, export, identify, import, man, replay,
     report, run, sql, status,
 };
 
 /// Condition monitoring of railway point machines: identifies every throw and names the part that is wearing out.
 #[derive(Debug, Parser)]
 #[command(name = "pointsd", version)]
-struct Arguments {
+pub(super) struct Arguments {
     #[command(subcommand)]
     command: Command,
 }
@@ -38,11 +38,7 @@ enum Command {
     Man(man::Arguments),
 }
 
-pub(super) fn main() -> Outcome {
-    let arguments = match exit::parse::<Arguments>() {
-        Ok(arguments) => arguments,
-        Err(exit) => return Ok(exit),
-    };
+pub(super) fn main(arguments: Arguments) -> Outcome {
     match arguments.command {
         Command::Demo(arguments) => demo::main(&arguments),
         Command::Run(arguments) => run::main(&arguments),

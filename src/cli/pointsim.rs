@@ -2,42 +2,38 @@
 
 use clap::{CommandFactory as _, Parser, Subcommand};
 
-use super::{Outcome, exit};
+use super::{Outcome, completions, limits, load, man, simulate_run, table1, throw};
 
 /// Simulated point machines: publishes throws, writes traces, repeats the tests of the study.
 #[derive(Debug, Parser)]
 #[command(name = "pointsim", version)]
-struct Arguments {
+pub(super) struct Arguments {
     #[command(subcommand)]
     command: Command,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Run(super::simulate_run::Arguments),
-    Load(super::load::Arguments),
+    Run(simulate_run::Arguments),
+    Load(load::Arguments),
     /// Simulates one throw and writes its trace as CSV.
-    Throw(super::throw::Arguments),
+    Throw(throw::Arguments),
     /// Repeats the study's 4 cases x 6 tests; prints and plots the results.
-    Table1(super::table1::Arguments),
+    Table1(table1::Arguments),
     /// Shows the limits of the method: sampling, noise, soft drive, load, closed loop; as tables and charts.
-    Limits(super::limits::Arguments),
-    Completions(super::completions::Arguments),
-    Man(super::man::Arguments),
+    Limits(limits::Arguments),
+    Completions(completions::Arguments),
+    Man(man::Arguments),
 }
 
-pub(super) fn main() -> Outcome {
-    let arguments = match exit::parse::<Arguments>() {
-        Ok(arguments) => arguments,
-        Err(exit) => return Ok(exit),
-    };
+pub(super) fn main(arguments: Arguments) -> Outcome {
     match arguments.command {
-        Command::Run(arguments) => super::simulate_run::main(&arguments),
-        Command::Load(arguments) => super::load::main(&arguments),
-        Command::Throw(arguments) => super::throw::main(&arguments),
-        Command::Table1(arguments) => super::table1::main(&arguments),
-        Command::Limits(arguments) => super::limits::main(&arguments),
-        Command::Completions(arguments) => super::completions::main(&arguments, Arguments::command()),
-        Command::Man(arguments) => super::man::main(&arguments, Arguments::command()),
+        Command::Run(arguments) => simulate_run::main(&arguments),
+        Command::Load(arguments) => load::main(&arguments),
+        Command::Throw(arguments) => throw::main(&arguments),
+        Command::Table1(arguments) => table1::main(&arguments),
+        Command::Limits(arguments) => limits::main(&arguments),
+        Command::Completions(arguments) => completions::main(&arguments, Arguments::command()),
+        Command::Man(arguments) => man::main(&arguments, Arguments::command()),
     }
 }

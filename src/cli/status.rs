@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::{
     Exit, Failure, Outcome, alarms, argument,
-    operator::{self, ANSWER_TIMEOUT, Client, Connection},
+    operator::{self, Client, Connection},
     output,
     runtime::{self, Signals},
 };
@@ -93,7 +93,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
-    let ask = |selector| bus::ask(session, selector, None, ANSWER_TIMEOUT);
+    let ask = |selector| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT);
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
     let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
     let events = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
@@ -154,7 +154,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     let twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
-        let daemons = bus::serving(session, machine, ANSWER_TIMEOUT).await.map_err(operator::failure)?;
+        let daemons = bus::serving(session, machine).await.map_err(operator::failure)?;
         sentences
             .push(format!("{machine} is served by {}: correct subscribe.key of all but one", daemons.join(" and ")));
     }

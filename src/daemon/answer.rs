@@ -1,6 +1,6 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
-use super::{orders::Orders, status::Gauges};
+use super::{orders::Orders, status::StatusSources};
 use crate::{
     bus::{Question, Questions},
     store::{Reader, Selector, StoreError, seldom},
@@ -19,7 +19,7 @@ pub(super) enum Answers {
     /// no reply.
     Commands { orders: Orders, itself: Commander },
     /// To status queries.
-    Status { key: String, gauges: Gauges },
+    Status { key: String, sources: StatusSources },
 }
 
 impl Answers {
@@ -47,9 +47,9 @@ impl Answers {
                     _ => command_reply(question, orders, itself).await,
                 }
             }
-            Self::Status { key, gauges } => {
+            Self::Status { key, sources } => {
                 takes_only(question, &[])?;
-                Ok(vec![(key.clone(), status(gauges).await)])
+                Ok(vec![(key.clone(), status(sources).await)])
             }
         }
     }
@@ -98,9 +98,9 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
 }
 
-async fn status(gauges: &Gauges) -> Vec<u8> {
-    let mut report = gauges.report();
-    match gauges.store.reader().windows(None).await {
+async fn status(sources: &StatusSources) -> Vec<u8> {
+    let mut report = sources.report();
+    match sources.store.reader().windows(None).await {
         Ok(windows) => report.windows = windows,
         // The rest of the status is most important when the database does not answer.
         Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),

@@ -17,7 +17,6 @@ pub(super) struct Pool {
 
 impl Pool {
     /// A pool with `threads` threads; 0 for the number of processors, at most `MOST_THREADS`.
-    #[must_use]
     pub(super) fn new(threads: usize) -> Self {
         let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
         let threads = if threads == 0 { available() } else { threads };

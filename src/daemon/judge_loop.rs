@@ -41,7 +41,7 @@ const GAPS: u32 = 10_000;
 /// Largest number of loggers without a throw that the status names.
 const NAMED: usize = 20;
 /// Time for which refused messages of an unknown machine without a logger's token are a problem.
-const REFUSED_FOR: Duration = Duration::from_secs(3600);
+const REFUSED_FOR: Duration = Duration::from_hours(1);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection

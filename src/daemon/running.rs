@@ -23,7 +23,7 @@ use super::{
     publish::Publisher,
     receive::{Intake, ReceiveLoop},
     retention,
-    status::{Gauges, Status, StatusReport},
+    status::{Status, StatusReport, StatusSources},
     tasks::{TaskEnded, Tasks},
     watchdog,
     webhook::Notifier,
@@ -49,7 +49,7 @@ pub(super) const PUBLISH: &str = "publish";
 pub struct Daemon {
     pub(super) session: Session,
     pub(super) store: Store,
-    pub(super) gauges: Gauges,
+    pub(super) sources: StatusSources,
     config: watch::Sender<Arc<Config>>,
     watchers: broadcast::Sender<Judged>,
     orders: Orders,
@@ -64,14 +64,13 @@ pub struct Daemon {
 /// commands. Cheap to clone.
 #[derive(Clone)]
 pub struct View {
-    pub(crate) gauges: Gauges,
+    pub(crate) sources: StatusSources,
     config: watch::Receiver<Arc<Config>>,
     pub(crate) orders: Orders,
 }
 
 impl View {
     /// The present configuration.
-    #[must_use]
     pub fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
     }
@@ -102,9 +101,6 @@ struct Starting {
 
 impl Daemon {
     /// Opens the database and zenoh, and starts every loop. Returns when all loops run.
-    ///
-    /// # Errors
-    /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.
@@ -150,14 +146,14 @@ impl Daemon {
         // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
         start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
-        let gauges = start.receive(&outlet, loggers).await?;
+        let sources = start.receive(&outlet, loggers).await?;
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), alive).await?;
-        start.answer(&orders, &gauges).await?;
+        start.answer(&orders, &sources).await?;
         start
             .tasks
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
-        start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
+        start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
         let monitor = &start.config.monitor;
         let own = monitor.as_machine();
         match bus::is_running(&start.session, &own).await {
@@ -169,7 +165,7 @@ impl Daemon {
         }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
-        Ok(Self { session, store, gauges, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
+        Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -178,7 +174,6 @@ impl Daemon {
     }
 
     /// Receiver of the throws judged from now on.
-    #[must_use]
     pub fn watch(&self) -> broadcast::Receiver<Judged> {
         self.watchers.subscribe()
     }
@@ -189,21 +184,18 @@ impl Daemon {
     }
 
     /// The database.
-    #[must_use]
     pub fn store(&self) -> &Store {
         &self.store
     }
 
     /// The status of the daemon.
-    #[must_use]
     pub fn report(&self) -> StatusReport {
-        self.gauges.report()
+        self.sources.report()
     }
 
     /// A view of the daemon for the dashboard.
-    #[must_use]
     pub fn view(&self) -> View {
-        View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
+        View { sources: self.sources.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
 
     /// Runs a task like those of the daemon: its end is the end of the daemon.
@@ -306,12 +298,12 @@ impl Starting {
         &mut self,
         outlet: &Outlet,
         alive: watch::Receiver<HashSet<MachineId>>,
-    ) -> Result<Gauges, StartError> {
+    ) -> Result<StatusSources, StartError> {
         let subscribe = &self.config.subscribe;
         let limits =
             Limits { max_payload_bytes: subscribe.max_payload_bytes, kept_of_larger_bytes: store::QUARANTINED_BYTES };
         let (inbox, dropped) = Inbox::subscribe(&self.session, &self.scope(Kind::Throw), limits).await?;
-        let gauges = Gauges {
+        let sources = StatusSources {
             status: Arc::clone(&self.status),
             inbox: inbox.counters(),
             outlet: outlet.counters(),
@@ -357,11 +349,11 @@ impl Starting {
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
         // Ends with the receiving loop: the next start fetches the rest.
         self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
-        Ok(gauges)
+        Ok(sources)
     }
 
     /// Starts the answers to queries and commands.
-    async fn answer(&mut self, orders: &Orders, gauges: &Gauges) -> Result<(), BusError> {
+    async fn answer(&mut self, orders: &Orders, sources: &StatusSources) -> Result<(), BusError> {
         let monitor = &self.config.monitor;
         let own_machine = monitor.as_machine();
         let key = monitor_status_key(&monitor.site, &monitor.id);
@@ -370,7 +362,7 @@ impl Starting {
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
         let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
         let mut all = vec![
-            ("answer status", key.clone(), Answers::Status { key, gauges: gauges.clone() }),
+            ("answer status", key.clone(), Answers::Status { key, sources: sources.clone() }),
             ("answer health", self.scope(Kind::Health), Answers::Health(reader.clone())),
             ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
             ("answer commands", self.scope(Kind::Command), commands()),

@@ -53,13 +53,11 @@ pub struct Standing {
 
 impl Standing {
     /// Number of machines in a state.
-    #[must_use]
     pub fn count(&self, state: MachineState) -> u64 {
         self.machines.get(&state).copied().unwrap_or(0)
     }
 
     /// Whether every machine is healthy or learning, no alarm is shelved, and the daemon has no own alarm.
-    #[must_use]
     pub fn is_well(&self) -> bool {
         self.machines.keys().all(|state| state.is_well()) && self.shelved_alarms + self.own_alarms == 0
     }
@@ -195,14 +193,14 @@ impl Status {
 
 /// The sources of a status report.
 #[derive(Clone)]
-pub(crate) struct Gauges {
+pub(crate) struct StatusSources {
     pub(crate) status: Arc<Status>,
     pub(crate) inbox: Arc<InboxCounters>,
     pub(super) outlet: Arc<OutletCounters>,
     pub(crate) store: Store,
 }
 
-impl Gauges {
+impl StatusSources {
     pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
         let copying = self.store.is_copying();
@@ -227,7 +225,6 @@ impl Gauges {
 
 impl StatusReport {
     /// Whether the daemon has no problem with disk, clock, loops, webhook, or lost or refused messages.
-    #[must_use]
     pub fn is_well(&self) -> bool {
         self.disk == DiskLevel::Ample
             && self.silent.is_empty()
@@ -239,13 +236,11 @@ impl StatusReport {
     }
 
     /// One line of text, problems first.
-    #[must_use]
     pub fn line(&self) -> String {
         self.parts().join("; ")
     }
 
     /// The parts of [`Self::line`]: each problem, then the counts.
-    #[must_use]
     pub fn parts(&self) -> Vec<String> {
         let mut parts = Vec::new();
         match self.disk {

@@ -31,7 +31,7 @@ impl Daemon {
     /// # Errors
     /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
-        let Self { session, store, mut tasks, stops, outlet_end, alive, gauges, lock, .. } = self;
+        let Self { session, store, mut tasks, stops, outlet_end, alive, sources, lock, .. } = self;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {
@@ -49,7 +49,7 @@ impl Daemon {
         if !tasks.end_of(PUBLISH, PUBLISH_LIMIT).await {
             tracing::warn!("alarms are not published yet: published after the next start");
         }
-        tracing::info!("{}", gauges.report().line());
+        tracing::info!("{}", sources.report().line());
         drop((alive, tasks));
         if time::timeout(LEAVE_LIMIT, outlet_end.reached()).await.is_err() {
             tracing::warn!("the publishing thread hangs in zenoh");

@@ -5,7 +5,7 @@ use std::time::Duration;
 use sd_notify::NotifyState;
 use tokio::time;
 
-use super::{heartbeat::TaskName, status::Gauges};
+use super::{heartbeat::TaskName, status::StatusSources};
 use crate::store::{DiskLevel, StoreError};
 
 /// Time between two checks of the heartbeats, without a watchdog of systemd.
@@ -45,21 +45,21 @@ pub(super) async fn with_start_extension<T>(what: &str, work: impl Future<Output
 }
 
 /// Feeds the watchdog while all heartbeats are fresh, updates the status line, and probes the writer of the database.
-pub(super) async fn watch(gauges: Gauges) {
+pub(super) async fn watch(sources: StatusSources) {
     let period =
         sd_notify::watchdog_enabled().map_or(LOOK, |limit| (limit / 3).min(LOOK)).max(Duration::from_millis(100));
     let mut look = time::interval(period);
     let mut routine = time::interval(ROUTINE);
     routine.tick().await;
     let mut trouble = String::new();
-    let mut probe = tokio::spawn(probe_writer(gauges.clone()));
+    let mut probe = tokio::spawn(probe_writer(sources.clone()));
     loop {
         tokio::select! {
             _ = look.tick() => {}
-            _ = routine.tick() => tracing::info!("{}", gauges.report().line()),
+            _ = routine.tick() => tracing::info!("{}", sources.report().line()),
             _ = &mut probe => return,
         }
-        let report = gauges.report();
+        let report = sources.report();
         let line = report.line();
         if report.silent.is_empty() {
             notify(&[NotifyState::Watchdog, NotifyState::Status(&line)]);
@@ -79,13 +79,13 @@ pub(super) async fn watch(gauges: Gauges) {
 }
 
 /// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
-async fn probe_writer(gauges: Gauges) {
+async fn probe_writer(sources: StatusSources) {
     let mut pace = time::interval(LOOK);
     loop {
         pace.tick().await;
-        if matches!(gauges.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
+        if matches!(sources.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
             return;
         }
-        gauges.status.heartbeats.beat(TaskName::Write);
+        sources.status.heartbeats.beat(TaskName::Write);
     }
 }

@@ -7,7 +7,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    event::{AlarmEvent, Cause, SensorChannel},
+    event::{Cause, SensorChannel},
     rule::Rule,
     step::Step,
     text,
@@ -78,8 +78,7 @@ impl LoggerClock {
     /// Raises and clears the alarm about the clock, after [`Self::is_wrong`].
     pub(super) fn judge(&self, started_at: Timestamp, step: &mut Step) {
         if self.wrong >= IN_A_ROW {
-            let event = step.warning(Cause::Sensor, text::wrong_clock(step.name, started_at, step.at));
-            let event = AlarmEvent { channel: Some(SensorChannel::Clock), ..event };
+            let event = step.sensor(SensorChannel::Clock, text::wrong_clock(step.name, started_at, step.at));
             step.alarms.raise_another(Rule::Dates, event, self.wrong == IN_A_ROW);
         } else if self.right >= step.settings.off_delay_throws && step.alarms.owned_by(Rule::Dates).is_some() {
             step.clear(Cause::Sensor, text::right_clock(step.name));

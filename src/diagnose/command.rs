@@ -132,13 +132,11 @@ impl Command {
     pub const MAX_TEXT: usize = 200;
 
     /// Name of the command, as `ack`.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
     /// Name of the operator.
-    #[must_use]
     pub fn by(&self) -> &str {
         match self {
             Self::Ack { by, .. }
@@ -151,7 +149,6 @@ impl Command {
     }
 
     /// Reason given by the operator.
-    #[must_use]
     pub fn why(&self) -> Option<&str> {
         match self {
             Self::Shelve { why, .. } | Self::Rebaseline { why, .. } | Self::MaintenanceStart { why, .. } => Some(why),
@@ -160,7 +157,6 @@ impl Command {
     }
 
     /// A further sentence for the operator after the command, about the alarms that it ends or brings back; empty without any.
-    #[must_use]
     pub fn consequence(&self, events: &[AlarmEvent]) -> String {
         let named = |are_active: bool| {
             let events = events.iter().filter(|event| event.state.is_active() == are_active);
@@ -182,7 +178,6 @@ impl Command {
     /// One sentence for the operator after the command: the new state, its end, operator and reason. `learning`: the throws
     /// in the baseline of each direction, and those that it needs, if the machine was learning before the command; then a
     /// second sentence says that a new baseline discards them.
-    #[must_use]
     pub fn confirmation(&self, machine: &MachineId, learning: Option<[(usize, usize); 2]>) -> String {
         match self {
             Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),

@@ -36,7 +36,6 @@ impl Correlation {
     }
 
     /// Whether all three pairs reach `limit`: the paper's criterion for inertia.
-    #[must_use]
     pub fn indicates_inertia(&self, limit: f64) -> bool {
         [self.b0_a1, self.b0_a0, self.a1_a0].into_iter().all(|pair| pair >= limit)
     }

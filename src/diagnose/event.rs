@@ -48,13 +48,11 @@ impl Cause {
     pub(super) const OF_COEFFICIENTS: [Self; 3] = [Self::Kt, Self::Friction, Self::Stiffness];
 
     /// Name in messages and in the database.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 
     /// Whether the cause comes from a drift of the coefficients.
-    #[must_use]
     pub const fn is_drift(self) -> bool {
         matches!(self, Self::Kt | Self::Friction | Self::Stiffness | Self::Inertia | Self::Unattributed)
     }
@@ -122,7 +120,6 @@ pub enum Severity {
 
 impl Severity {
     /// Name in messages and in the database.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
@@ -149,7 +146,6 @@ pub enum AlarmState {
 
 impl AlarmState {
     /// The text for people, on pages and on the command line.
-    #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
             Self::Normal => "over",
@@ -162,19 +158,16 @@ impl AlarmState {
     }
 
     /// Whether the condition exists, and no operator has silenced the alarm.
-    #[must_use]
     pub const fn is_active(self) -> bool {
         matches!(self, Self::ActiveUnacknowledged | Self::ActiveAcknowledged)
     }
 
     /// Whether an operator has silenced the alarm.
-    #[must_use]
     pub const fn is_silenced(self) -> bool {
         matches!(self, Self::Shelved | Self::OutOfService)
     }
 
     /// Name in messages and in the database.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }

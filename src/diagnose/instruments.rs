@@ -249,12 +249,11 @@ impl Instruments {
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
             let event = AlarmEvent {
-                channel: Some(fault.channel),
                 change_pct: Some(percent(fault.size)),
                 change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
                 runner_up: Some(fault.runner_up),
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
-                ..step.warning(Cause::Sensor, text::sensor(step.name, &fault))
+                ..step.sensor(fault.channel, text::sensor(step.name, &fault))
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == settings.on_delay_throws);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
@@ -275,8 +274,7 @@ impl Instruments {
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
         if streaks.named >= delay {
-            let event = step.warning(Cause::Sensor, text::offset(step.name, sensor, &level));
-            let event = AlarmEvent { channel: Some(channel), ..event };
+            let event = step.sensor(channel, text::offset(step.name, sensor, &level));
             step.alarms.raise_another(Rule::Offset, event, streaks.named == delay);
         } else if streaks.over >= step.settings.off_delay_throws && is_own() {
             step.clear(Cause::Sensor, text::offset_over(step.name, sensor));

@@ -50,13 +50,11 @@ pub struct Observation {
 
 impl Observation {
     /// An observation of which only identity and time are known.
-    #[must_use]
     pub fn without_trace(throw: ThrowRef, started_at: Timestamp) -> Self {
         Self { throw, started_at, ..Self::default() }
     }
 
     /// The observation of a throw, with what the estimator found in it.
-    #[must_use]
     pub fn of(throw: &Throw, found: &Identification) -> Self {
         let (estimate, rejection) = (found.outcome.as_ref().ok(), found.outcome.as_ref().err());
         Self {
@@ -158,7 +156,6 @@ pub struct Parameters {
 
 impl Parameters {
     /// The parameters in the settings of the estimator.
-    #[must_use]
     pub fn of(settings: &estimate::Settings) -> Self {
         Self { lead_mm: settings.lead_mm, neutral_mm: settings.neutral_mm, motor: settings.motor }
     }

@@ -338,8 +338,7 @@ impl Operation {
                     SensorChannel::Temperature
                 }
             };
-            let event = step.warning(Cause::Sensor, text::sensor_implausible(step.name, disbelief));
-            let event = AlarmEvent { channel: Some(channel), ..event };
+            let event = step.sensor(channel, text::sensor_implausible(step.name, disbelief));
             step.alarms.raise_another(Rule::Usual, event, self.disbelieved == DISBELIEVED_IN_A_ROW);
         } else if self.believed >= step.settings.off_delay_throws
             && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
@@ -364,8 +363,7 @@ impl Operation {
         let Some((channel, throws)) = self.unusable else { return };
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
-            let event = step.warning(Cause::Sensor, text::sensor_unusable(step.name, found));
-            let event = AlarmEvent { channel: Some(channel), ..event };
+            let event = step.sensor(channel, text::sensor_unusable(step.name, found));
             let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
             step.alarms.raise_another(Rule::Usual, event, is_new);
         } else if self.usable >= step.settings.off_delay_throws.max(u8::BITS) {

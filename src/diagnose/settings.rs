@@ -77,9 +77,6 @@ settings! {
 
 impl Settings {
     /// Checks every key against its range.
-    ///
-    /// # Errors
-    /// The first key out of its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         let usable = self.baseline_usable_throws as f64;
@@ -89,7 +86,6 @@ impl Settings {
     }
 
     /// Allowed false drift alarms per throw of a machine, on average.
-    #[must_use]
     pub fn false_alarms_per_throw(&self) -> f64 {
         const DAYS_PER_YEAR: f64 = 365.25;
         1.0 / (self.false_alarm_years * DAYS_PER_YEAR * self.throws_per_day)
@@ -100,7 +96,6 @@ impl Settings {
     }
 
     /// Warning limit of a physical cause \[%\]; `None` for other causes.
-    #[must_use]
     pub fn limit_pct(&self, cause: Cause) -> Option<f64> {
         match cause {
             Cause::Kt => Some(self.kt_limit_pct),

@@ -47,7 +47,6 @@ pub struct Common {
 
 impl Common {
     /// Whether there is a common change.
-    #[must_use]
     pub fn is_change(&self) -> bool {
         self.change != Vector3::zeros()
     }

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::{
     alarm::Alarms,
-    event::{AlarmEvent, AlarmState, Cause, Severity},
+    event::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity},
     rule::Rule,
     settings::Settings,
 };
@@ -49,6 +49,11 @@ impl Step<'_> {
 
     pub(super) fn warning(&self, cause: Cause, text: String) -> AlarmEvent {
         self.event(cause, Severity::Warning, text)
+    }
+
+    /// A warning about a sensor or the clock.
+    pub(super) fn sensor(&self, channel: SensorChannel, text: String) -> AlarmEvent {
+        AlarmEvent { channel: Some(channel), ..self.warning(Cause::Sensor, text) }
     }
 
     pub(super) fn critical(&self, cause: Cause, text: String) -> AlarmEvent {

@@ -32,13 +32,11 @@ pub enum MachineState {
 
 impl MachineState {
     /// The word in messages and in the database.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 
     /// Whether nothing is known to be wrong with the machine, and it is in service.
-    #[must_use]
     pub fn is_well(self) -> bool {
         matches!(self, Self::Healthy | Self::Learning)
     }

@@ -48,7 +48,6 @@ pub struct Noise<'a, const S: usize> {
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     /// Covariance of the parameters of `solution`, which must be the last solution that used `workspace`.
-    #[must_use]
     pub fn covariance(
         &self,
         problem: &Problem<S>,

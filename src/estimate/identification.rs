@@ -24,7 +24,6 @@ pub enum Grade {
 
 impl Grade {
     /// The word in messages and in the column `quality`.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
@@ -73,13 +72,11 @@ pub struct Estimate {
 
 impl Estimate {
     /// (b0, a1, a0).
-    #[must_use]
     pub fn coefficients(&self) -> [f64; 3] {
         [self.b0, self.a1, self.a0]
     }
 
     /// Covariance of the whole error of (b0, a1, a0), from noise and model.
-    #[must_use]
     pub fn total_covariance(&self) -> Matrix3<f64> {
         let offset = Vector3::from(self.offset);
         self.covariance + self.systematic + offset * offset.transpose()
@@ -92,7 +89,6 @@ impl Estimate {
     /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
     /// the `systematic` ones of ratios, if the baseline has complete estimates. Such errors do not average out over a
     /// window; the covariance of ratios is one of them, as it comes from the misfit of the model, which repeats.
-    #[must_use]
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
@@ -103,20 +99,17 @@ impl Estimate {
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).
-    #[must_use]
     pub fn sd(&self) -> [f64; 3] {
         let variances: Vector3<f64> = self.total_covariance().diagonal();
         variances.map(f64::sqrt).into()
     }
 
     /// a1/b0 and a0/b0.
-    #[must_use]
     pub fn ratios(&self) -> [f64; 2] {
         [self.a1 / self.b0, self.a0 / self.b0]
     }
 
     /// Standard deviations of [`Self::ratios`].
-    #[must_use]
     pub fn ratios_sd(&self) -> [f64; 2] {
         let c = self.total_covariance();
         let ratios = self.ratios();
@@ -150,13 +143,11 @@ pub struct Identification {
 
 impl Identification {
     /// The word in the column `quality`: the grade, or the code of the rejection.
-    #[must_use]
     pub fn quality(&self) -> &'static str {
         self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
     }
 
     /// Why the throw is rejected or rough, and which fields of its message are not used, as a sentence.
-    #[must_use]
     pub fn detail(&self) -> Option<String> {
         let reason = self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref());
         let short = self.short_of_stroke_mm.map(|stroke_mm| {

@@ -69,7 +69,6 @@ impl<const P: usize> Workspace<P> {
     }
 
     /// The output x̂ of the auxiliary model in the last iteration, one value for each sample.
-    #[must_use]
     pub fn model_output(&self) -> &[f64] {
         &self.model_output
     }
@@ -78,7 +77,6 @@ impl<const P: usize> Workspace<P> {
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     /// A model whose input s has a numerator of order `numerator_orders[s]`; `None` if a numerator is not of lower order
     /// than N, or Σ (order + 1) + N is not P.
-    #[must_use]
     pub fn new(numerator_orders: [usize; S]) -> Option<Self> {
         const { assert!(N > 0 && P > N, "a model has poles and at least one numerator coefficient") };
         let mut columns = [(0, 0); P];
@@ -94,7 +92,6 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 
     /// The denominator coefficients `a_1` … `a_N` in a parameter vector.
-    #[must_use]
     pub fn denominator(parameters: &[f64; P]) -> [f64; N] {
         std::array::from_fn(|i| parameters[P - N + i])
     }

@@ -371,7 +371,6 @@ fn noise(channel: Channel, measured: f64, configured: f64) -> String {
 
 impl Rejection {
     /// The code of the reason, as in the column `quality`.
-    #[must_use]
     pub fn code(&self) -> &'static str {
         self.into()
     }
@@ -401,7 +400,6 @@ impl Rejection {
     }
 
     /// The channel whose values show that its sensor or cable is faulty, if the reason is one.
-    #[must_use]
     pub fn faulty_channel(&self) -> Option<Channel> {
         match self {
             Self::NotFinite { channel, .. }
@@ -416,7 +414,6 @@ impl Rejection {
     }
 
     /// Whether the points did not complete their movement: a fault of the machine, not of the sensors.
-    #[must_use]
     pub fn is_incomplete(&self) -> bool {
         matches!(
             self,

@@ -26,7 +26,6 @@ const RIGHT: [Curve; 3] = [
 
 /// A grid of charts: a column for each cause; rows for delay and share named right, of steps and of ramps. Parameter
 /// depth, default noise, plain conditions. Delays are medians, for pointsd also the 95th percentile.
-#[must_use]
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);
     let mut sheet = Sheet::new(title).columns(Cause::PHYSICAL.len()).panel_size(460.0, 300.0);

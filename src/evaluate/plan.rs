@@ -116,7 +116,6 @@ pub struct Plan {
 
 impl Plan {
     /// Plans a run over `amount` with this `seed`, and tunes the CUSUM for it.
-    #[must_use]
     pub fn new(seed: u64, amount: Amount, settings: Settings) -> Self {
         let limits = limits(&settings);
         let baseline = settings.baseline_throws;
@@ -130,7 +129,6 @@ impl Plan {
     }
 
     /// Number of lives of the plan.
-    #[must_use]
     pub fn lives(&self) -> usize {
         self.tasks.len()
     }
@@ -139,7 +137,6 @@ impl Plan {
     ///
     /// # Panics
     /// When `life` is not below [`Plan::lives`].
-    #[must_use]
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
             Task::Healthy { depth, machine, throws } => Kind::Healthy(self.healthy(depth, machine, throws)),
@@ -150,7 +147,6 @@ impl Plan {
     }
 
     /// Makes the report from the outcomes of all lives, in the order of their numbers.
-    #[must_use]
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
         let mut healthy = Vec::new();
         let mut judgements = vec![Vec::new(); self.scenarios.len()];

@@ -196,7 +196,6 @@ impl Row {
     }
 
     /// The goals that this row does not meet, as sentences.
-    #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let mut shortfalls = Vec::new();
         let right = self.monitor.right as f64;
@@ -233,7 +232,6 @@ impl Budget {
     }
 
     /// Whether the ratio meets the goal [`GOAL_BUDGET_FACTOR`].
-    #[must_use]
     pub fn holds(&self) -> bool {
         (1.0 / GOAL_BUDGET_FACTOR..=GOAL_BUDGET_FACTOR).contains(&self.ratio)
     }
@@ -241,7 +239,6 @@ impl Budget {
 
 impl Report {
     /// The goals that the run did not meet, as sentences.
-    #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let healthy = self.healthy.iter().filter(|healthy| healthy.fleet.is_none() && healthy.false_alarms > 0);
         let healthy = healthy.map(|h| format!("{} false alarms in {} healthy throws", h.false_alarms, h.throws));

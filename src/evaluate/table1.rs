@@ -36,7 +36,6 @@ pub enum Expected {
 
 impl Expected {
     /// Whether a change is as expected, within 2 points or 3 % of the expected change.
-    #[must_use]
     pub fn holds(self, change_pct: f64) -> bool {
         match self {
             Self::Change(expected) => (change_pct - expected).abs() <= (0.03 * expected.abs()).max(2.0),
@@ -183,9 +182,6 @@ impl Default for Study {
 }
 
 /// Runs all four cases.
-///
-/// # Errors
-/// When a throw cannot be simulated or identified.
 pub fn run(study: &Study) -> Result<Vec<CaseResult>, Failure> {
     let mut nominal = Parameters::default();
     nominal.rails.model = study.rails;
@@ -298,7 +294,6 @@ fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
 impl Test {
     /// Toe position of the identified model (12) for the recorded current, from the start of the motor \[mm\], one
     /// value for each sample. The current is interpolated between samples.
-    #[must_use]
     pub fn modelled_position_mm(&self) -> Vec<f64> {
         let [b0, a1, a0] = self.coefficients;
         let h = self.trace.sample_rate_hz().recip();
@@ -319,7 +314,6 @@ impl Test {
 
 impl CaseResult {
     /// Whether each of b0, a1, a0 changed significantly in any test.
-    #[must_use]
     pub fn moved(&self) -> [bool; 3] {
         let first = &self.tests[0];
         std::array::from_fn(|at| {
@@ -331,7 +325,6 @@ impl CaseResult {
     }
 
     /// The verdict of the study's rule on this case.
-    #[must_use]
     pub fn verdict(&self) -> &'static str {
         let moved = self.moved();
         if self.correlation_beyond_scatter.iter().all(|pair| *pair >= CORRELATION_LIMIT) {

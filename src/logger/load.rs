@@ -69,7 +69,6 @@ pub struct Loaded {
 }
 
 /// The quantile of sorted latencies for this share of them; `None` without latencies.
-#[must_use]
 pub fn quantile(latencies: &[Duration], share: f64) -> Option<Duration> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
     let rank = (share * latencies.len() as f64).ceil() as usize;
@@ -100,9 +99,6 @@ type Shared = Arc<Mutex<Tracking>>;
 
 impl Load {
     /// Publishes the throws, and waits until the health of all has arrived, or none has arrived for `patience`.
-    ///
-    /// # Errors
-    /// When the simulation or zenoh fails.
     pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());

@@ -104,21 +104,16 @@ impl Logger {
     }
 
     /// The machines of the fleet, in the order of their index.
-    #[must_use]
     pub fn machines(&self) -> &[MachineId] {
         &self.machines
     }
 
     /// Number of throws published so far, of all machines.
-    #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
-    ///
-    /// # Errors
-    /// When publishing failed.
     pub async fn finished(&mut self) -> Result<u64, LoggerError> {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }

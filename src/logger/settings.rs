@@ -40,9 +40,6 @@ impl LoggerSettings {
     const MAX_NAME: usize = Name::MAX_LEN - 7;
 
     /// Checks every setting.
-    ///
-    /// # Errors
-    /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         Within(1.0, Self::MAX_NAME as f64, "characters").check("machine", self.machine.as_str().len() as f64)?;
         self.check_ranges()
@@ -56,7 +53,6 @@ impl LoggerSettings {
     }
 
     /// The machine with index `number`, from 0.
-    #[must_use]
     pub fn machine_id(&self, number: usize) -> MachineId {
         let name = format!("{}-{}", self.machine, number + 1);
         // `validate` keeps the prefix short, so that the name is valid.

@@ -44,6 +44,7 @@ fn short<S: Serializer>(points: &[(f64, f64)], serializer: S) -> Result<S::Ok, S
 
 /// A chart with its title, axes and legend. As JSON, data for a script that draws the chart.
 #[derive(Debug, Clone, Serialize)]
+#[must_use]
 pub struct Panel {
     title: String,
     y_label: String,
@@ -73,19 +74,16 @@ impl Frame {
 
 impl Panel {
     /// An empty chart of curves.
-    #[must_use]
     pub fn curves(title: impl Into<String>, x_label: impl Into<String>, y_label: impl Into<String>) -> Self {
         Self::with(title, y_label, Content::Curves { x_label: x_label.into(), times: false, curves: Vec::new() })
     }
 
     /// An empty chart of curves over time \[s since 1970\], with dates and times in UTC on the x axis.
-    #[must_use]
     pub fn history(title: impl Into<String>, y_label: impl Into<String>) -> Self {
         Self::with(title, y_label, Content::Curves { x_label: "UTC".to_owned(), times: true, curves: Vec::new() })
     }
 
     /// An empty chart of bars; each group has one bar for each of the `categories`, which have different colours.
-    #[must_use]
     pub fn bars<S: Into<String>>(
         title: impl Into<String>,
         y_label: impl Into<String>,
@@ -107,19 +105,16 @@ impl Panel {
     }
 
     /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
-    #[must_use]
     pub fn line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), false)
     }
 
     /// Adds a curve with a dot at every point. Ignored by a chart of bars.
-    #[must_use]
     pub fn dotted_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), true)
     }
 
     /// Adds a curve with a band: each point is x, y and half the width of the band. Ignored by a chart of bars.
-    #[must_use]
     pub fn banded_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         self.curve(name, points.into_iter().map(|(x, y, reach)| (x, y, Some(reach))), false)
     }
@@ -142,7 +137,6 @@ impl Panel {
     }
 
     /// Adds a group of bars, one value for each category. Ignored by a chart of curves.
-    #[must_use]
     pub fn group(mut self, name: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         if let Content::Bars { groups, .. } = &mut self.content {
             groups.push((name.into(), values.into_iter().collect()));
@@ -151,7 +145,6 @@ impl Panel {
     }
 
     /// Adds a dashed horizontal line with a label.
-    #[must_use]
     pub fn level(mut self, value: f64, label: impl Into<String>) -> Self {
         self.levels.push((value, label.into()));
         self
@@ -159,14 +152,12 @@ impl Panel {
 
     /// Adds a dashed vertical line with a label; drawn if `x` is in the range of the curves. Ignored by a chart of
     /// bars.
-    #[must_use]
     pub fn mark(mut self, x: f64, label: impl Into<String>) -> Self {
         self.marks.push((x, label.into()));
         self
     }
 
     /// Makes the y axis logarithmic; values of 0 and below are not shown.
-    #[must_use]
     pub fn log_y(mut self) -> Self {
         self.log_y = true;
         self

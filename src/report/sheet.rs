@@ -13,6 +13,7 @@ const TITLE_HEIGHT: f64 = 44.0;
 
 /// Panels under one title, filled row by row.
 #[derive(Debug, Clone)]
+#[must_use]
 pub struct Sheet {
     title: String,
     columns: usize,
@@ -22,34 +23,29 @@ pub struct Sheet {
 
 impl Sheet {
     /// An empty sheet of one column. An empty title takes no space.
-    #[must_use]
     pub fn new(title: impl Into<String>) -> Self {
         Self { title: title.into(), columns: 1, panel_size: (PANEL_WIDTH, PANEL_HEIGHT), panels: Vec::new() }
     }
 
     /// Sets the width and height of every panel \[px\].
-    #[must_use]
     pub fn panel_size(mut self, width: f64, height: f64) -> Self {
         self.panel_size = (width, height);
         self
     }
 
     /// Sets the number of panels in a row, at least one.
-    #[must_use]
     pub fn columns(mut self, columns: usize) -> Self {
         self.columns = columns.max(1);
         self
     }
 
     /// Adds a panel.
-    #[must_use]
     pub fn panel(mut self, panel: Panel) -> Self {
         self.panels.push(panel);
         self
     }
 
     /// The sheet as a stand-alone SVG document.
-    #[must_use]
     pub fn to_svg(&self) -> String {
         let columns = self.columns.min(self.panels.len().max(1));
         let rows = self.panels.len().div_ceil(columns);

@@ -35,7 +35,6 @@ pub enum Part {
 
 impl Part {
     /// The cause that the monitor should name, as in messages: "kt", "friction", "stiffness" or "inertia".
-    #[must_use]
     pub const fn cause(self) -> &'static str {
         match self {
             Self::Kt => "kt",
@@ -80,7 +79,6 @@ pub struct Fault {
 
 impl Fault {
     /// Size at a throw \[%\]. Only a random walk uses `walk`, its sum of standard normal steps up to this throw.
-    #[must_use]
     pub fn size_at(&self, throw_index: u64, walk: f64) -> f64 {
         let Some(since) = throw_index.checked_sub(self.from_throw) else { return 0.0 };
         match self.shape {
@@ -130,9 +128,6 @@ impl Parameters {
     /// These parameters with the parts in this condition.
     ///
     /// Dry friction on the chairs counts by its torque at running speed, see [`Parameters::coefficients`].
-    ///
-    /// # Errors
-    /// When a parameter is out of its range.
     pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();

@@ -95,7 +95,6 @@ settings! {
 
 impl Climate {
     /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
-    #[must_use]
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
         self.mean_c + self.daily_swing_k * (TAU * days).sin() + self.yearly_swing_k * (TAU * days / 365.25).sin()
@@ -167,7 +166,6 @@ pub struct SimulatedThrow {
 
 impl SimulatedThrow {
     /// The throw as its logger publishes it.
-    #[must_use]
     pub fn into_throw(self, boot_id: &str, started_at: Timestamp) -> Throw {
         Throw {
             id: ThrowRef { boot_id: boot_id.to_owned(), throw_no: self.throw_index + 1 },
@@ -315,7 +313,6 @@ impl Fleet {
     }
 
     /// The machines, in the order of their index.
-    #[must_use]
     pub fn into_machines(self) -> Vec<SimulatedMachine> {
         self.machines
     }
@@ -323,9 +320,6 @@ impl Fleet {
 
 impl FleetSettings {
     /// Checks that every setting is in its range.
-    ///
-    /// # Errors
-    /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         self.machine.check().map_err(|error| error.within("machine"))?;

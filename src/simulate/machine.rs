@@ -125,7 +125,6 @@ pub struct Coefficients {
 
 impl Coefficients {
     /// b0, a1, a0.
-    #[must_use]
     pub fn values(&self) -> [f64; 3] {
         [self.b0, self.a1, self.a0]
     }
@@ -189,9 +188,6 @@ impl Parameters {
     /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Equation (10) has no dry
     /// friction. It counts as the viscous friction with the same torque at running speed, as in an estimate from one
     /// throw.
-    ///
-    /// # Errors
-    /// When a parameter is out of its range.
     pub fn coefficients(&self) -> Result<Coefficients, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();
@@ -210,9 +206,6 @@ impl Parameters {
     }
 
     /// Checks that every parameter is finite and in its range.
-    ///
-    /// # Errors
-    /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         let is_short = self.timeout_s > 0.0 && self.timeout_s <= 40.0;
@@ -243,7 +236,6 @@ impl Parameters {
     }
 
     /// A machine with a series-wound motor that throws in about 4 s.
-    #[must_use]
     pub fn series() -> Self {
         Self {
             motor: MotorKind::Series,

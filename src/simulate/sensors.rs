@@ -93,16 +93,12 @@ pub struct Recording {
 
 impl Sensors {
     /// Sensors without noise and errors, sampled at `sample_rate_hz`.
-    #[must_use]
     pub fn perfect(sample_rate_hz: f64) -> Self {
         let channel = Channel { noise: 0.0, ..Channel::default() };
         Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
     }
 
     /// Checks that every value is finite and in its range.
-    ///
-    /// # Errors
-    /// The first value out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         self.current.check().map_err(|error| error.within("current"))?;
@@ -121,7 +117,6 @@ impl Sensors {
 
     /// The simulation step for these sensors: a whole fraction of the sampling period, at most [`STEP_S`], and with an
     /// anti-alias filter at most a quarter of the period.
-    #[must_use]
     pub fn step_s(&self) -> f64 {
         let oversampling = if self.anti_alias_hz.is_some() { 4.0 } else { 1.0 };
         let steps = (1.0 / (STEP_S * self.sample_rate_hz)).ceil().max(oversampling);
@@ -129,9 +124,6 @@ impl Sensors {
     }
 
     /// The recording of `motion`, with sensor errors, filter and sampling.
-    ///
-    /// # Errors
-    /// When a value is out of its range.
     pub fn record<R: Rng>(&self, motion: &Motion, direction: Direction, rng: &mut R) -> Result<Recording, OutOfRange> {
         self.check()?;
         let sign = if self.signed_current { direction.sign() } else { 1.0 };

@@ -171,7 +171,6 @@ pub(crate) const WORST_FIRST: [MachineState; 6] = [
 
 impl Window {
     /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
-    #[must_use]
     pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
         let cause = match alarm.state {
             AlarmState::Shelved => Some(alarm.cause),
@@ -182,7 +181,6 @@ impl Window {
     }
 
     /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
-    #[must_use]
     pub fn sentence(&self) -> String {
         let until = self.until.map(|until| format!("until {} ", utc(&until)));
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();

@@ -69,7 +69,6 @@ pub struct MonitorRecord {
 impl Judgement {
     /// The judgement in the place of one that the database rejects: the throw counts as not evaluated. The first keeps the
     /// events and the monitor, the second nothing.
-    #[must_use]
     pub fn instead(&self, problem: &str) -> [Self; 2] {
         let Health { machine, throw, started_at, .. } = self.health.clone();
         let detail = format!("the database rejects the result: {problem}");

@@ -35,7 +35,6 @@ pub struct Refused {
 
 impl Refused {
     /// A valid throw that is not stored, for example of an unknown machine.
-    #[must_use]
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
         Self {

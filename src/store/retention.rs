@@ -89,35 +89,35 @@ enum Kind {
 }
 
 impl Kind {
-    /// Selects the rows to drop.
-    async fn choose(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
-        match self {
-            Self::Traces(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await,
-            Self::Throws(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await,
-            Self::Pending(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await,
-            Self::AgedTraces(ages) => ages.query(rows).fetch_all(connection).await,
-            Self::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
-            Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
-            Self::Pages => Ok(Vec::new()),
-        }
-    }
-
     /// Drops up to this number of rows; returns how many there were.
     async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
-        let (what, statements): (_, &[&'static str]) = match self {
-            Self::Traces(_) => (Dropped::Traces, &[sql::DROP_TRACES, sql::TRACES_FROM]),
-            Self::AgedTraces(_) => (Dropped::Traces, &[sql::DROP_TRACES]),
-            Self::Throws(_) => (Dropped::Throws, THROWS),
-            Self::Pending(_) => (Dropped::PendingThrows, THROWS),
-            Self::Alarms => (Dropped::Alarms, &[sql::DROP_ALARMS]),
-            Self::Messages => (Dropped::Messages, &[sql::DROP_MESSAGES]),
+        let (what, chosen, statements): (_, _, &[&'static str]) = match self {
+            Self::Traces(holdings) => {
+                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await?;
+                (Dropped::Traces, chosen, &[sql::DROP_TRACES, sql::TRACES_FROM])
+            }
+            Self::AgedTraces(ages) => {
+                (Dropped::Traces, ages.query(rows).fetch_all(&mut *connection).await?, &[sql::DROP_TRACES])
+            }
+            Self::Throws(holdings) => {
+                (Dropped::Throws, oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await?, THROWS)
+            }
+            Self::Pending(holdings) => {
+                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await?;
+                (Dropped::PendingThrows, chosen, THROWS)
+            }
+            Self::Alarms => {
+                (Dropped::Alarms, oldest(connection, sql::OLDEST_ALARMS, rows, None).await?, &[sql::DROP_ALARMS])
+            }
+            Self::Messages => {
+                (Dropped::Messages, oldest(connection, sql::OLDEST_MESSAGES, rows, None).await?, &[sql::DROP_MESSAGES])
+            }
             Self::Pages => {
                 sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
                 count(connection, "dropped_pages", PAGES.cast_signed()).await?;
                 return Ok((Dropped::Pages, PAGES));
             }
         };
-        let chosen = self.choose(connection, rows).await?;
         let dropped = chosen.len() as u64;
         if dropped > 0 {
             let list = serde_json::Value::from(chosen.as_slice()).to_string();
@@ -209,9 +209,6 @@ impl Write for DropRows {
 impl Store {
     /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
     /// few seconds; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
-    ///
-    /// # Errors
-    /// When the database cannot be read or written.
     pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
         let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {

@@ -111,19 +111,16 @@ pub struct Salvaged {
 
 impl Salvaged {
     /// Copied rows of a table.
-    #[must_use]
     pub fn saved(&self, table: &str) -> u64 {
         self.rows.get(table).copied().unwrap_or(0)
     }
 
     /// Lost rows of a table.
-    #[must_use]
     pub fn lost(&self, table: &str) -> u64 {
         self.lost.get(table).copied().unwrap_or(0)
     }
 
     /// One sentence for a person.
-    #[must_use]
     pub fn text(&self) -> String {
         if self.saved("machine") == 0 {
             return "nothing of it could be read: every machine learns a new baseline".to_owned();
@@ -146,9 +143,6 @@ impl Salvaged {
 }
 
 /// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
-///
-/// # Errors
-/// When the new database cannot be written.
 pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
@@ -345,12 +339,8 @@ impl Copy {
         };
         match counted {
             Ok(unsound) => Ok(Some(i64::cast_unsigned(unsound))),
-            Err(error) if is_full(&error) || !connection_works(connection).await => Err(error),
+            Err(error) if is_full(&error) || connection.ping().await.is_err() => Err(error),
             Err(_) => Ok(None),
         }
     }
-}
-
-async fn connection_works(connection: &mut SqliteConnection) -> bool {
-    connection.ping().await.is_ok()
 }

@@ -45,7 +45,6 @@ pub struct Statistics {
 
 impl Statistics {
     /// Counters since the creation of the database, by name.
-    #[must_use]
     pub fn counters(&self) -> BTreeMap<String, u64> {
         serde_json::from_str(&self.counters).unwrap_or_default()
     }
@@ -53,9 +52,6 @@ impl Statistics {
 
 impl Store {
     /// Reads the figures, on the connections for external queries. Counts rows, so it is too slow for every second.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
         let read: Vec<Statistics> = self.reader.external(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
@@ -68,19 +64,16 @@ impl Store {
     }
 
     /// State of the disk. Fast enough for every second.
-    #[must_use]
     pub fn disk_level(&self) -> DiskLevel {
         self.disk.level()
     }
 
     /// Whether the database is being copied to a new file, with progress in the last 30 s. Writes wait meanwhile.
-    #[must_use]
     pub fn is_copying(&self) -> bool {
         self.disk.is_copying()
     }
 
     /// Size of the write-ahead log \[bytes\].
-    #[must_use]
     pub fn wal_bytes(&self) -> u64 {
         self.files.log_bytes()
     }

@@ -27,7 +27,6 @@ impl Name {
     }
 
     /// The name as text.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -78,9 +77,6 @@ pub struct MachineId {
 
 impl MachineId {
     /// The machine `machine` at `site`.
-    ///
-    /// # Errors
-    /// When either text is not a valid [`Name`].
     pub fn new(site: &str, machine: &str) -> Result<Self, InvalidName> {
         Ok(Self { site: site.parse()?, machine: machine.parse()? })
     }

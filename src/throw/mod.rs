@@ -38,13 +38,11 @@ impl Direction {
     pub const BOTH: [Self; 2] = [Self::NormalToReverse, Self::ReverseToNormal];
 
     /// The word in messages and in the database: `normal_to_reverse` or `reverse_to_normal`.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 
     /// +1 when the throw increases the toe position, -1 when it decreases it.
-    #[must_use]
     pub const fn sign(self) -> f64 {
         match self {
             Self::NormalToReverse => 1.0,
@@ -53,7 +51,6 @@ impl Direction {
     }
 
     /// Index of the direction, as in [`Self::BOTH`].
-    #[must_use]
     pub const fn side(self) -> usize {
         self as usize
     }
@@ -104,7 +101,6 @@ pub const POSSIBLE_SUPPLY_V: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 
 impl Throw {
     /// A throw of which only its trace is known, as from a recording; it has an arbitrary identity, and began in 1970.
-    #[must_use]
     pub fn recorded(trace: Trace) -> Self {
         Self {
             id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 1 },
@@ -118,14 +114,12 @@ impl Throw {
     }
 
     /// The supply voltage, if it was measured and is possible \[V\].
-    #[must_use]
     pub fn possible_supply_v(&self) -> Option<f64> {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))
     }
 
     /// The cut-off of the filter, if it is declared and possible \[Hz\]: above half of the sampling rate a filter
     /// suppresses no alias.
-    #[must_use]
     pub fn possible_anti_alias_hz(&self) -> Option<f64> {
         self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= self.half_rate_hz() * 1.0001)
     }
@@ -135,7 +129,6 @@ impl Throw {
     }
 
     /// A sentence about the optional fields whose values are not possible, and not used; `None` if there are none.
-    #[must_use]
     pub fn unused_fields(&self) -> Option<String> {
         let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
         let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());

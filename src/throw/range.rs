@@ -60,7 +60,6 @@ impl OutOfRange {
     }
 
     /// The error text without the key, for a message that names the key elsewhere.
-    #[must_use]
     pub fn problem(&self) -> String {
         format!("is {}, must be {}", brief(self.value), self.must)
     }

@@ -3,26 +3,22 @@
 use jiff::Timestamp;
 
 /// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
-#[must_use]
 pub fn brief(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
 /// A number of things: "1 throw", "2 throws".
-#[must_use]
 pub(crate) fn counted(number: u64, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 /// The text without its numbers, to compare sentences.
-#[must_use]
 pub(crate) fn without_digits(text: &str) -> String {
     text.replace(|character: char| character.is_ascii_digit(), "")
 }
 
 /// A time for a sentence: "2026-11-21 19:30:12 UTC".
-#[must_use]
 pub fn utc(at: &Timestamp) -> String {
     at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
 }

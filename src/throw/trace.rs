@@ -77,39 +77,33 @@ impl Trace {
     }
 
     /// Sampling rate \[Hz\].
-    #[must_use]
     pub fn sample_rate_hz(&self) -> f64 {
         self.sample_rate_hz
     }
 
     /// Motor current \[A\], one value a sample.
-    #[must_use]
     pub fn current_a(&self) -> &[f64] {
         &self.current_a
     }
 
     /// Toe position \[mm\], one value a sample; 0 at normal, the stroke at reverse.
-    #[must_use]
     pub fn position_mm(&self) -> &[f64] {
         &self.position_mm
     }
 
     /// Whether the trace has a toe position. Loggers without a toe sensor send only missing samples (NaN) or only
     /// zeros.
-    #[must_use]
     pub fn has_position(&self) -> bool {
         self.position_mm.iter().any(|mm| mm.is_finite() && *mm != 0.0)
     }
 
     /// Samples of each channel, at least 1.
-    #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]
     pub fn len(&self) -> usize {
         self.current_a.len()
     }
 
     /// The samples as CSV `time_s,current_a,position_mm`. A position that was not measured is an empty cell.
-    #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "time_s,current_a,position_mm\n".to_owned();
         for (at, (current_a, position_mm)) in self.current_a.iter().zip(self.position_mm.iter()).enumerate() {

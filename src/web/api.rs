@@ -45,7 +45,7 @@ fn takes_none(query: Option<&str>) -> Result<(), Failure> {
 
 pub(super) async fn status(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     takes_none(query.as_deref())?;
-    Ok(page::json(&json!(web.view.gauges.report())))
+    Ok(page::json(&json!(web.view.sources.report())))
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
@@ -53,7 +53,7 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let query = FleetQuery { spark: 0, ..filters.query()? };
     let itself = web.view.config().monitor.as_machine();
     let _turn = web.turn().await?;
-    let reader = web.view.gauges.store.reader();
+    let reader = web.reader();
     let tally = reader.tally(&query, &itself).await?;
     let matching = query.state.map_or_else(|| tally.total(), |state| tally.of(state));
     let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
@@ -71,7 +71,7 @@ pub(super) async fn machine(
     let Path(machine) = machine?;
     takes_none(query.as_deref())?;
     let _turn = web.turn().await?;
-    let reader = web.view.gauges.store.reader();
+    let reader = web.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
     if throws.is_empty() {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));

@@ -166,9 +166,9 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let mut query = filters.query()?;
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
-    let report = web.view.gauges.report();
+    let report = web.view.sources.report();
     let _turn = web.turn().await?;
-    let reader = web.view.gauges.store.reader();
+    let reader = web.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
     let grouped = group_silent(&mut query, &tally);
@@ -349,7 +349,7 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
 }
 
 fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
-    let (report, statistics) = (view.gauges.report(), &overview.statistics);
+    let (report, statistics) = (view.sources.report(), &overview.statistics);
     let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
     vec![
         ("version", report.version),

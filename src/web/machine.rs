@@ -58,7 +58,6 @@ impl Span {
     }
 
     /// The span of the word `100`, `1000` or `all`.
-    #[must_use]
     pub fn from_word(word: &str) -> Option<Self> {
         Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }
@@ -165,15 +164,12 @@ async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let config = web.view.config();
-    let page = read(web.view.gauges.store.reader(), machine, span, &config.diagnosis).await?;
+    let page = read(web.reader(), machine, span, &config.diagnosis).await?;
     let page = page.ok_or_else(|| Failure::not_found(format!("No throw of a machine {machine} is known.")))?;
     Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), form, ..page }))
 }
 
 /// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
-///
-/// # Errors
-/// When the database cannot be read.
 pub async fn report(
     reader: &Reader,
     machine: &MachineId,

@@ -50,7 +50,7 @@ const LIMIT: Duration = Duration::from_secs(2);
 pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
     let mut registry = Registry::with_prefix("pointsd");
     throws(&mut registry, &web.view);
-    daemon(&mut registry, &web.view.gauges.report());
+    daemon(&mut registry, &web.view.sources.report());
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
@@ -109,7 +109,7 @@ fn older(open_metrics: &str) -> String {
 async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {
     let _turn = web.turn().await?;
     let query = FleetQuery { limit, ..FleetQuery::default() };
-    web.view.gauges.store.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
+    web.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
 }
 
 /// Series of each machine. Names of machines are valid labels: at most 64 of `A-Z a-z 0-9 _ -`.
@@ -143,7 +143,7 @@ fn machines(registry: &mut Registry, rows: &[FleetRow]) {
 }
 
 fn throws(registry: &mut Registry, view: &View) {
-    let report = view.gauges.report();
+    let report = view.sources.report();
     for (name, help, value) in [
         ("throws_received", "Messages received on the keys of throws", report.received),
         ("throws_stored", "Throws stored", report.stored),
@@ -162,12 +162,12 @@ fn throws(registry: &mut Registry, view: &View) {
         registry.register(name, help, ConstCounter::new(value));
     }
     let refused = Family::<Labels<1>, Counter>::default();
-    for (reason, number) in view.gauges.status.refused() {
+    for (reason, number) in view.sources.status.refused() {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", refused);
     count(registry, "throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
-    let inbox = view.gauges.inbox.queued_bytes() as u64;
+    let inbox = view.sources.inbox.queued_bytes() as u64;
     gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, inbox);
 }
 

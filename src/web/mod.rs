@@ -45,7 +45,7 @@ use tokio::net::TcpListener;
 use crate::daemon::View;
 use connection::{Arrived, Bounded};
 use overview::Web;
-use page::{Failure, STYLE, asset, lasting_asset};
+use page::{Failure, STYLE, asset};
 
 pub use machine::{Span, report};
 pub(crate) use state::{forecast, size};
@@ -58,6 +58,10 @@ const UPLOT: &str =
 const UPLOT_STYLE: &str = include_str!("pages/uplot/uPlot.min.css");
 const SCRIPT_TYPE: &str = "text/javascript; charset=utf-8";
 const STYLE_TYPE: &str = "text/css; charset=utf-8";
+/// A file of this version of the program: browsers ask whether their copy is still the same.
+const ASK: &str = "no-cache";
+/// A file with its version in its address: browsers keep it for a year.
+const KEEP: &str = "public, max-age=31536000, immutable";
 
 /// The dashboard cannot listen on its address.
 #[derive(Debug, thiserror::Error)]
@@ -87,7 +91,6 @@ impl Listening {
     }
 
     /// The address for a browser.
-    #[must_use]
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }
@@ -118,11 +121,11 @@ fn router(web: Arc<Web>) -> Router {
         .route("/api/v1/alarms", get(api::alarms))
         .route("/metrics", get(metrics::page))
         .route("/healthz", get(healthz))
-        .route("/style.css", get(|| async { asset(STYLE_TYPE, STYLE) }))
-        .route("/refresh.js", get(|| async { asset(SCRIPT_TYPE, REFRESH) }))
-        .route("/charts.js", get(|| async { asset(SCRIPT_TYPE, CHARTS) }))
-        .route("/uPlot-1.6.32.js", get(|| async { lasting_asset(SCRIPT_TYPE, UPLOT) }))
-        .route("/uPlot-1.6.32.css", get(|| async { lasting_asset(STYLE_TYPE, UPLOT_STYLE) }))
+        .route("/style.css", get(|| async { asset(STYLE_TYPE, ASK, STYLE) }))
+        .route("/refresh.js", get(|| async { asset(SCRIPT_TYPE, ASK, REFRESH) }))
+        .route("/charts.js", get(|| async { asset(SCRIPT_TYPE, ASK, CHARTS) }))
+        .route("/uPlot-1.6.32.js", get(|| async { asset(SCRIPT_TYPE, KEEP, UPLOT) }))
+        .route("/uPlot-1.6.32.css", get(|| async { asset(STYLE_TYPE, KEEP, UPLOT_STYLE) }))
         .fallback(|| async { Failure::not_found("There is no such page.") })
         .layer(middleware::from_fn_with_state(Arc::clone(&web), guard::guard))
         .with_state(web)
@@ -130,7 +133,7 @@ fn router(web: Arc<Web>) -> Router {
 
 /// Healthy while no loop of the daemon is without a fresh heartbeat.
 async fn healthz(State(web): State<Arc<Web>>) -> Response {
-    let silent = web.view.gauges.report().silent;
+    let silent = web.view.sources.report().silent;
     if silent.is_empty() {
         return page::text(StatusCode::OK, "every loop of the daemon beats\n".to_owned());
     }

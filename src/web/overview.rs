@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Statistics, StoreError, Tally},
+    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Reader, Statistics, StoreError, Tally},
     wire::Alarm,
 };
 
@@ -54,6 +54,10 @@ impl Web {
         Self { view, cache: Mutex::default(), reading: Semaphore::new(READING) }
     }
 
+    pub(super) fn reader(&self) -> &Reader {
+        self.view.sources.store.reader()
+    }
+
     /// Waits for the permit to read the database; the request holds it until its page is complete.
     pub(super) async fn turn(&self) -> Result<SemaphorePermit<'_>, StoreError> {
         self.reading.acquire().await.map_err(|_| StoreError::Closed)
@@ -67,7 +71,7 @@ impl Web {
             return Ok(Arc::clone(overview));
         }
         let _turn = self.turn().await?;
-        let reader = self.view.gauges.store.reader();
+        let reader = self.reader();
         let itself = self.view.config().monitor.as_machine();
         let tally = reader.tally(&FleetQuery::default(), &itself).await?;
         let (faults, unreadable) = reader.faults(FAULTS, &itself).await?;
@@ -80,7 +84,7 @@ impl Web {
             own_alarms: reader.open_alarms(&(&itself).into()).await?,
             unreadable,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
-            statistics: self.view.gauges.store.statistics().await?,
+            statistics: self.view.sources.store.statistics().await?,
         });
         *last = Some((clock::monotonic(), Arc::clone(&overview)));
         Ok(overview)

@@ -50,6 +50,17 @@ impl Failure {
                     pointsd status shows the state of the daemon.";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, says)
     }
+
+    /// The failure in the JSON interface.
+    pub(super) fn json(&self) -> Response {
+        (self.status, json(&serde_json::json!({ "error": self.says }))).into_response()
+    }
+
+    /// The page of the failure, with `trouble` as banner.
+    pub(super) fn page(&self, trouble: Vec<String>) -> Response {
+        let title = self.status.canonical_reason().unwrap_or("Failure");
+        (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response()
+    }
 }
 
 impl From<StoreError> for Failure {
@@ -69,19 +80,6 @@ impl From<PathRejection> for Failure {
             }
             _ => Self::bad_request("This address is not valid."),
         }
-    }
-}
-
-impl Failure {
-    /// The failure in the JSON interface.
-    pub(super) fn json(&self) -> Response {
-        (self.status, json(&serde_json::json!({ "error": self.says }))).into_response()
-    }
-
-    /// The page of the failure, with `trouble` as banner.
-    pub(super) fn page(&self, trouble: Vec<String>) -> Response {
-        let title = self.status.canonical_reason().unwrap_or("Failure");
-        (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response()
     }
 }
 
@@ -110,17 +108,8 @@ pub(super) fn text(status: StatusCode, text: String) -> Response {
     (status, text).into_response()
 }
 
-/// A file of this version of the program: browsers ask whether their copy is still the same.
-pub(super) fn asset(kind: &'static str, content: &'static str) -> Response {
-    cached(kind, "no-cache", content)
-}
-
-/// A file with its version in its address: browsers keep it for a year.
-pub(super) fn lasting_asset(kind: &'static str, content: &'static str) -> Response {
-    cached(kind, "public, max-age=31536000, immutable", content)
-}
-
-fn cached(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
+/// A file of the program; `cache` is the header that says how long browsers keep it.
+pub(super) fn asset(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
     let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)];
     (headers.map(|(name, value)| (name, HeaderValue::from_static(value))), content).into_response()
 }

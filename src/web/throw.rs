@@ -73,7 +73,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let (machine, throw) = named(names)?;
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
-    let reader = web.view.gauges.store.reader();
+    let reader = web.reader();
     let (stored, health) = found(reader, &machine, &throw).await?;
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
     let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
@@ -124,7 +124,7 @@ async fn typical(
     health: Option<&Health>,
 ) -> Result<Option<StoredThrow>, Failure> {
     let Some(direction) = health.and_then(|health| health.direction) else { return Ok(None) };
-    let reader = web.view.gauges.store.reader();
+    let reader = web.reader();
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     let Some(baseline) = baselines.iter().find(|baseline| baseline.direction == direction) else { return Ok(None) };
     let found = reader.typical_of(machine, direction, baseline.taken_at).await?;
@@ -136,7 +136,7 @@ async fn typical(
 pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
     let (machine, throw) = named(names)?;
     let _turn = web.turn().await?;
-    let (stored, _) = found(web.view.gauges.store.reader(), &machine, &throw).await?;
+    let (stored, _) = found(web.reader(), &machine, &throw).await?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let text = throw.trace.to_csv();
     if text.len() > guard::LARGEST {

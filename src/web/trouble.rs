@@ -36,7 +36,7 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 
 /// Problems known without the database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
-    let report = view.gauges.report();
+    let report = view.sources.report();
     let mut trouble = Vec::new();
     match report.disk {
         DiskLevel::Ample => {}

@@ -41,7 +41,6 @@ impl Alarm {
     pub const SCHEMA: &str = "points.alarm/1";
 
     /// The message of an event of an alarm of `machine`.
-    #[must_use]
     pub fn new(machine: &MachineId, event: &AlarmEvent) -> Self {
         Self {
             schema: Self::SCHEMA.to_owned(),
@@ -62,7 +61,6 @@ impl Alarm {
     }
 
     /// The published message as JSON.
-    #[must_use]
     pub fn into_message(self) -> Vec<u8> {
         json_bytes(&self.published())
     }
@@ -70,20 +68,17 @@ impl Alarm {
 
 /// The identity of an alarm: machine, cause and time of the raise. A daemon that judges a throw again after a crash
 /// makes the same identity.
-#[must_use]
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
 
 /// The text of an alarm without its subject, "Machine north/21B, normal to reverse: ".
-#[must_use]
 pub fn without_subject(text: &str) -> &str {
     text.split_once(": ").map_or(text, |(_, rest)| rest)
 }
 
 /// The text without its subject and its numbers. Lists group the alarms of many machines by it, as one cause has several
 /// kinds of alarms: lost throws and a wrong clock have the same cause.
-#[must_use]
 pub fn kind_of(text: &str) -> String {
     without_digits(without_subject(text))
 }

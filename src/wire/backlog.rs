@@ -24,7 +24,6 @@ pub struct BacklogQuery {
 
 impl BacklogQuery {
     /// The parameters of the selector, the part after `?`.
-    #[must_use]
     pub fn parameters(&self) -> String {
         match &self.after {
             Some(after) => {
@@ -36,7 +35,6 @@ impl BacklogQuery {
 
     /// Parses the parameters of a selector. An invalid parameter counts as missing, so that a logger answers with its
     /// oldest throws instead of an error.
-    #[must_use]
     pub fn parse(parameters: &str) -> Self {
         let value = |name: &str| {
             parameters.split(';').filter_map(|pair| pair.split_once('=')).find(|(key, _)| key.trim() == name)
@@ -53,7 +51,6 @@ impl BacklogQuery {
     /// Index in `kept` (the backlog, oldest first) where the page starts: behind the last throw of the boot of `after`
     /// whose number is not above that of `after`. If only later throws of this boot are left, the page starts at
     /// the first of them; at 0 if the boot is unknown, or without `after`.
-    #[must_use]
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };
         let mut last_of_boot = None;

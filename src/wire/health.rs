@@ -80,7 +80,6 @@ impl Health {
 
     /// Health of a throw without an estimate: `quality` is the code of the reason, `detail` its sentence. Features, state and
     /// baseline are absent.
-    #[must_use]
     pub fn rejected(
         machine: MachineId,
         throw: ThrowRef,
@@ -117,13 +116,11 @@ impl Health {
     }
 
     /// Whether the throw has an estimate.
-    #[must_use]
     pub fn is_evaluated(&self) -> bool {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
     /// Whether the estimate was rejected.
-    #[must_use]
     pub fn is_rejected(&self) -> bool {
         is_rejection(&self.quality)
     }
@@ -131,7 +128,6 @@ impl Health {
 
 /// Whether a quality is the code of a rejection and no grade. Throws with the grade `current_only` may have no estimate: their
 /// features are monitored.
-#[must_use]
 pub fn is_rejection(quality: &str) -> bool {
     quality.parse::<Grade>().is_err()
 }

@@ -25,19 +25,16 @@ pub enum Kind {
 }
 
 /// The key of a machine for messages of `kind`.
-#[must_use]
 pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
 /// Key expression of all machines.
-#[must_use]
 pub fn every_key(kind: Kind) -> String {
     format!("{PREFIX}*/*/{}", kind.as_ref())
 }
 
 /// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.
-#[must_use]
 pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/alive")
 }
@@ -46,7 +43,6 @@ pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
 pub const EVERY_MONITOR_ALIVE: &str = "points/v1/*/monitor/*/alive";
 
 /// The name of the monitor of a liveliness token or of a status, as a machine; `None` for another key.
-#[must_use]
 pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
     let chunks: Vec<&str> = key.strip_prefix(PREFIX)?.split('/').collect();
     let [site, "monitor", id, "alive" | "status"] = chunks[..] else { return None };
@@ -54,7 +50,6 @@ pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
 }
 
 /// The key of a monitor's status: `points/v1/{site}/monitor/{id}/status`.
-#[must_use]
 pub fn monitor_status_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/status")
 }
@@ -73,7 +68,6 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), Invalid> {
 
 /// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite; `None` if the expression has
 /// `**` twice, so that the position of a name is unknown.
-#[must_use]
 pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
     /// Chunks of the key of a machine.
     const CHUNKS: usize = 5;
@@ -141,7 +135,6 @@ impl TryFrom<String> for Scope {
 
 impl Scope {
     /// The key expression of all keys of one kind in the scope.
-    #[must_use]
     pub fn key_expression(&self, kind: Kind) -> String {
         format!("{PREFIX}{}/{}/{}", self.site, self.machine, kind.as_ref())
     }

@@ -12,14 +12,12 @@ pub struct Invalid(pub(super) String);
 /// # Panics
 /// When the value has no JSON form: a map whose keys are not text, or a `Serialize` that fails. No type of this program
 /// has this.
-#[must_use]
 #[expect(clippy::expect_used, reason = "a receiver could take an empty message for a valid one")]
 pub fn json<T: Serialize + ?Sized>(value: &T) -> String {
     serde_json::to_string(value).expect("every message of this program has a JSON form")
 }
 
 /// A message in JSON, by [`json`].
-#[must_use]
 pub fn json_bytes<T: Serialize + ?Sized>(value: &T) -> Vec<u8> {
     json(value).into_bytes()
 }

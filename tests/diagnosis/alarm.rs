@@ -28,10 +28,6 @@ fn alarmed(seed: u64) -> (Machine, MachineMonitor, AlarmEvent) {
     (machine, monitor, raised)
 }
 
-fn run(machine: &mut Machine, monitor: &mut MachineMonitor, throws: usize, fault: Vector3<f64>) -> Vec<AlarmEvent> {
-    (0..throws).flat_map(|_| machine.feed(monitor, fault, &Settings::default()).events).collect()
-}
-
 fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
     events.iter().map(|event| event.state).collect()
 }
@@ -40,9 +36,9 @@ fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
 fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
     let (mut machine, mut monitor, raised) = alarmed(1);
     assert_eq!((raised.state, raised.event_no), (AlarmState::ActiveUnacknowledged, 1));
-    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
-    let again = run(&mut machine, &mut monitor, 10, shift(Cause::Friction, 25.0));
+    let again = machine.events(&mut monitor, 10, shift(Cause::Friction, 25.0));
     assert_eq!(states(&again), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
 }
@@ -95,10 +91,10 @@ fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
     assert_eq!(seen[0].by.as_deref(), Some("A. Fitter"));
     let twice = monitor.command(&ack, now(), &settings);
     assert_eq!(twice, Err(CommandError::AlreadyAcknowledged { cause: Cause::Friction, by: by() }));
-    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::Normal]);
     assert_eq!(monitor.open_alarms(), []);
-    let again = run(&mut machine, &mut monitor, 10, shift(Cause::Friction, 25.0));
+    let again = machine.events(&mut monitor, 10, shift(Cause::Friction, 25.0));
     assert_eq!(again[0].event_no, 1);
     assert_ne!(again[0].raised_at, raised.raised_at);
     let none = monitor.command(&Command::Ack { cause: Cause::Kt, by: by() }, now(), &settings);
@@ -129,7 +125,7 @@ fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
     let settings = Settings::default();
     let (mut machine, mut monitor, raised) = alarmed(3);
     monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &settings).unwrap();
-    let worse = run(&mut machine, &mut monitor, 20, shift(Cause::Friction, 70.0));
+    let worse = machine.events(&mut monitor, 20, shift(Cause::Friction, 70.0));
     assert_eq!(states(&worse), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((worse[0].severity, worse[0].raised_at, worse[0].event_no), (Severity::Critical, raised.raised_at, 3));
 }
@@ -140,10 +136,10 @@ fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
     for (first, then) in [(-30.0, 30.0), (30.0, -30.0)] {
         let mut machine = Machine::new(7, Nature::default());
         let mut monitor = machine.learned(&Settings::default());
-        let raised = run(&mut machine, &mut monitor, 40, shift(Cause::Friction, first)).remove(0);
+        let raised = machine.events(&mut monitor, 40, shift(Cause::Friction, first)).remove(0);
         assert!(raised.cause == Cause::Friction && raised.change_pct.unwrap() * first > 0.0, "{}", raised.text);
         monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &Settings::default()).unwrap();
-        let events = run(&mut machine, &mut monitor, 20, shift(Cause::Friction, then));
+        let events = machine.events(&mut monitor, 20, shift(Cause::Friction, then));
         let turned = events.iter().find(|event| event.change_pct.is_some_and(|pct| pct * then > 0.0)).unwrap();
         assert_eq!((turned.state, turned.raised_at), (AlarmState::ActiveUnacknowledged, raised.raised_at));
         assert!((turned.change_pct.unwrap() - then).abs() < 8.0, "{}", turned.text);
@@ -190,15 +186,15 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let settings = Settings::default();
     let mut machine = Machine::new(5, Nature::default());
     let mut monitor = MachineMonitor::new("21B");
-    run(&mut machine, &mut monitor, 20, Vector3::zeros());
+    machine.events(&mut monitor, 20, Vector3::zeros());
     let progress = monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings);
     let until = now() + SignedDuration::from_hours(8);
     let start = Command::MaintenanceStart { until, by: by(), why: "slide chairs".to_owned() };
     monitor.command(&start, now(), &settings).unwrap();
-    assert_eq!(run(&mut machine, &mut monitor, 50, shift(Cause::Friction, 80.0)), []);
+    assert_eq!(machine.events(&mut monitor, 50, shift(Cause::Friction, 80.0)), []);
     assert_eq!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
     monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
-    run(&mut machine, &mut monitor, 2, Vector3::zeros());
+    machine.events(&mut monitor, 2, Vector3::zeros());
     assert_ne!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
 
     let (mut machine, mut monitor, raised) = alarmed(6);
@@ -216,7 +212,7 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let told = Command::MaintenanceEnd { by: by() }.consequence(&back);
     let named = format!("Alarms from before: {} friction", raised.severity.as_str());
     assert!(told.contains(&named), "{told}");
-    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
     assert_eq!(cleared[0].raised_at, raised.raised_at);
 }
@@ -229,7 +225,7 @@ fn a_new_baseline_ends_drift_alarms_and_makes_the_present_normal() {
     let events = monitor.command(&rebaseline, now(), &settings).unwrap();
     assert_eq!(states(&events), [AlarmState::Normal]);
     assert_eq!(events[0].why.as_deref(), Some("new slide chairs"));
-    assert_eq!(run(&mut machine, &mut monitor, 200, shift(Cause::Friction, 25.0)), []);
+    assert_eq!(machine.events(&mut monitor, 200, shift(Cause::Friction, 25.0)), []);
     let record = monitor.baseline(pointsd::throw::Direction::ReverseToNormal).unwrap();
     assert!(record.complete);
     assert!((record.center[1] / (1.25 * crate::fleet::NOMINAL[1]) - 1.0).abs() < 0.03);
@@ -238,8 +234,8 @@ fn a_new_baseline_ends_drift_alarms_and_makes_the_present_normal() {
 #[test]
 fn an_unrecorded_repair_is_proposed_not_acted_on() {
     let (mut machine, mut monitor, _) = alarmed(8);
-    run(&mut machine, &mut monitor, 40, shift(Cause::Friction, 40.0));
-    let events = run(&mut machine, &mut monitor, 80, Vector3::zeros());
+    machine.events(&mut monitor, 40, shift(Cause::Friction, 40.0));
+    let events = machine.events(&mut monitor, 80, Vector3::zeros());
     let cleared = events.last().unwrap();
     assert_eq!(cleared.state, AlarmState::ClearedUnacknowledged);
     assert!(cleared.text.contains("as after a repair"), "{}", cleared.text);
@@ -254,9 +250,9 @@ fn a_lasting_step_is_raised_once_and_stays() {
         let settings = Settings::default();
         let mut machine = Machine::new(seed, Nature::default());
         let mut monitor = machine.learned(&settings);
-        let healthy = run(&mut machine, &mut monitor, 40, Vector3::zeros());
+        let healthy = machine.events(&mut monitor, 40, Vector3::zeros());
         assert!(healthy.is_empty(), "{healthy:?}");
-        let events = run(&mut machine, &mut monitor, 100, shift(cause, size_pct));
+        let events = machine.events(&mut monitor, 100, shift(cause, size_pct));
         assert!(events.iter().all(|event| event.cause == cause), "{events:?}");
         assert!(states(&events).iter().all(|state| *state == AlarmState::ActiveUnacknowledged), "{events:?}");
         assert_eq!(events[0].event_no, 1);
@@ -325,7 +321,7 @@ fn a_rebaseline_of_a_learning_machine_says_how_far_it_had_learned() {
     let confirmation = |monitor: &MachineMonitor| command.confirmation(&id, monitor.learning(&settings));
     assert!(!confirmation(&monitor).contains("already"), "{}", confirmation(&monitor));
     monitor.command(&command, now(), &settings).unwrap();
-    run(&mut machine, &mut monitor, 15, Vector3::zeros());
+    machine.events(&mut monitor, 15, Vector3::zeros());
     let text = confirmation(&monitor);
     assert!(text.contains("already learning") && text.contains("8 of 50 throws") && text.contains("7 of 50"), "{text}");
     monitor.command(&command, now(), &settings).unwrap();

@@ -186,8 +186,7 @@ fn a_large_fault_is_critical_and_its_text_can_be_acted_on() {
     let settings = Settings::default();
     let mut machine = Machine::new(3, Nature::default());
     let mut monitor = machine.learned(&settings);
-    let events: Vec<_> =
-        (0..20).flat_map(|_| machine.feed(&mut monitor, shift(Cause::Friction, 60.0), &settings).events).collect();
+    let events = machine.events(&mut monitor, 20, shift(Cause::Friction, 60.0));
     let last = events.last().unwrap();
     assert_eq!((last.cause, last.severity), (Cause::Friction, Severity::Critical));
     assert!((last.change_pct.unwrap() - 60.0).abs() < 3.0 * last.change_pct_sd.unwrap() + 6.0);

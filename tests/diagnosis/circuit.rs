@@ -13,10 +13,10 @@ const SOUND: State = State::SOUND;
 const OF_RATIOS: State = State { brake_s: 0.02, ..SOUND };
 
 /// A drive with a published voltage, after a healthy time without an event.
-fn learned(seed: u64, state: State, settings: &Settings) -> Drive {
+fn learned(seed: u64, state: State) -> Drive {
     let mut drive = Drive::new(91_000 + seed, true);
     for throw in 0..100 {
-        assert_eq!(drive.feed(state, settings).events, [], "seed {seed}, throw {throw}");
+        assert_eq!(drive.feed(state).events, [], "seed {seed}, throw {throw}");
     }
     drive
 }
@@ -29,17 +29,16 @@ fn split(events: Vec<AlarmEvent>) -> [Vec<AlarmEvent>; 2] {
 
 #[test]
 fn a_bad_contact_is_an_alarm_of_the_supply_until_it_is_mended() {
-    let settings = Settings::default();
     for (seed, before) in [(1, SOUND), (2, SOUND), (3, OF_RATIOS), (4, OF_RATIOS)] {
-        let mut drive = learned(seed, before, &settings);
+        let mut drive = learned(seed, before);
         let bad = State { ohms: 1.5, ..before };
-        let [raised, _] = split((0..60).flat_map(|_| drive.feed(bad, &settings).events).collect());
+        let [raised, _] = split(drive.events(60, bad));
         assert_eq!(raised.len(), 1, "seed {seed}: {raised:?}");
         let AlarmEvent { cause, change_pct, text, .. } = &raised[0];
         assert!(*cause == Cause::Supply && text.contains("resistance") && text.contains("brushes"), "{text}");
         let pct = change_pct.unwrap();
         assert!((42.0..58.0).contains(&pct), "{pct}");
-        let [again, ended] = split((0..60).flat_map(|_| drive.feed(before, &settings).events).collect());
+        let [again, ended] = split(drive.events(60, before));
         assert!(again.is_empty() && ended.len() == 1 && ended[0].cause == Cause::Supply, "{again:?}, {ended:?}");
     }
 }
@@ -47,7 +46,6 @@ fn a_bad_contact_is_an_alarm_of_the_supply_until_it_is_mended() {
 /// The motor turns before the toe, or its sensor, moves.
 #[test]
 fn play_a_late_brake_and_a_late_position_are_no_bad_contact() {
-    let settings = Settings::default();
     for (at, state) in [
         State { play_mm: 0.05, ..SOUND },
         State { play_mm: 0.2, ..SOUND },
@@ -59,8 +57,8 @@ fn play_a_late_brake_and_a_late_position_are_no_bad_contact() {
     .enumerate()
     {
         for seed in 0..2 {
-            let mut drive = learned(200 + 10 * at as u64 + seed, SOUND, &settings);
-            let [raised, _] = split((0..60).flat_map(|_| drive.feed(state, &settings).events).collect());
+            let mut drive = learned(200 + 10 * at as u64 + seed, SOUND);
+            let [raised, _] = split(drive.events(60, state));
             let is_about_the_start = |event: &AlarmEvent| event.text.contains("play") && event.text.contains("brake");
             assert!(!raised.is_empty() && raised.iter().all(is_about_the_start), "{state:?}: {raised:#?}");
         }
@@ -70,11 +68,10 @@ fn play_a_late_brake_and_a_late_position_are_no_bad_contact() {
 /// A small drift beside it, which motor and current sensor explain equally well, does not mend the contact.
 #[test]
 fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {
-    let settings = Settings::default();
     for (seed, torque) in [(5, 1.0), (6, 0.98), (7, 1.02), (8, 0.97)] {
-        let mut drive = learned(seed, SOUND, &settings);
+        let mut drive = learned(seed, SOUND);
         let bad = State { ohms: 1.45, torque, ..SOUND };
-        let events: Vec<_> = (0..200).flat_map(|_| drive.feed(bad, &settings).events).collect();
+        let events = drive.events(200, bad);
         let of_supply: Vec<_> = events.iter().filter(|event| event.cause == Cause::Supply).collect();
         assert_eq!(of_supply.len(), 1, "seed {seed}: {events:#?}");
     }
@@ -87,7 +84,7 @@ fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
     let mut count = 0;
     for seed in 60..64 {
         for gain in [1.1, 0.9] {
-            let mut drive = learned(seed, SOUND, &settings);
+            let mut drive = learned(seed, SOUND);
             let mut events = Vec::new();
             for _ in 0..300 {
                 let observation = read_with(gain, drive.observe(SOUND));
@@ -157,7 +154,7 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
     // The gain of the sensor, and the true voltage: one is stuck while the supply falls.
     for (at, (gain, volts)) in [(0.67, 1.0), (0.85, 1.0), (1.2, 1.0), (1.0 / 0.72, 0.72)].into_iter().enumerate() {
         for before in [SOUND, OF_RATIOS] {
-            let mut drive = learned(30 + at as u64, before, &settings);
+            let mut drive = learned(30 + at as u64, before);
             let mut events = Vec::new();
             for _ in 0..60 {
                 let observation = read_with(gain, drive.observe(State { volts, ..before }));
@@ -169,7 +166,7 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
             assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
             let pct = events[0].change_pct.unwrap();
             assert!((pct - 100.0 * (gain - 1.0)).abs() < 5.0, "{gain}: {pct}");
-            let [again, ended] = split((0..60).flat_map(|_| drive.feed(before, &settings).events).collect());
+            let [again, ended] = split(drive.events(60, before));
             assert!(again.is_empty() && ended.iter().any(|event| event.cause == Cause::Sensor), "{again:?}, {ended:?}");
         }
     }
@@ -177,18 +174,18 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
 
 /// Feeds a throw of `state`, read with a wrong voltage. Those of one direction have no estimate, as with a load that varies
 /// along the stroke.
-fn feed_one_sided(drive: &mut Drive, gain: f64, state: State, settings: &Settings) -> Vec<AlarmEvent> {
+fn feed_one_sided(drive: &mut Drive, gain: f64, state: State) -> Vec<AlarmEvent> {
     let observation = read_with(gain, drive.observe(state));
     let is_rejected = observation.direction == Some(Direction::ReverseToNormal);
     let estimate = observation.estimate.filter(|_| !is_rejected);
-    drive.monitor.observe(&Observation { estimate, ..observation }, settings).events
+    drive.monitor.observe(&Observation { estimate, ..observation }, &Settings::default()).events
 }
 
 /// A drive with a published voltage of which one direction is rejected.
-fn one_sided(seed: u64, settings: &Settings) -> Drive {
+fn one_sided(seed: u64) -> Drive {
     let mut drive = Drive::new(91_000 + seed, true);
     for throw in 0..120 {
-        let events = feed_one_sided(&mut drive, 1.0, SOUND, settings);
+        let events = feed_one_sided(&mut drive, 1.0, SOUND);
         assert!(
             events.iter().all(|event| event.cause == Cause::NotMonitored),
             "seed {seed}, throw {throw}: {events:?}"
@@ -200,13 +197,12 @@ fn one_sided(seed: u64, settings: &Settings) -> Drive {
 /// Less voltage makes dry friction look larger, also if the sensor of the voltage is stuck.
 #[test]
 fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
-    let settings = Settings::default();
     for seed in 70..74 {
         for volts in [0.7, 0.65] {
             for gain in [1.0, 1.0 / volts] {
-                let mut drive = one_sided(seed, &settings);
+                let mut drive = one_sided(seed);
                 let weak = State { volts, ..SOUND };
-                let events: Vec<_> = (0..100).flat_map(|_| feed_one_sided(&mut drive, gain, weak, &settings)).collect();
+                let events: Vec<_> = (0..100).flat_map(|_| feed_one_sided(&mut drive, gain, weak)).collect();
                 let blamed = events.iter().find(|event| {
                     Cause::PHYSICAL.contains(&event.cause)
                         || event.cause == Cause::Unattributed && event.change_pct.is_some()
@@ -220,30 +216,29 @@ fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
 /// The motor turns more slowly with less voltage, so the duration is no second alarm; a fault of a part beside it is one.
 #[test]
 fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
-    let settings = Settings::default();
     for (seed, has_toe_sensor, before) in
         [(40, true, OF_RATIOS), (41, true, OF_RATIOS), (42, false, SOUND), (43, false, SOUND)]
     {
-        let healthy = |settings: &Settings| {
+        let healthy = || {
             let mut drive = Drive::new(91_000 + seed, true);
             drive.has_toe_sensor = has_toe_sensor;
             for throw in 0..100 {
-                assert_eq!(drive.feed(before, settings).events, [], "seed {seed}, throw {throw}");
+                assert_eq!(drive.feed(before).events, [], "seed {seed}, throw {throw}");
             }
             drive
         };
         for volts in [0.8, 0.7] {
-            let mut drive = healthy(&settings);
+            let mut drive = healthy();
             let weak = State { volts, ..before };
-            let [raised, _] = split((0..60).flat_map(|_| drive.feed(weak, &settings).events).collect());
+            let [raised, _] = split(drive.events(60, weak));
             // Rough throws can scatter so much that the monitor says what it does not see.
             let causes = raised.iter().map(|event| event.cause).filter(|cause| *cause != Cause::NotMonitored);
             let causes: Vec<_> = causes.collect();
             assert_eq!(causes, [Cause::Supply], "seed {seed}, {volts}: {raised:?}");
         }
-        let mut drive = healthy(&settings);
+        let mut drive = healthy();
         let both = State { volts: 0.8, friction: 2.0, ..before };
-        let [raised, _] = split((0..60).flat_map(|_| drive.feed(both, &settings).events).collect());
+        let [raised, _] = split(drive.events(60, both));
         let is_about_the_drive = |event: &AlarmEvent| [Cause::Unattributed, Cause::Friction].contains(&event.cause);
         assert!(raised.iter().any(is_about_the_drive), "seed {seed}: {raised:?}");
     }
@@ -252,12 +247,11 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
 /// A gear that loses torque leaves the back-EMF of the motor; weak magnets do not.
 #[test]
 fn a_lost_torque_with_sound_magnets_points_to_the_gear() {
-    let settings = Settings::default();
     for (seed, before) in [(50, SOUND), (51, SOUND), (52, OF_RATIOS), (53, OF_RATIOS)] {
         for (back_emf, is_sound) in [(1.0, true), (0.78, false)] {
-            let mut drive = learned(seed, before, &settings);
+            let mut drive = learned(seed, before);
             let weak = State { torque: 0.78, back_emf, ..before };
-            let events: Vec<_> = (0..100).flat_map(|_| drive.feed(weak, &settings).events).collect();
+            let events = drive.events(100, weak);
             let of_motor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Kt).collect();
             assert!(!of_motor.is_empty(), "seed {seed}, {back_emf}: {events:?}");
             for event in of_motor {

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    diagnose::{MachineMonitor, Observation, Settings, Verdict},
+    diagnose::{AlarmEvent, MachineMonitor, Observation, Settings, Verdict},
     estimate::{self, Identifier},
     throw::{Direction, Throw, ThrowRef, Trace},
 };
@@ -119,9 +119,14 @@ impl Drive {
         Direction::BOTH[usize::from(self.throws % 2 == 1)]
     }
 
-    pub(crate) fn feed(&mut self, state: State, settings: &Settings) -> Verdict {
+    pub(crate) fn feed(&mut self, state: State) -> Verdict {
         let observation = self.observe(state);
-        self.monitor.observe(&observation, settings)
+        self.monitor.observe(&observation, &Settings::default())
+    }
+
+    /// The events of the next throws.
+    pub(crate) fn events(&mut self, throws: usize, state: State) -> Vec<AlarmEvent> {
+        (0..throws).flat_map(|_| self.feed(state).events).collect()
     }
 
     pub(crate) fn observe(&mut self, state: State) -> Observation {

@@ -25,11 +25,11 @@ use crate::{
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
-fn current_only(seed: u64, settings: &Settings) -> Drive {
+fn current_only(seed: u64) -> Drive {
     let mut drive = Drive::new(55_000 + seed, false);
     drive.has_toe_sensor = false;
     for throw in 0..100 {
-        let verdict = drive.feed(State::SOUND, settings);
+        let verdict = drive.feed(State::SOUND);
         assert_eq!(verdict.events, [], "seed {seed}, throw {throw}");
     }
     assert_eq!(drive.monitor.state(), MachineState::Healthy);
@@ -38,7 +38,6 @@ fn current_only(seed: u64, settings: &Settings) -> Drive {
 
 #[test]
 fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
-    let settings = Settings::default();
     let faults = [
         ("dry slide chairs", State { friction: 1.8, ..State::SOUND }, true),
         ("very dry slide chairs", State { friction: 2.5, ..State::SOUND }, true),
@@ -48,14 +47,14 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
     for (name, state, is_found) in faults {
         let mut found = 0;
         for seed in 0..4 {
-            let mut drive = current_only(seed, &settings);
-            let events: Vec<_> = (0..24).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let mut drive = current_only(seed);
+            let events = drive.events(24, state);
             assert!(events.iter().all(|event| event.cause == Cause::Unattributed), "{name}: {events:?}");
             found += u32::from(!events.is_empty());
             for event in &events {
                 println!("{name}: {}", event.text);
             }
-            let healthy: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+            let healthy = drive.events(40, State::SOUND);
             assert_eq!(healthy.len(), usize::from(!events.is_empty()), "{name} mended: {healthy:?}");
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name} mended");
         }
@@ -66,13 +65,12 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
 /// The running current is near the limit, and scatters around it.
 #[test]
 fn an_alarm_of_features_stays_as_long_as_they_are_changed() {
-    let settings = Settings::default();
     let (mut raised, mut ended) = (0, 0);
     for seed in 10..14 {
         for torque in [0.86, 0.85] {
-            let mut drive = current_only(seed, &settings);
+            let mut drive = current_only(seed);
             let weak = State { torque, ..State::SOUND };
-            let events: Vec<_> = (0..300).flat_map(|_| drive.feed(weak, &settings).events).collect();
+            let events = drive.events(300, weak);
             raised += events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged).count();
             ended += events.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged).count();
             assert!(events.len() < 2, "seed {seed}, {torque}: {events:#?}");
@@ -84,12 +82,11 @@ fn an_alarm_of_features_stays_as_long_as_they_are_changed() {
 /// The alarm is raised at the first change that matters, and the change goes on.
 #[test]
 fn a_change_of_the_features_that_grows_is_reported_again() {
-    let settings = Settings::default();
-    let mut drive = current_only(1, &settings);
+    let mut drive = current_only(1);
     let mut events = Vec::new();
     for throw in 0..60 {
         let friction = 1.0 + 0.03 * f64::from(throw);
-        events.extend(drive.feed(State { friction, ..State::SOUND }, &settings).events);
+        events.extend(drive.feed(State { friction, ..State::SOUND }).events);
     }
     assert!((2..=8).contains(&events.len()), "{events:?}");
     let is_one_alarm = |event: &AlarmEvent| {
@@ -180,7 +177,6 @@ fn a_weak_supply_of_rejected_throws_is_named() {
 
 #[test]
 fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
-    let settings = Settings::default();
     // A brake that releases 20 ms late hides the scale of the coefficients in every throw.
     let late = State { brake_s: 0.02, ..State::SOUND };
     let faults = [
@@ -192,11 +188,11 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
         for seed in 0..4 {
             let mut drive = Drive::new(58_000 + seed, false);
             for throw in 0..100 {
-                assert_eq!(drive.feed(late, &settings).events, [], "{cause:?}, throw {throw}");
+                assert_eq!(drive.feed(late).events, [], "{cause:?}, throw {throw}");
             }
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
-            let events: Vec<_> = (0..24).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let events = drive.events(24, state);
             let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
             let is_right = |found: &Cause| Some(*found) == cause || *found == Cause::Unattributed && cause.is_some();
             assert!(causes.iter().all(is_right) && causes.is_empty() == cause.is_none(), "{cause:?}: {events:?}");
@@ -258,7 +254,7 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
 /// Complete throws of healthy machines without a toe sensor, from current to alarm: the raised alarms of `lives` machines
 /// with `life` throws each.
 fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64) -> Vec<String> {
-    let (settings, next, raised) = (Settings::default(), AtomicU64::new(0), Mutex::new(Vec::new()));
+    let (next, raised) = (AtomicU64::new(0), Mutex::new(Vec::new()));
     let live = || {
         loop {
             let seed = next.fetch_add(1, Relaxed);
@@ -268,7 +264,7 @@ fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64
             let mut drive = Drive::new(610_000 + seed, publishes_volts);
             (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, rate_hz, Some(115.0));
             for _ in 0..life {
-                let events = drive.feed(State::SOUND, &settings).events;
+                let events = drive.feed(State::SOUND).events;
                 let is_first = |event: &AlarmEvent| event.event_no == 1;
                 let sentence = |event: AlarmEvent| format!("machine {seed}: {}", event.text);
                 raised.lock().unwrap().extend(events.into_iter().filter(is_first).map(sentence));

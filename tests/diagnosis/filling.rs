@@ -69,8 +69,7 @@ fn an_unlucky_first_dozen_does_not_end_the_learning() {
             );
         }
         assert!(is_complete(&monitor), "seed {seed}");
-        let found: Vec<_> =
-            (0..10).flat_map(|_| machine.feed(&mut monitor, shift(Cause::Kt, -20.0), &settings).events).collect();
+        let found = machine.events(&mut monitor, 10, shift(Cause::Kt, -20.0));
         assert_eq!(found.first().map(|event| event.cause), Some(Cause::Kt), "seed {seed}");
         assert_eq!(found.last().map(|event| event.severity), Some(Severity::Critical), "seed {seed}");
     }

@@ -3,7 +3,7 @@
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{Cause, MachineMonitor, Observation, Settings, Verdict},
+    diagnose::{AlarmEvent, Cause, MachineMonitor, Observation, Settings, Verdict},
     estimate::Features,
     throw::{Direction, ThrowRef},
 };
@@ -99,6 +99,16 @@ impl Machine {
     /// Gives the next throw to a monitor.
     pub(crate) fn feed(&mut self, monitor: &mut MachineMonitor, shift: Vector3<f64>, settings: &Settings) -> Verdict {
         monitor.observe(&self.throw(shift), settings)
+    }
+
+    /// The events of the next throws.
+    pub(crate) fn events(
+        &mut self,
+        monitor: &mut MachineMonitor,
+        throws: usize,
+        shift: Vector3<f64>,
+    ) -> Vec<AlarmEvent> {
+        (0..throws).flat_map(|_| self.feed(monitor, shift, &Settings::default()).events).collect()
     }
 }
 

@@ -12,10 +12,6 @@ use pointsd::{
 
 use crate::fleet::{Machine, Nature, shift};
 
-fn run(machine: &mut Machine, monitor: &mut MachineMonitor, throws: usize, fault: Vector3<f64>) -> Vec<AlarmEvent> {
-    (0..throws).flat_map(|_| machine.feed(monitor, fault, &Settings::default()).events).collect()
-}
-
 /// Natures of healthy machines, and how many of their lives are blind for a critical change.
 #[test]
 fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
@@ -61,7 +57,7 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
                 let mut monitor = machine.learned(&settings);
                 let size = |cause| 4.0 * settings.limit_pct(cause).unwrap();
                 let fault = shift(first, size(first)) + shift(second, size(second));
-                for event in run(&mut machine, &mut monitor, 60, fault) {
+                for event in machine.events(&mut monitor, 60, fault) {
                     let named = [first, second, Cause::Unattributed].contains(&event.cause);
                     assert!(named || event.severity < Severity::Critical, "{first} and {second}: {}", event.text);
                 }
@@ -83,10 +79,10 @@ fn a_second_fault_is_named_beside_the_first() {
                 let mut monitor = machine.learned(&settings);
                 let sign = |cause| if cause == Cause::Kt { -1.0 } else { 1.0 };
                 let size = |cause| sign(cause) * 3.0 * settings.limit_pct(cause).unwrap();
-                let before = run(&mut machine, &mut monitor, 60, shift(first, size(first)));
+                let before = machine.events(&mut monitor, 60, shift(first, size(first)));
                 assert!(before.iter().all(|event| event.cause == first), "{first}");
                 let fault = shift(first, size(first)) + shift(second, size(second));
-                let after = run(&mut machine, &mut monitor, 60, fault);
+                let after = machine.events(&mut monitor, 60, fault);
                 let raised: Vec<_> =
                     after.iter().filter(|event| event.event_no == 1).map(|event| event.cause).collect();
                 lives += 1;
@@ -127,9 +123,9 @@ fn the_sizes_of_two_faults_hold() {
                     let plain = shift(cause, size(cause));
                     if cause == Cause::Friction { plain + Vector3::repeat(leak * plain.y) } else { plain }
                 };
-                run(&mut machine, &mut monitor, 60, effect(first));
+                machine.events(&mut monitor, 60, effect(first));
                 for _ in 0..10 {
-                    run(&mut machine, &mut monitor, 10, effect(first) + effect(second));
+                    machine.events(&mut monitor, 10, effect(first) + effect(second));
                     for now in monitor.drifts().iter().filter(|now| [first, second].contains(&now.cause)) {
                         of_pair += 1;
                         held_pair += u32::from((now.change_pct - size(now.cause)).abs() < 2.0 * now.change_pct_sd);
@@ -155,9 +151,9 @@ fn a_motor_fault_beside_friction_is_named_in_every_sign() {
         let mut machine = Machine::new(480 + seed, Nature::default());
         let mut monitor = machine.learned(&settings);
         let friction = shift(Cause::Friction, signs[0] * 30.0);
-        let before = run(&mut machine, &mut monitor, 60, friction);
+        let before = machine.events(&mut monitor, 60, friction);
         assert!(before.iter().all(|event| event.cause == Cause::Friction), "seed {seed}");
-        let after = run(&mut machine, &mut monitor, 120, friction + shift(Cause::Kt, signs[1] * 10.0));
+        let after = machine.events(&mut monitor, 120, friction + shift(Cause::Kt, signs[1] * 10.0));
         let mut raised = after.iter().filter(|event| event.event_no == 1).map(|event| event.cause);
         named += usize::from(raised.next() == Some(Cause::Kt));
     }
@@ -174,7 +170,7 @@ fn dry_friction_that_leaks_is_friction_of_its_true_size() {
         let mut monitor = machine.learned(&Settings::default());
         let leak = 0.033 * f64::from(seed);
         let friction = shift(Cause::Friction, 54.0).y;
-        let found = run(&mut machine, &mut monitor, 60, Vector3::new(leak, 1.0 + leak, leak) * friction);
+        let found = machine.events(&mut monitor, 60, Vector3::new(leak, 1.0 + leak, leak) * friction);
         assert!(found.iter().all(|event| event.cause == Cause::Friction), "leak {leak}: {}", found[0].text);
         let texts: Vec<_> = found.iter().map(|event| &event.text).collect();
         assert!(found.iter().any(|event| event.severity == Severity::Critical), "leak {leak}: {texts:?}");
@@ -192,7 +188,7 @@ fn causes_that_cannot_be_distinguished_are_not_named() {
     for seed in 0..20 {
         let mut machine = Machine::new(600 + seed, Nature::default());
         let mut monitor = machine.learned(&Settings::default());
-        let found = run(&mut machine, &mut monitor, 100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
+        let found = machine.events(&mut monitor, 100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
         let unattributed = found.iter().find(|event| event.cause == Cause::Unattributed);
         let both = ["motor and inertia", "inertia and motor"];
         said += u32::from(unattributed.is_some_and(|event| both.iter().any(|both| event.text.contains(both))));
@@ -232,7 +228,7 @@ fn one_wild_throw_is_no_alarm_and_does_not_poison_the_baseline() {
         let wild = if throw % 23 == 7 { Vector3::new(0.7, -0.5, 0.9) } else { Vector3::zeros() };
         assert_eq!(machine.feed(&mut monitor, wild, &settings).events, []);
     }
-    let found = run(&mut machine, &mut monitor, 20, shift(Cause::Kt, -15.0));
+    let found = machine.events(&mut monitor, 20, shift(Cause::Kt, -15.0));
     assert_eq!(found[0].cause, Cause::Kt);
 }
 
@@ -257,9 +253,9 @@ fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
 fn a_dozen_throws_are_a_usable_baseline() {
     let mut machine = Machine::new(34, Nature::default());
     let mut monitor = MachineMonitor::new("21B");
-    assert_eq!(run(&mut machine, &mut monitor, 26, Vector3::zeros()), []);
+    assert_eq!(machine.events(&mut monitor, 26, Vector3::zeros()), []);
     assert!(!monitor.baseline(Direction::NormalToReverse).unwrap().complete);
-    let found = run(&mut machine, &mut monitor, 40, shift(Cause::Kt, -25.0));
+    let found = machine.events(&mut monitor, 40, shift(Cause::Kt, -25.0));
     assert_eq!(found[0].cause, Cause::Kt);
 }
 

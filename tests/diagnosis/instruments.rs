@@ -74,13 +74,12 @@ fn cases() -> [(&'static str, bool, State, Truth); 34] {
 
 /// Events in 70 throws of `state` after 120 healthy ones.
 fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
-    let settings = Settings::default();
     let mut drive = Drive::new(seed, volts);
     for throw in 0..120 {
-        let events = drive.feed(State::SOUND, &settings).events;
+        let events = drive.feed(State::SOUND).events;
         assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
     }
-    (0..70).flat_map(|_| drive.feed(state, &settings).events).collect()
+    drive.events(70, state)
 }
 
 impl Truth {
@@ -144,12 +143,11 @@ fn sensor_supply_and_machine_are_distinguished_in_forty_lives() {
 
 #[test]
 fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
-    let settings = Settings::default();
     let mut drive = Drive::new(300, false);
     let mut events = Vec::new();
     for throw in 0..240 {
         let state = State { position_gain: if (120..160).contains(&throw) { 1.06 } else { 1.0 }, ..State::SOUND };
-        events.extend(drive.feed(state, &settings).events);
+        events.extend(drive.feed(state).events);
         if throw % 50 == 49 {
             let snapshot = serde_json::to_string(&drive.monitor).unwrap();
             drive.monitor = MachineMonitor::from_snapshot(&snapshot).unwrap();
@@ -188,7 +186,6 @@ fn a_published_voltage_is_not_requested() {
 /// Its gauges are too weak to decide in each throw, and do not show that it was mended.
 #[test]
 fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
-    let settings = Settings::default();
     let wrong = [
         ("current", State { current_gain: 1.08, ..State::SOUND }),
         ("current", State { current_gain: 0.93, ..State::SOUND }),
@@ -199,9 +196,9 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
         for (what, state) in wrong {
             let mut drive = Drive::new(seed, true);
             for _ in 0..100 {
-                assert_eq!(drive.feed(State::SOUND, &settings).events, [], "seed {seed}");
+                assert_eq!(drive.feed(State::SOUND).events, [], "seed {seed}");
             }
-            let events: Vec<_> = (0..200).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let events = drive.events(200, state);
             let of_sensor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Sensor).collect();
             let parts: Vec<_> = events.iter().filter(|event| Cause::PHYSICAL.contains(&event.cause)).collect();
             assert!(of_sensor.len() <= 1 && parts.len() <= 2, "{what}, seed {seed}: {events:#?}");
@@ -211,21 +208,20 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
 
 #[test]
 fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
-    let settings = Settings::default();
     for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {
         let mut drive = Drive::new(seed, false);
         let noisy = State { position_noise_mm: noise_mm, ..State::SOUND };
         for throw in 0..60 {
-            assert_eq!(drive.feed(State::SOUND, &settings).events, [], "throw {throw}");
+            assert_eq!(drive.feed(State::SOUND).events, [], "throw {throw}");
         }
         // One or two noisy throws are a disturbance.
         for state in [noisy, noisy].into_iter().chain([State::SOUND; 12]) {
-            assert_eq!(drive.feed(state, &settings).events, [], "{noise_mm} mm");
+            assert_eq!(drive.feed(state).events, [], "{noise_mm} mm");
         }
-        let events: Vec<_> = (0..16).flat_map(|_| drive.feed(noisy, &settings).events).collect();
+        let events = drive.events(16, noisy);
         let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
         assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{noise_mm} mm: {events:?}");
-        let ended: Vec<_> = (0..16).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let ended = drive.events(16, State::SOUND);
         assert_eq!(ended.iter().map(|event| event.cause).collect::<Vec<_>>(), [Cause::Sensor], "{ended:?}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
     }
@@ -258,17 +254,16 @@ fn sizes() -> [(&'static str, State, Logger, f64); 14] {
 
 /// The size of a sensor or supply alarm is within its interval when the alarm is raised.
 fn sizes_hold(seeds: std::ops::Range<u64>) {
-    let settings = Settings::default();
     for (what, state, logger, truth) in sizes() {
         let (mut held, mut raised) = (0, 0);
         let mut said = Vec::new();
         for seed in seeds.clone() {
             let mut drive = Drive::new(seed, true);
             for _ in 0..100 {
-                drive.feed(State::SOUND, &settings);
+                drive.feed(State::SOUND);
             }
             drive.logger = logger;
-            let mut events = (0..40).flat_map(|_| drive.feed(state, &settings).events);
+            let mut events = (0..40).flat_map(|_| drive.feed(state).events);
             let Some(event) = events.find(|event| matches!(event.cause, Cause::Sensor | Cause::Supply)) else {
                 continue;
             };
@@ -298,7 +293,6 @@ fn the_size_of_a_sensor_or_supply_fault_is_within_its_interval_in_forty_lives() 
 /// A shift of the zero seems to stress the spring otherwise, which looks like friction of opposite signs in the directions.
 #[test]
 fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
-    let settings = Settings::default();
     let parts = [
         (Cause::Kt, State { torque: 0.8, ..State::SOUND }),
         (Cause::Friction, State { friction: 1.5, ..State::SOUND }),
@@ -308,9 +302,7 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
     let shifts = [-60.0, -20.0, -7.0, 7.0, 20.0, 40.0, 60.0];
     for ((seed, position_offset_mm), (part, state)) in (9_000..).zip(shifts).zip(parts.into_iter().cycle()) {
         let mut drive = Drive::new(seed, false);
-        let mut live = |throws: usize, state: State| -> Vec<AlarmEvent> {
-            (0..throws).flat_map(|_| drive.feed(state, &settings).events).collect()
-        };
+        let mut live = |throws: usize, state: State| -> Vec<AlarmEvent> { drive.events(throws, state) };
         assert_eq!(live(100, State::SOUND), []);
         let raised = live(80, State { position_offset_mm, ..State::SOUND });
         let [event] = &raised[..] else { panic!("{position_offset_mm} mm: {raised:#?}") };
@@ -333,7 +325,6 @@ fn with_positions(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
 /// A bow of the position sensor looks like another resistance; the inrush does not follow.
 #[test]
 fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
-    let settings = Settings::default();
     let bow: Logger = |throw| with_positions(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
     let steps: Logger = |throw| with_positions(throw, f64::round);
     let stuck: Logger = |throw| with_positions(throw, |_| 57.0);
@@ -341,10 +332,10 @@ fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
         for seed in 9_900..9_903 {
             let mut drive = Drive::new(seed, true);
             for _ in 0..100 {
-                drive.feed(State::SOUND, &settings);
+                drive.feed(State::SOUND);
             }
             drive.logger = logger;
-            let events: Vec<_> = (0..60).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+            let events = drive.events(60, State::SOUND);
             assert!(events.iter().all(|event| event.cause != Cause::Supply), "{events:#?}");
             let incomplete: Vec<_> = events.iter().filter(|event| event.cause == Cause::IncompleteThrow).collect();
             assert_eq!(!incomplete.is_empty(), is_stuck, "{events:#?}");
@@ -356,21 +347,20 @@ fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
 /// Its gain names it; its shift alone would look like friction.
 #[test]
 fn a_position_sensor_with_another_gain_and_zero_accuses_no_part() {
-    let settings = Settings::default();
     for (seed, (position_gain, position_offset_mm)) in
         (9_900..).zip([(0.5, 30.0), (0.9, 10.0), (1.1, -15.0), (0.97, 8.0)])
     {
         for volts in [true, false] {
             let mut drive = Drive::new(seed, volts);
             for _ in 0..100 {
-                assert_eq!(drive.feed(State::SOUND, &settings).events, []);
+                assert_eq!(drive.feed(State::SOUND).events, []);
             }
             let state = State { position_gain, position_offset_mm, ..State::SOUND };
-            let events: Vec<_> = (0..100).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let events = drive.events(100, state);
             let named =
                 |event: &AlarmEvent| (event.cause, event.channel) == (Cause::Sensor, Some(SensorChannel::Position));
             assert!(!events.is_empty() && events.iter().all(named), "{position_gain}, {volts}: {events:#?}");
-            let [friction_pct] = drive.feed(state, &settings).change_pct.map(|pct| [pct[1]]).unwrap();
+            let [friction_pct] = drive.feed(state).change_pct.map(|pct| [pct[1]]).unwrap();
             assert!(friction_pct.abs() < 12.0, "{position_gain}, {volts}: {friction_pct}");
         }
     }

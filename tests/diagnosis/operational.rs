@@ -41,6 +41,15 @@ fn missing(throws: u64) -> Missing<'static> {
     Missing { throws, ..Missing::default() }
 }
 
+/// A warning that is raised, and its end.
+fn raised(cause: Cause) -> (Cause, Severity, AlarmState) {
+    (cause, Severity::Warning, AlarmState::ActiveUnacknowledged)
+}
+
+fn ended(cause: Cause) -> (Cause, Severity, AlarmState) {
+    (cause, Severity::Warning, AlarmState::ClearedUnacknowledged)
+}
+
 fn summary(events: &[AlarmEvent]) -> Vec<(Cause, Severity, AlarmState)> {
     events.iter().map(|event| (event.cause, event.severity, event.state)).collect()
 }
@@ -64,14 +73,12 @@ fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
 /// With a configured stroke a weak gain makes whole throws shorter than 95 % of it.
 #[test]
 fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_throw() {
-    let settings = Settings::default();
     for publishes_volts in [true, false] {
         let mut drive = Drive::new(71, publishes_volts);
         (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        let healthy: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
-        assert_eq!(healthy, []);
+        assert_eq!(drive.events(120, State::SOUND), []);
         let weak = State { position_gain: 0.94, ..State::SOUND };
-        let events: Vec<_> = (0..30).flat_map(|_| drive.feed(weak, &settings).events).collect();
+        let events = drive.events(30, weak);
         let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
         assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
     }
@@ -81,15 +88,13 @@ fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_th
 /// detection needs, or because the supply of the motor is lost.
 #[test]
 fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
-    let settings = Settings::default();
     for push_s in [0.0, 0.15, 0.3, 1.0, 4.0] {
         let mut drive = Drive::new(74, true);
         (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        let healthy: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
-        assert_eq!(healthy, []);
+        assert_eq!(drive.events(40, State::SOUND), []);
         drive.push_s = push_s;
         let blocked = State { stroke: 0.94, ..State::SOUND };
-        let events: Vec<_> = (0..2).flat_map(|_| drive.feed(blocked, &settings).events).collect();
+        let events = drive.events(2, blocked);
         let named: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
         let expected = [Severity::Warning, Severity::Critical].map(|severity| (Cause::IncompleteThrow, severity));
         assert_eq!(named, expected, "{push_s} s: {events:?}");
@@ -101,23 +106,21 @@ fn slow_throws_show_even_where_the_coefficients_do_not() {
     let (mut machine, mut monitor) = machine();
     let slow = |o: &mut Observation| o.features.duration_s = Some(4.3 * 1.3);
     let events = feed(&mut machine, &mut monitor, 10, slow);
-    assert_eq!(summary(&events), [(Cause::SlowThrow, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&events), [raised(Cause::SlowThrow)]);
     assert!((events[0].change_pct.unwrap() - 30.0).abs() < 1.0);
 }
 
 #[test]
 fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let (mut machine, mut monitor) = machine();
-    let events = feed(&mut machine, &mut monitor, 25, |o| o.estimate = None);
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
     assert_eq!(monitor.state(), MachineState::NotMonitored);
     // One accepted throw among many rejected ones monitors nothing.
     for _ in 0..5 {
         assert_eq!(feed(&mut machine, &mut monitor, 1, |_| {}), []);
         assert_eq!(feed(&mut machine, &mut monitor, 12, |o| o.estimate = None), []);
     }
-    let events = feed(&mut machine, &mut monitor, 8, |_| {});
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 8, |_| {})), [ended(Cause::NotMonitored)]);
     assert_eq!(monitor.state(), MachineState::Healthy);
 }
 
@@ -134,7 +137,7 @@ fn silence_is_noticed_and_a_jumping_clock_is_no_silence() {
         now += SignedDuration::from_hours(1);
         events.extend(monitor.tick(now, &settings));
     }
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
 }
 
 /// Calls the monitor every ten seconds, as the daemon does.
@@ -168,8 +171,7 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
         assert_eq!(pass(&mut monitor, &mut now, minutes, away), []);
     }
     assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
-    let raised = (Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged);
-    let cleared = (Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged);
+    let (raised, ended) = (raised(Cause::NotMonitored), ended(Cause::NotMonitored));
     // Half of the delay passes before the daemon stops. The hours of its absence, or of a clock jump, do not count, as
     // loggers have to connect again. Then the alarm is raised once.
     assert_eq!(pass(&mut monitor, &mut now, 6, away), []);
@@ -178,10 +180,10 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     assert_eq!(pass(&mut monitor, &mut now, 2, away), []);
     assert_eq!(summary(&pass(&mut monitor, &mut now, 120, away)), [raised]);
     assert_eq!(monitor.state(), MachineState::NotMonitored);
-    assert_eq!(summary(&pass(&mut monitor, &mut now, 5, there)), [cleared]);
+    assert_eq!(summary(&pass(&mut monitor, &mut now, 5, there)), [ended]);
     // The logger sends a throw before its liveliness token.
     assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 1, |_| {})), [cleared]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 1, |_| {})), [ended]);
     assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
     // After its return with throws without an estimate the machine is still not monitored.
     assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
@@ -198,10 +200,10 @@ fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
     let received = now;
     pass(&mut monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
     let gone = pass(&mut monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
-    assert_eq!(summary(&gone), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&gone), [raised(Cause::NotMonitored)]);
     assert_eq!(feed(&mut machine, &mut monitor, 5, |throw| throw.received_at = Some(received)), []);
     let events = feed(&mut machine, &mut monitor, 1, |throw| throw.received_at = Some(now));
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!(summary(&events), [ended(Cause::NotMonitored)]);
 }
 
 #[test]
@@ -215,7 +217,7 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     let well = |monitor: &mut MachineMonitor, now| monitor.trouble(None, now, &Settings::default());
     assert_eq!(pass(&mut monitor, &mut now, 60, well), []);
     let low = monitor.trouble(Some((Severity::Warning, "nearly full")), now, &settings);
-    assert_eq!(summary(&Vec::from_iter(low)), [(Cause::DataLoss, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&Vec::from_iter(low)), [raised(Cause::DataLoss)]);
     let events = pass(&mut monitor, &mut now, 1, full);
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
     assert_eq!(events[0].text, "full");
@@ -243,10 +245,8 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     let (mut machine, mut monitor) = machine();
     let at = machine.throw(Vector3::zeros()).started_at;
     assert_eq!(monitor.gap(missing(0), at, &settings), []);
-    let events = monitor.gap(missing(3), at, &settings);
-    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
-    let events = feed(&mut machine, &mut monitor, 12, |_| {});
-    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!(summary(&monitor.gap(missing(3), at, &settings)), [raised(Cause::DataLoss)]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 12, |_| {})), [ended(Cause::DataLoss)]);
 }
 
 /// Throws that were received before a gap was known may stand before it, and are no sign of its end. An alarm does not end
@@ -261,7 +261,7 @@ fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     assert_eq!(feed(&mut machine, &mut monitor, 40, at(-1)), []);
     assert_eq!(feed(&mut machine, &mut monitor, 11, at(1)), []);
     let events = feed(&mut machine, &mut monitor, 1, at(1));
-    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!(summary(&events), [ended(Cause::DataLoss)]);
     assert_eq!((events[0].event_at, raised[0].raised_at), (known_at, known_at));
     // The clock of this computer was a year ahead.
     let lost = monitor.gap(missing(1), known_at, &settings);
@@ -338,12 +338,11 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
         o.rejected = o.estimate.is_none().then_some("misfit");
     };
     let events = feed(&mut machine, &mut monitor, 60, back);
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
     let text = &events[0].text;
     assert!(text.contains("reverse to normal") && text.contains("Check for a load that varies"), "{text}");
     assert_eq!(monitor.state(), MachineState::NotMonitored);
-    let events = feed(&mut machine, &mut monitor, 8, |_| {});
-    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 8, |_| {})), [ended(Cause::NotMonitored)]);
 }
 
 /// Estimates with another `neutral_mm` cannot be compared with the baseline.

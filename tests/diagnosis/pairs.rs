@@ -1,6 +1,6 @@
 //! Two faults of one drive, at the same time or one after the other.
 
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Settings};
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 
 use crate::drive::{Drive, State};
 
@@ -53,10 +53,9 @@ impl Judgement {
 }
 
 fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<AlarmEvent>, Drive) {
-    let settings = Settings::default();
     let mut drive = Drive::new(seed, seed.is_multiple_of(2));
     for throw in 0..HEALTHY {
-        let events = drive.feed(State::SOUND, &settings).events;
+        let events = drive.feed(State::SOUND).events;
         assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
     }
     let part = |since: u32| if ramp == 0 { 1.0 } else { (f64::from(since + 1) / f64::from(ramp)).min(1.0) };
@@ -64,7 +63,7 @@ fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<Ala
     for throw in 0..gap + ramp + AFTER {
         let state = (first.of)(State::SOUND, part(throw));
         let state = if throw < gap { state } else { (second.of)(state, part(throw - gap)) };
-        events.extend(drive.feed(state, &settings).events);
+        events.extend(drive.feed(state).events);
     }
     (events, drive)
 }

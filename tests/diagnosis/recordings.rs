@@ -1,7 +1,7 @@
 //! Loggers that change their recordings, and recordings that show less than before, of a machine that is sound.
 
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, MachineState, SensorChannel, Settings},
+    diagnose::{AlarmEvent, Cause, MachineState, SensorChannel},
     throw::{Direction, Throw},
 };
 
@@ -41,21 +41,19 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
         ("cut off", cut, None, "end_missing"),
         ("without a position", without_position, Some(position), "no longer sends a toe position"),
     ];
-    let settings = Settings::default();
     for (name, logger, channel, words) in cases {
         let mut drive = Drive::new(75, true);
         (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        let healthy: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
-        assert_eq!(healthy, [], "{name}");
+        assert_eq!(drive.events(120, State::SOUND), [], "{name}");
         drive.logger = logger;
-        let events: Vec<_> = (0..24).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let events = drive.events(24, State::SOUND);
         let is_about_recordings = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::NotMonitored);
         assert!(events.iter().all(is_about_recordings), "{name}: {events:#?}");
         assert!(events.iter().any(|event| event.text.contains(words)), "{name}: {events:#?}");
         let named = events.iter().find(|event| event.cause == Cause::Sensor).map(|event| event.channel);
         assert_eq!(named, channel, "{name}: {events:#?}");
         drive.logger = |throw| throw;
-        let mended: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let mended = drive.events(40, State::SOUND);
         assert!(mended.iter().all(is_about_recordings), "{name}: {mended:#?}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name}: {mended:#?}");
     }
@@ -64,7 +62,6 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
 /// The movement shows the direction, so the throws are evaluated as before.
 #[test]
 fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
-    let settings = Settings::default();
     let mut drive = Drive::new(76, true);
     let swapped: fn(Throw) -> Throw = |throw| {
         let other = |direction: Direction| Direction::BOTH.into_iter().find(|other| *other != direction);
@@ -72,7 +69,7 @@ fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
     };
     for (logger, throws) in [(None, 120), (Some(swapped), 1), (None, 10), (Some(swapped), 60)] {
         drive.logger = logger.unwrap_or(|throw| throw);
-        let events: Vec<_> = (0..throws).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let events = drive.events(throws, State::SOUND);
         assert_eq!(events, []);
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
     }
@@ -80,17 +77,16 @@ fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
     assert!(drive.monitor.caveats().iter().any(is_stated), "{:?}", drive.monitor.caveats());
     // A fault is named as before.
     let weak = State { torque: 0.85, back_emf: 0.85, ..State::SOUND };
-    let events: Vec<_> = (0..30).flat_map(|_| drive.feed(weak, &settings).events).collect();
+    let events = drive.events(30, weak);
     assert_eq!(events.first().map(|event| event.cause), Some(Cause::Kt), "{events:?}");
 }
 
 #[test]
 fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
-    let settings = Settings::default();
     let mut drive = Drive::new(72, true);
     (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
     let short = State { stroke: 0.91, ..State::SOUND };
-    let events: Vec<_> = (0..60).flat_map(|_| drive.feed(short, &settings).events).collect();
+    let events = drive.events(60, short);
     assert_eq!(events, []);
     let caveats = drive.monitor.caveats();
     assert!(
@@ -103,19 +99,18 @@ fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
 /// A machine without a toe sensor that had coefficients, and whose throws give none any more.
 #[test]
 fn lost_coefficients_of_a_machine_without_a_toe_sensor_are_a_caveat() {
-    let settings = Settings::default();
     let mut drive = Drive::new(73, true);
     (drive.stroke_mm, drive.has_toe_sensor) = (Some(115.0), false);
-    let events: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+    let events = drive.events(120, State::SOUND);
     assert_eq!((events, drive.monitor.caveats()), (vec![], vec![]));
     // The logger no longer publishes the voltage.
     drive.publishes_volts = false;
     for throws in 1..=20 {
-        assert_eq!(drive.feed(State::SOUND, &settings).events, []);
+        assert_eq!(drive.feed(State::SOUND).events, []);
         let is_said = drive.monitor.caveats().iter().any(|caveat| caveat.contains("give no coefficients"));
         assert_eq!(is_said, throws == 20, "after {throws} throws");
     }
     drive.publishes_volts = true;
-    drive.feed(State::SOUND, &settings);
+    drive.feed(State::SOUND);
     assert_eq!(drive.monitor.caveats(), Vec::<String>::new());
 }

@@ -1,7 +1,7 @@
 //! Faults of one direction, and offsets of the current sensor, of a drive outside the model.
 
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, SensorChannel, Settings},
+    diagnose::{AlarmEvent, AlarmState, Cause, SensorChannel},
     throw::Direction,
 };
 
@@ -10,10 +10,10 @@ use crate::drive::{Drive, State};
 const HEALTHY: u32 = 120;
 
 /// A drive after a healthy time.
-fn learned(seed: u64, settings: &Settings) -> Drive {
+fn learned(seed: u64) -> Drive {
     let mut drive = Drive::new(seed, seed.is_multiple_of(2));
     for throw in 0..HEALTHY {
-        let events = drive.feed(State::SOUND, settings).events;
+        let events = drive.feed(State::SOUND).events;
         assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
     }
     drive
@@ -21,15 +21,14 @@ fn learned(seed: u64, settings: &Settings) -> Drive {
 
 /// Number of lives in which an event of the friction alarm says the direction, and in which it is said exactly once.
 fn directions(seeds: std::ops::Range<u64>) -> [u32; 2] {
-    let settings = Settings::default();
     let (mut said, mut once) = (0, 0);
     for seed in seeds {
-        let mut drive = learned(seed, &settings);
+        let mut drive = learned(seed);
         let worn = Direction::BOTH[usize::from(seed % 4 < 2)];
         let mut events: Vec<AlarmEvent> = Vec::new();
         for _ in 0..160 {
             let friction = if drive.next() == worn { 1.4 } else { 1.0 };
-            events.extend(drive.feed(State { friction, ..State::SOUND }, &settings).events);
+            events.extend(drive.feed(State { friction, ..State::SOUND }).events);
         }
         let of_friction = || events.iter().filter(|event| event.cause == Cause::Friction);
         assert!(of_friction().all(|event| event.direction.is_none_or(|of| of == worn)), "seed {seed}: {events:#?}");
@@ -59,10 +58,8 @@ fn an_alarm_says_its_direction_once_it_is_known_in_forty_lives() {
 
 /// The events of 60 throws with an offset after healthy ones, and of 60 throws after its end.
 fn offset(seed: u64, offset_a: f64) -> [Vec<AlarmEvent>; 2] {
-    let settings = Settings::default();
-    let mut drive = learned(seed, &settings);
-    [State { current_offset_a: offset_a, ..State::SOUND }, State::SOUND]
-        .map(|state| (0..60).flat_map(|_| drive.feed(state, &settings).events).collect())
+    let mut drive = learned(seed);
+    [State { current_offset_a: offset_a, ..State::SOUND }, State::SOUND].map(|state| drive.events(60, state))
 }
 
 fn offsets(seeds: std::ops::Range<u64>) {
@@ -97,13 +94,12 @@ fn an_offset_of_the_current_is_an_alarm_of_its_sensor_in_forty_lives() {
 /// The zero of a Hall sensor follows its temperature, which swings within a day and from season to season.
 #[test]
 fn the_zero_of_a_hall_sensor_may_drift() {
-    let settings = Settings::default();
     for seed in 6_300..6_303 {
         let mut drive = Drive::new(seed, true);
         for throw in 0..400 {
             let [day, season] = [20.0, 600.0].map(|period| (f64::from(throw) * std::f64::consts::TAU / period).sin());
             let state = State { current_offset_a: 0.1 * day + 0.2 * season, ..State::SOUND };
-            assert_eq!(drive.feed(state, &settings).events, [], "seed {seed}, throw {throw}");
+            assert_eq!(drive.feed(state).events, [], "seed {seed}, throw {throw}");
         }
         assert_eq!(drive.monitor.caveats(), Vec::<String>::new());
     }
@@ -111,11 +107,10 @@ fn the_zero_of_a_hall_sensor_may_drift() {
 
 #[test]
 fn a_current_at_rest_since_the_first_throw_is_no_alarm_and_is_said() {
-    let settings = Settings::default();
     let mut drive = Drive::new(6_310, true);
     let state = State { current_offset_a: 1.0, ..State::SOUND };
     for throw in 0..120 {
-        assert_eq!(drive.feed(state, &settings).events, [], "throw {throw}");
+        assert_eq!(drive.feed(state).events, [], "throw {throw}");
     }
     let caveats = drive.monitor.caveats();
     assert!(caveats.len() == 1 && caveats[0].contains("+1.0 A"), "{caveats:?}");

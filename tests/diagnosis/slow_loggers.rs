@@ -1,7 +1,7 @@
 //! Loggers whose rate does not resolve the rise of the current: ratios down to 250 Hz, features below.
 
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, MachineState, Settings},
+    diagnose::{Cause, MachineState},
     throw::Throw,
 };
 
@@ -46,10 +46,6 @@ fn the_ratios_at_250_hz_are_those_at_1_khz() {
     assert!(compared > 200 && missing < 8, "{compared}, {missing}");
 }
 
-fn live(drive: &mut Drive, throws: usize, state: State) -> Vec<AlarmEvent> {
-    (0..throws).flat_map(|_| drive.feed(state, &Settings::default()).events).collect()
-}
-
 #[test]
 fn a_machine_at_250_hz_is_monitored_by_its_ratios() {
     let faults = [
@@ -60,9 +56,9 @@ fn a_machine_at_250_hz_is_monitored_by_its_ratios() {
     for (seed, (state, name)) in (6_700..6_709).zip(faults.into_iter().cycle()) {
         let mut drive = Drive::new(seed, true);
         drive.logger = slower::<4>;
-        assert_eq!(live(&mut drive, 200, State::SOUND), [], "seed {seed}");
+        assert_eq!(drive.events(200, State::SOUND), [], "seed {seed}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
-        let events = live(&mut drive, 40, state);
+        let events = drive.events(40, state);
         assert!(!events.is_empty() && events.iter().all(|event| event.text.contains(name)), "{name}: {events:#?}");
     }
 }
@@ -72,11 +68,11 @@ fn a_machine_at_100_hz_is_monitored_by_its_features() {
     for seed in 6_800..6_803 {
         let mut drive = Drive::new(seed, false);
         drive.logger = slower::<10>;
-        assert_eq!(live(&mut drive, 200, State::SOUND), [], "seed {seed}");
+        assert_eq!(drive.events(200, State::SOUND), [], "seed {seed}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
         let caveats = drive.monitor.caveats();
         assert!(caveats.len() == 1 && caveats[0].contains("only duration, running current"), "{caveats:?}");
-        let events = live(&mut drive, 40, State { friction: 1.8, ..State::SOUND });
+        let events = drive.events(40, State { friction: 1.8, ..State::SOUND });
         let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
         assert!(causes.contains(&Cause::Unattributed) && !causes.contains(&Cause::NotMonitored), "{events:#?}");
     }
@@ -87,7 +83,7 @@ fn false_alarms(lives: std::ops::Range<u64>, logger: fn(Throw) -> Throw) -> usiz
     let alarms = lives.map(|seed| {
         let mut drive = Drive::new(seed, seed % 2 == 0);
         drive.logger = logger;
-        let events = live(&mut drive, 500, State::SOUND);
+        let events = drive.events(500, State::SOUND);
         println!("{seed}: {:?}", events.iter().map(|event| &event.text).collect::<Vec<_>>());
         events.len()
     });

@@ -1,6 +1,6 @@
 //! A changed start of the movement, beside a running machine that is healthy: a late brake, play, a late position.
 
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Settings};
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
@@ -13,17 +13,16 @@ fn is_about_the_start(event: &AlarmEvent) -> bool {
 }
 
 /// A drive after a healthy time without an event.
-fn learned(seed: u64, settings: &Settings) -> Drive {
+fn learned(seed: u64) -> Drive {
     let mut drive = Drive::new(59_000 + seed, false);
     for throw in 0..100 {
-        assert_eq!(drive.feed(State::SOUND, settings).events, [], "seed {seed}, throw {throw}");
+        assert_eq!(drive.feed(State::SOUND).events, [], "seed {seed}, throw {throw}");
     }
     drive
 }
 
 #[test]
 fn a_late_brake_play_or_a_late_position_has_an_alarm_that_names_them() {
-    let settings = Settings::default();
     let sound = State::SOUND;
     let faults = [
         State { brake_s: 0.01, ..sound },
@@ -35,12 +34,12 @@ fn a_late_brake_play_or_a_late_position_has_an_alarm_that_names_them() {
     ];
     for (at, fault) in faults.into_iter().enumerate() {
         for ramp in [1, 60] {
-            let mut drive = learned(at as u64, &settings);
+            let mut drive = learned(at as u64);
             let events: Vec<_> = (1..=100)
                 .flat_map(|throw| {
                     let part = f64::from(throw.min(ramp)) / f64::from(ramp);
                     let [brake_s, late_s] = [fault.brake_s, fault.late_s].map(|time_s| part * time_s);
-                    drive.feed(State { brake_s, late_s, play_mm: part * fault.play_mm, ..sound }, &settings).events
+                    drive.feed(State { brake_s, late_s, play_mm: part * fault.play_mm, ..sound }).events
                 })
                 .collect();
             let open = drive.monitor.open_alarms();
@@ -48,7 +47,7 @@ fn a_late_brake_play_or_a_late_position_has_an_alarm_that_names_them() {
             assert!(!open.is_empty(), "{fault:?}, ramp {ramp}: no alarm");
             let names = |event: &AlarmEvent| event.text.contains("brake") && event.text.contains("play");
             assert!(events.iter().all(names), "{fault:?}, ramp {ramp}: {events:?}");
-            let mended: Vec<_> = (0..100).flat_map(|_| drive.feed(sound, &settings).events).collect();
+            let mended = drive.events(100, sound);
             let ended = mended.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged).count();
             assert_eq!(ended, open.len(), "{fault:?}, ramp {ramp}: {mended:?}");
         }
@@ -57,7 +56,6 @@ fn a_late_brake_play_or_a_late_position_has_an_alarm_that_names_them() {
 
 #[test]
 fn a_fault_of_a_running_part_is_no_changed_start() {
-    let settings = Settings::default();
     let sound = State::SOUND;
     let faults = [
         State { friction: 1.8, ..sound },
@@ -70,8 +68,8 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
         State { position_gain: 0.85, stroke: 1.0, ..sound },
     ];
     for (at, fault) in faults.into_iter().enumerate() {
-        let mut drive = learned(20 + at as u64, &settings);
-        let events: Vec<_> = (0..60).flat_map(|_| drive.feed(fault, &settings).events).collect();
+        let mut drive = learned(20 + at as u64);
+        let events = drive.events(60, fault);
         assert!(!events.iter().any(is_about_the_start), "{fault:?}: {events:?}");
     }
 }
@@ -79,11 +77,10 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
 /// Noise of 0.5 mm scatters the delay by 5 to 15 ms, around another mean.
 #[test]
 fn a_noisy_position_sensor_is_no_changed_start() {
-    let settings = Settings::default();
     for (seed, position_noise_mm) in (40..46).zip([0.3, 0.4, 0.5].into_iter().cycle()) {
-        let mut drive = learned(seed, &settings);
+        let mut drive = learned(seed);
         let noisy = State { position_noise_mm, ..State::SOUND };
-        let events: Vec<_> = (0..60).flat_map(|_| drive.feed(noisy, &settings).events).collect();
+        let events = drive.events(60, noisy);
         assert_eq!(events, [], "{position_noise_mm} mm, seed {seed}");
     }
 }
@@ -91,13 +88,12 @@ fn a_noisy_position_sensor_is_no_changed_start() {
 /// The brake of a healthy machine is late by a time that scatters, and its friction follows the weather.
 #[test]
 fn a_start_that_always_scatters_is_normal() {
-    let settings = Settings::default();
     for seed in 0..3 {
         let (mut drive, mut rng) = (Drive::new(59_500 + seed, false), ChaCha8Rng::seed_from_u64(seed));
         for throw in 0..300 {
             let brake_s = 0.006 * (0.2 * normal(&mut rng)).exp();
             let friction = 1.0 + 0.05 * (f64::from(throw) / 30.0).sin();
-            let verdict = drive.feed(State { friction, brake_s, ..State::SOUND }, &settings);
+            let verdict = drive.feed(State { friction, brake_s, ..State::SOUND });
             assert!(!verdict.events.iter().any(is_about_the_start), "seed {seed}, throw {throw}: {:?}", verdict.events);
         }
     }
@@ -106,18 +102,17 @@ fn a_start_that_always_scatters_is_normal() {
 /// A late brake, and later a fault of a part: the part has a name, and explains the start from then on.
 #[test]
 fn the_alarm_about_the_start_ends_when_a_part_is_named() {
-    let settings = Settings::default();
     for (seed, fault, cause) in [
         (40, State { friction: 2.2, ..State::SOUND }, Cause::Friction),
         (41, State { torque: 0.7, back_emf: 0.7, ..State::SOUND }, Cause::Kt),
     ] {
-        let mut drive = learned(seed, &settings);
+        let mut drive = learned(seed);
         let late = State { brake_s: 0.02, ..State::SOUND };
-        let before: Vec<_> = (0..40).flat_map(|_| drive.feed(late, &settings).events).collect();
+        let before = drive.events(40, late);
         assert!(before.len() == 1 && is_about_the_start(&before[0]), "{before:?}");
         let (mut drifts, mut events) = (Vec::new(), Vec::new());
         for _ in 0..60 {
-            let verdict = drive.feed(State { brake_s: 0.02, ..fault }, &settings);
+            let verdict = drive.feed(State { brake_s: 0.02, ..fault });
             events.extend(verdict.events);
             drifts = verdict.present.drifts;
         }

@@ -32,7 +32,6 @@ impl Machines {
     }
 
     /// The settings of one machine.
-    #[must_use]
     pub fn of(&self, machine: &MachineId) -> &Settings {
         self.own.get(machine).unwrap_or(&self.default)
     }

@@ -193,7 +193,6 @@ impl Config {
     }
 
     /// Settings that are valid and have no effect.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let key = &self.subscribe.key;
         let served =
@@ -215,7 +214,7 @@ impl Config {
     /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         // First, as it explains what the type of zenoh does not.
-        section(document)?;
+        let section = section(document)?;
         let config: Self = document.deserialize()?;
         check_ranges(&config, document)?;
         check_peers(&config.monitor, document)?;
@@ -224,7 +223,7 @@ impl Config {
         config.webhook.check(document)?;
         check_log(&config.log, document)?;
         check_database_path(&config.store.path, document)?;
-        Ok(Self { machines, zenoh: checked_session(zenoh::MONITOR, document)?, ..config })
+        Ok(Self { machines, zenoh: checked_session(zenoh::MONITOR, section.as_ref(), document)?, ..config })
     }
 }
 
@@ -258,9 +257,6 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
-///
-/// # Errors
-/// The first error of this section.
 pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError> {
     #[derive(Deserialize)]
     struct Section {
@@ -333,29 +329,29 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     }
 }
 
-#[derive(Deserialize)]
-struct ZenohSection {
-    zenoh: Option<toml::Table>,
-}
-
+/// The `[zenoh]` section as it is in the file.
 fn section(document: &Document) -> Result<Option<toml::Table>, ConfigError> {
-    let section = document.deserialize::<ZenohSection>()?.zenoh;
-    section.iter().try_for_each(|section| zenoh::check_sides(section, document))?;
-    Ok(section)
+    #[derive(Deserialize)]
+    struct Section {
+        zenoh: Option<toml::Table>,
+    }
+    let Section { zenoh } = document.deserialize()?;
+    zenoh.iter().try_for_each(|section| zenoh::check_sides(section, document))?;
+    Ok(zenoh)
 }
 
-fn checked_session(kind: &str, document: &Document) -> Result<::zenoh::Config, ConfigError> {
-    let section = section(document)?;
-    let session = zenoh::session_config(kind, section.as_ref(), document)?;
-    section.iter().try_for_each(|section| zenoh::check(section, document)).map(|()| session)
+fn checked_session(
+    kind: &str,
+    section: Option<&toml::Table>,
+    document: &Document,
+) -> Result<::zenoh::Config, ConfigError> {
+    let session = zenoh::session_config(kind, section, document)?;
+    section.map_or(Ok(()), |section| zenoh::check(section, document)).map(|()| session)
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
-///
-/// # Errors
-/// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
-    checked_session(zenoh::CLIENT, document)
+    checked_session(zenoh::CLIENT, section(document)?.as_ref(), document)
 }
 
 #[cfg(test)]

@@ -29,13 +29,11 @@ impl MachineMonitor {
     }
 
     /// Whether the logger ever declared a token.
-    #[must_use]
     pub fn is_announced(&self) -> bool {
         self.operation.is_announced()
     }
 
     /// Whether neither a throw nor a token of a logger was ever received, as for the name of a daemon.
-    #[must_use]
     pub fn has_no_logger(&self) -> bool {
         self.order == 0 && !self.is_announced()
     }

@@ -84,14 +84,12 @@ impl Default for Version {
 
 impl MachineMonitor {
     /// A monitor without throws; `name` is the name of the machine in texts.
-    #[must_use]
     pub fn new(name: &str) -> Self {
         Self { name: name.into(), ..Self::default() }
     }
 
     /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
     /// program. It keeps this text, for a version that can.
-    #[must_use]
     pub fn instead_of(unread: String, name: &str) -> Self {
         Self { unread: Some(unread.into()), ..Self::new(name) }
     }
@@ -155,13 +153,11 @@ impl MachineMonitor {
     }
 
     /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
-    #[must_use]
     pub fn is_witness(&self) -> bool {
         !self.trail.is_empty()
     }
 
     /// Common change of machines with these monitors in the hours before `at`.
-    #[must_use]
     pub fn common<'a>(machines: impl Iterator<Item = &'a Self>, at: Timestamp) -> Common {
         site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
     }
@@ -306,19 +302,16 @@ impl MachineMonitor {
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
-    #[must_use]
     pub fn open_alarms(&self) -> Vec<AlarmEvent> {
         self.alarms.events().cloned().collect()
     }
 
     /// The drifts with an active alarm whose present size is known; named parts first, then the most severe.
-    #[must_use]
     pub fn drifts(&self) -> Vec<Drifting> {
         self.drift.now.iter().filter(|drifting| drifting.has_size()).copied().collect()
     }
 
     /// Sentences about what the monitor cannot show at present.
-    #[must_use]
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
@@ -339,13 +332,11 @@ impl MachineMonitor {
     }
 
     /// State, drifts and caveats.
-    #[must_use]
     pub fn present(&self) -> Present {
         Present { state: self.state(), drifts: self.drifts(), caveats: self.caveats() }
     }
 
     /// The state of the machine.
-    #[must_use]
     pub fn state(&self) -> MachineState {
         if self.maintenance.is_some() {
             return MachineState::Maintenance;
@@ -362,14 +353,12 @@ impl MachineMonitor {
     }
 
     /// Throws in the baseline of a direction, and throws that it needs.
-    #[must_use]
     pub fn baseline_progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         self.tracks.progress(direction, settings)
     }
 
     /// Throws in the baseline of each direction, and throws that it needs, while one of them is not complete. `None` for a
     /// machine whose baselines are complete, or which is monitored by its features only.
-    #[must_use]
     pub fn learning(&self, settings: &Settings) -> Option<[(usize, usize); 2]> {
         let progress = Direction::BOTH.map(|direction| self.baseline_progress(direction, settings));
         let by_features = self.features.is_monitoring() && !self.tracks.any_baseline();
@@ -378,13 +367,11 @@ impl MachineMonitor {
     }
 
     /// The baseline in use for a direction.
-    #[must_use]
     pub fn baseline(&self, direction: Direction) -> Option<BaselineRecord> {
         self.tracks.record(direction)
     }
 
     /// Evaluated throws of a direction since its baseline.
-    #[must_use]
     pub fn throws_since_baseline(&self, direction: Direction) -> u64 {
         self.tracks.since_baseline(direction)
     }

@@ -45,21 +45,18 @@ impl Row {
     }
 
     /// Mean errors of b0, a1, a0 \[%\]; `None` if every throw was rejected.
-    #[must_use]
     pub fn mean_pct(&self) -> Option<[f64; 3]> {
         let count = self.errors_pct.len() as f64;
         (count > 0.0).then(|| std::array::from_fn(|at| self.errors_pct.iter().map(|e| e[at]).sum::<f64>() / count))
     }
 
     /// Errors of largest magnitude of b0, a1, a0 \[%\]; `None` if every throw was rejected.
-    #[must_use]
     pub fn worst_pct(&self) -> Option<[f64; 3]> {
         let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
         self.errors_pct.iter().copied().reduce(|a, b| std::array::from_fn(|at| larger(a[at], b[at])))
     }
 
     /// Standard deviation of the errors over the throws \[%\]; `None` for fewer than three.
-    #[must_use]
     pub fn sd_pct(&self) -> Option<[f64; 3]> {
         let mean = self.mean_pct().filter(|_| self.errors_pct.len() > 2)?;
         let count = self.errors_pct.len() as f64;

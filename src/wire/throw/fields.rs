@@ -123,7 +123,6 @@ fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
 }
 
 /// Whether a text can be a `boot_id`.
-#[must_use]
 pub fn is_boot_id(text: &str) -> bool {
     (1..=MAX_BOOT_ID_BYTES).contains(&text.len()) && !text.chars().any(char::is_control)
 }

@@ -28,7 +28,6 @@ pub enum Encoding {
 impl Encoding {
     /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
     /// many clients do not set: no CBOR map begins with this byte.
-    #[must_use]
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
         if first == Some(&b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
@@ -84,7 +83,6 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
 }
 
 /// Boot and number in a message that is no valid throw, if it has both.
-#[must_use]
 pub fn throw_id(encoding: Encoding, payload: &[u8]) -> Option<ThrowRef> {
     let (boot_id, throw_no) = match encoding {
         Encoding::Cbor => {
@@ -111,7 +109,6 @@ fn value<'a>(text: &'a str, name: &str) -> Option<&'a str> {
 
 /// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal
 /// numbers.
-#[must_use]
 pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
     match encoding {
         Encoding::Cbor => cbor::encode(throw),

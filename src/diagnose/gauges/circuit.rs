@@ -1,0 +1,126 @@
+//! The circuit of the motor: errors of the published voltage, the back-EMF without them, and the resistance.
+
+use super::{
+    gauge::{Gauge, heat},
+    levels::{Gauges, Level},
+};
+use crate::diagnose::threshold::WINDOWS;
+
+/// Largest temperature of a winding above the air \[K\]: in a yard with a throw every few minutes. The limit of its
+/// insulation is 80 K.
+const HEATED_K: f64 = 60.0;
+/// Largest temperature of the air above that of the baseline \[K\], where it is not measured.
+const WEATHER_K: f64 = 30.0;
+/// Least reported error of a published voltage, as a logarithm.
+const VOLTAGE_ERROR: f64 = 0.08;
+/// Least significance of such an error \[standard deviations\].
+const VOLTAGE_ERROR_SD: f64 = 4.0;
+/// Largest difference of two changes that are the same, as part of them.
+const ALIKE: f64 = 0.5;
+/// Significance of a shorter duration, in standard deviations.
+const SHORTER_SD: f64 = 3.0;
+/// Significance of a changed resistance, in standard deviations of a level.
+const CIRCUIT_SD: f64 = 4.0;
+/// Largest change of the logarithm of the resistance with the delay of the start \[1/ms\]: a soft drive that very dry chairs
+/// wind up delays the toe by 25 ms or more, and unwinds while the resistance is measured, which changes it by 0.25. Play, lost
+/// motion and a late position change it by 0.1 at most.
+const OHMS_OF_DELAY: f64 = 0.01;
+/// Least change of the inrush with the resistance, as logarithms: the inductance of an armature limits it, to 0.33 to 0.5 on an
+/// independent drive of 20 mH.
+const INRUSH_OF_OHMS: f64 = 0.15;
+/// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
+const CIRCUIT_UNCERTAINTY: f64 = 0.4;
+
+/// Change of the back-EMF of the motor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::diagnose) struct BackEmf {
+    pub(in crate::diagnose) level: Level,
+    /// Whether it is only that of the duration, which less friction shortens too.
+    pub(in crate::diagnose) of_duration: bool,
+}
+
+impl BackEmf {
+    /// The change, if it is not only that of the duration.
+    pub(in crate::diagnose) fn of_motor(self) -> Option<Level> {
+        (!self.of_duration).then_some(self.level)
+    }
+}
+
+/// Change of the resistance between supply and motor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::diagnose) struct Circuit {
+    pub(in crate::diagnose) level: Level,
+    /// Size relative to what heat explains, and to the scatter.
+    pub(in crate::diagnose) size: f64,
+    /// Whether it may be something else that changed, as the motor, the play or the position sensor.
+    pub(in crate::diagnose) is_doubtful: bool,
+}
+
+impl Gauges {
+    /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
+    /// and the no-load speed is not: the voltage changed, and the speed did not follow. A voltage that is not changed, but
+    /// should be, as with a sensor that is stuck, has the same error in both too, beyond what heat does to a resistance.
+    /// Weaker magnets do not change the resistance, and draw more current; a motor with another winding too. The level is
+    /// that of the last few throws; the longer window must show it too.
+    pub(in crate::diagnose) fn voltage_error(&self) -> Option<Level> {
+        self.voltage_error_in(WINDOWS[1]).and_then(|_| self.voltage_error_in(WINDOWS[0]))
+    }
+
+    /// [`Self::voltage_error`] over the last `throws`.
+    pub(in crate::diagnose) fn voltage_error_in(&self, throws: usize) -> Option<Level> {
+        let level = |gauge| self.level(gauge, throws);
+        let (back_emf, ohms, volts) = (level(Gauge::BackEmf)?, level(Gauge::Resistance)?, level(Gauge::Volts)?);
+        let is_like = |of: f64, sd: f64| (of - back_emf.value).abs() < ALIKE * back_emf.value.abs() + sd;
+        let size = back_emf.value.abs();
+        let is_shown = error_size(back_emf, ohms) > 1.0 && is_like(ohms.value, 0.0);
+        let is_alone = is_like(volts.value, volts.sd) || size.min(ohms.value.abs()) > heat(HEATED_K + WEATHER_K);
+        let running = level(Gauge::Running).map_or(0.0, |running| running.value.abs() - running.sd);
+        (is_shown && is_alone && running < ALIKE * size).then_some(back_emf)
+    }
+
+    /// Size of the back-EMF, in which an error of the voltage shows, relative to the least error that is named; `None` if it
+    /// is unknown.
+    pub(in crate::diagnose) fn voltage_error_size(&self) -> Option<f64> {
+        let [back_emf, ohms] = [Gauge::BackEmf, Gauge::Resistance].map(|gauge| self.level(gauge, WINDOWS[0]));
+        Some(error_size(back_emf?, ohms?))
+    }
+
+    /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
+    /// a stroke that unlocks, from a shorter duration.
+    pub(in crate::diagnose) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
+        let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
+        let of_constant = self.level(Gauge::BackEmf, throws).filter(|_| self.voltage_error().is_none());
+        let shown = of_constant.or_else(of_speed);
+        let of_duration = || self.level(Gauge::Duration, throws).filter(|level| level.value < -SHORTER_SD * level.sd);
+        let level = shown.or_else(of_duration)?;
+        Some(BackEmf { level, of_duration: shown.is_none() })
+    }
+
+    /// Change of the resistance between supply and motor that heat does not explain; `knows_weather`: the resistance is
+    /// known at the temperature of the air. The level is that of the last few throws; the longer window must show it too, so
+    /// that a single throw does not. A wrong voltage explains it. `None` if it is unknown.
+    pub(in crate::diagnose) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
+        let (level, longer) = (self.level(Gauge::Resistance, WINDOWS[0])?, self.level(Gauge::Resistance, WINDOWS[1])?);
+        let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
+        let is_motor =
+            self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
+        let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
+        let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
+        // The inrush, V/R at most, follows the resistance, and not an error of the position, from which the resistance is computed.
+        let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
+        let is_inrush_as_before = volts.zip(inrush).is_some_and(|(volts, inrush)| {
+            let lower = (volts.value - inrush.value) * longer.value.signum();
+            lower < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
+        });
+        // An elastic drive turns otherwise than the toe.
+        let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
+        let is_idle = idle > ALIKE * level.value.abs();
+        let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
+        is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle || is_inrush_as_before })
+    }
+}
+
+/// Size of an error of the voltage relative to the least one that is named.
+fn error_size(back_emf: Level, ohms: Level) -> f64 {
+    back_emf.value.abs() / VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd))
+}

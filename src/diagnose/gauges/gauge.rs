@@ -1,0 +1,94 @@
+//! The gauges, and their values in a throw.
+
+use crate::estimate::Features;
+
+/// A quantity of a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::diagnose) enum Gauge {
+    Travel,
+    BackEmf,
+    Resistance,
+    Duration,
+    Volts,
+    /// The largest current, about the supply voltage over the resistance.
+    Inrush,
+    /// The mean current from the half to nine tenths of the time of the motor.
+    Running,
+    /// The integral of the current; the energy of the motor over the supply voltage.
+    Charge,
+    /// Supply voltage over back-EMF constant, known without the supply voltage.
+    NoLoadSpeed,
+    /// Delay of the start \[ms\], as a difference and not as a logarithm, as it has either sign.
+    StartDelay,
+    /// b0 of the start alone.
+    StartGain,
+    /// Mean current at rest \[A\], as a difference and not as a logarithm, as it has either sign.
+    Rest,
+    /// Middle between the positions at the begin and at the end \[mm\], as a difference: it shifts with the sensor's zero.
+    Middle,
+    /// Published temperature \[°C\], as a difference.
+    Air,
+}
+
+/// Logarithms of a throw; `None` for unknown ones.
+pub(super) type Values = [Option<f32>; Gauge::COUNT];
+
+/// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
+const COPPER: (f64, f64) = (0.0039, 20.0);
+
+impl Gauge {
+    pub(super) const COUNT: usize = 14;
+
+    /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
+    pub(in crate::diagnose) fn floor(self) -> f64 {
+        match self {
+            Self::Travel => 0.003,
+            Self::BackEmf => 0.005,
+            Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
+            Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
+            Self::StartDelay | Self::Middle => 0.2,
+            Self::Air => 0.0,
+        }
+    }
+
+    /// Sign of the change with the field of the magnets; 0 without one.
+    pub(super) fn sign_of_magnets(self) -> f64 {
+        match self {
+            Self::BackEmf => 1.0,
+            Self::NoLoadSpeed => -1.0,
+            _ => 0.0,
+        }
+    }
+}
+
+/// Change of the logarithm of a resistance by a temperature.
+pub(super) fn heat(kelvin: f64) -> f64 {
+    (COPPER.0 * kelvin).ln_1p()
+}
+
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle \[mm\]
+/// and the temperature \[°C\].
+pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
+    let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
+    let ln = |value: Option<f64>| value.map(f64::ln);
+    let shown = [
+        ln(features.travel_mm),
+        ln(features.back_emf_v_s_per_rad),
+        ln(features.resistance_ohm.map(|ohm| ohm / warm)),
+        ln(features.duration_s),
+        ln(features.supply_v),
+        ln(features.peak_current_a),
+        ln(features.running_current_a),
+        ln(features.charge_as),
+        ln(features.no_load_speed_rad_per_s),
+        features.start_delay_s.map(|delay_s| 1e3 * delay_s),
+        ln(features.start_gain),
+        features.quiet_current_a,
+        features.start_position_mm.zip(features.end_position_mm).map(|(start, end)| f64::midpoint(start, end)),
+        celsius,
+    ];
+    // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
+    #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
+    let rounded = |value: f64| ((1e4 * value).round() / 1e4) as f32;
+    shown.map(|value| value.map(rounded).filter(|value| value.is_finite()))
+}

@@ -1,0 +1,296 @@
+//! The gauges of a machine: its last throws against the normal values.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    gauge::{Gauge, Values, values},
+    normal::{Normal, sd_of_mean},
+};
+use crate::{
+    diagnose::{
+        last::Last,
+        robust::{median, moving_range_sd},
+        threshold::WINDOWS,
+    },
+    estimate::Features,
+    throw::Direction,
+};
+
+/// Largest number of throws of both directions in a level.
+const RECENT: usize = WINDOWS[2];
+/// Relative error of an expected effect on a gauge.
+const EXPECTED_ERROR: f64 = 0.15;
+/// Change of the field of a magnet with its temperature \[1/K\], and its standard deviation: -0.2 % per K for ferrite, -0.1 % for
+/// rare earths, hardly any for Alnico and for a wound field. The air is the magnet's temperature, as a throw warms the winding.
+const MAGNETS: (f64, f64) = (-0.001, 0.0006);
+/// Largest change of running current and charge of a usual current, as logarithms: that of the weather.
+const USUAL_CURRENT: f64 = 0.15;
+
+/// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::diagnose) struct Level {
+    pub(in crate::diagnose) value: f64,
+    pub(in crate::diagnose) sd: f64,
+}
+
+impl Level {
+    /// Misfit to an expected value, at most `most`, so that a change for another reason does not decide alone.
+    pub(in crate::diagnose) fn misfit(self, expected: f64, most: f64) -> f64 {
+        ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
+    }
+}
+
+/// A changed gauge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::diagnose) struct Change {
+    pub(in crate::diagnose) gauge: Gauge,
+    /// Median change of the last throws, as a logarithm, and its standard deviation.
+    pub(in crate::diagnose) size: f64,
+    pub(in crate::diagnose) size_sd: f64,
+}
+
+/// Direction and gauges of a throw. Snapshots have the values of the known gauges only.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(u16, Vec<f32>)", into = "(u16, Vec<f32>)")]
+struct Shown {
+    /// The direction in bit 0, and whether gauge `at` is known in bit `at + 1`.
+    bits: u16,
+    /// Values of the gauges, 0 for unknown ones.
+    values: [f32; Gauge::COUNT],
+}
+
+impl Shown {
+    fn new(side: usize, values: Values) -> Self {
+        let bits = (0..Gauge::COUNT).filter(|at| values[*at].is_some()).fold(side, |bits, at| bits | (2 << at));
+        Self { bits: u16::try_from(bits).unwrap_or_default(), values: values.map(Option::unwrap_or_default) }
+    }
+
+    fn side(self) -> usize {
+        usize::from(self.bits & 1)
+    }
+
+    fn value(self, gauge: Gauge) -> Option<f32> {
+        is_known(self.bits, gauge as usize).then(|| self.values[gauge as usize])
+    }
+}
+
+fn is_known(bits: u16, at: usize) -> bool {
+    bits & (2 << at) != 0
+}
+
+impl From<(u16, Vec<f32>)> for Shown {
+    fn from((bits, known): (u16, Vec<f32>)) -> Self {
+        let mut known = known.into_iter();
+        let mut value = |at| if is_known(bits, at) { known.next() } else { None };
+        Self { bits, values: std::array::from_fn(|at| value(at).unwrap_or_default()) }
+    }
+}
+
+impl From<Shown> for (u16, Vec<f32>) {
+    fn from(Shown { bits, values }: Shown) -> Self {
+        (bits, (0..Gauge::COUNT).filter(|at| is_known(bits, *at)).map(|at| values[at]).collect())
+    }
+}
+
+/// The gauges of one machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(in crate::diagnose) struct Gauges {
+    pub(super) sides: [Normal; 2],
+    /// The last throws, the newest last.
+    recent: Last<Shown, RECENT>,
+}
+
+impl Gauges {
+    /// Adds a throw; that of a `suspicious` machine is not used for the normal values.
+    pub(in crate::diagnose) fn push(
+        &mut self,
+        direction: Direction,
+        features: &Features,
+        celsius: Option<f64>,
+        suspicious: bool,
+    ) {
+        let (side, values) = (direction.side(), values(features, celsius));
+        if !suspicious {
+            self.sides[side].learn(values);
+        }
+        self.recent.push(Shown::new(side, values));
+    }
+
+    /// Throws from which the normal duration of a direction is learned so far, and those that it needs.
+    pub(in crate::diagnose) fn progress(&self, direction: Direction) -> (usize, usize) {
+        self.sides[direction.side()].progress(Gauge::Duration)
+    }
+
+    /// Departures of some gauges of this throw from normal that its supply does not explain, as logarithms, with the
+    /// standard deviation of one throw; `None` if the gauge or its normal value is unknown.
+    pub(in crate::diagnose) fn unexplained<const N: usize>(
+        &self,
+        gauges: [Gauge; N],
+        direction: Direction,
+        features: &Features,
+        celsius: Option<f64>,
+    ) -> [Option<(f32, f32)>; N] {
+        let (normal, values) = (&self.sides[direction.side()], values(features, celsius));
+        let supplied = normal.supplied(&values);
+        gauges.map(|gauge| {
+            let (centre, sd) = normal.of(gauge)?;
+            let change = values[gauge as usize]? - centre;
+            let [from, to] = supplied.range(gauge);
+            Some((change - change.clamp(from, to), sd))
+        })
+    }
+
+    /// Whether the current of a throw is as in a normal one: it is as large, and flows as long.
+    pub(in crate::diagnose) fn is_usual_current(
+        &self,
+        direction: Direction,
+        features: &Features,
+        celsius: Option<f64>,
+    ) -> bool {
+        let changes = self.unexplained([Gauge::Running, Gauge::Charge], direction, features, celsius);
+        changes.iter().all(|change| change.is_some_and(|(change, _)| f64::from(change.abs()) < USUAL_CURRENT))
+    }
+
+    /// Level of a gauge over the last `throws` that show it, without the effect of the temperature on magnets: their mean, or in
+    /// the shortest window their median; `None` if hardly any do, or its normal value is unknown.
+    pub(in crate::diagnose) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+        let departures = self.departures(gauge, throws)?;
+        let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
+        let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
+        // The median has the whole size of a change as soon as most of the throws show it.
+        let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
+        let of_magnets = gauge.sign_of_magnets();
+        let warmer_k =
+            if of_magnets == 0.0 { 0.0 } else { self.level(Gauge::Air, throws).map_or(0.0, |air| air.value) };
+        Some(Level { value: value - of_magnets * MAGNETS.0 * warmer_k, sd: sd.hypot(MAGNETS.1 * warmer_k) })
+    }
+
+    /// The same, with the scatter of these throws if it is larger than normal, as behind a sensor that has become noisy.
+    pub(in crate::diagnose) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+        let (level, departures) = (self.level(gauge, throws)?, self.departures(gauge, throws)?);
+        // The directions may change otherwise.
+        let of = |side: usize| {
+            let own = departures.iter().filter(|(of, ..)| *of == side);
+            own.map(|(_, value, _)| *value).collect::<Vec<_>>()
+        };
+        let sd = sd_of_mean(gauge, moving_range_sd(&[of(0), of(1)]), departures.len() as f64);
+        Some(Level { sd: level.sd.max(sd), ..level })
+    }
+
+    /// Side, departure from normal, and standard deviation of one throw, of the last `throws` that show a gauge, newest first;
+    /// `None` if hardly any do, or its normal value is unknown.
+    fn departures(&self, gauge: Gauge, throws: usize) -> Option<Vec<(usize, f64, f64)>> {
+        let departure = |shown: &Shown| {
+            let (centre, sd) = self.sides[shown.side()].of(gauge)?;
+            Some((shown.side(), f64::from(shown.value(gauge)? - centre), f64::from(sd)))
+        };
+        let departures: Vec<_> = self.recent.iter().rev().filter_map(departure).take(throws).collect();
+        // The throws of one direction may all be without it.
+        let are_enough = !departures.is_empty() && 2 * departures.len() >= throws.min(self.recent.len());
+        are_enough.then_some(departures)
+    }
+
+    /// Normal values of a gauge in the directions in which it is known.
+    pub(super) fn normals(&self, gauge: Gauge) -> impl Iterator<Item = f64> {
+        self.sides.iter().filter_map(move |side| side.of(gauge)).map(|(centre, _)| f64::from(centre))
+    }
+
+    /// Largest normal delay of the start \[ms\]: that of an unlocking stroke, or of play and an elastic drive.
+    pub(in crate::diagnose) fn normal_delay_ms(&self) -> f64 {
+        self.normals(Gauge::StartDelay).map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// Deletes the last throws.
+    pub(in crate::diagnose) fn forget_recent(&mut self) {
+        self.recent.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::gauges::normal::LEARNED;
+
+    const NORMAL: Direction = Direction::NormalToReverse;
+
+    /// 5 A through 0.9 Ω take 4.5 of 36 V, so the speed follows V - 4.5 V.
+    fn features(supply_v: f64, duration_s: f64, resistance_ohm: Option<f64>) -> Features {
+        Features {
+            supply_v: Some(supply_v),
+            duration_s: Some(duration_s),
+            resistance_ohm,
+            running_current_a: Some(5.0),
+            peak_current_a: Some(30.0),
+            ..Features::default()
+        }
+    }
+
+    #[test]
+    fn the_field_of_magnets_follows_a_published_temperature() {
+        let learned = |celsius: Option<f64>| {
+            let mut gauges = Gauges::default();
+            for _ in 0..LEARNED.1 {
+                let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(0.9)) };
+                gauges.push(NORMAL, &features, celsius, false);
+            }
+            gauges
+        };
+        for per_k in [0.0_f64, -0.001, -0.002] {
+            let mut gauges = learned(Some(0.0));
+            for _ in 0..WINDOWS[1] {
+                let warm = Features { back_emf_v_s_per_rad: Some(4.0 * (1.0 + 25.0 * per_k)), ..Features::default() };
+                gauges.push(NORMAL, &warm, Some(25.0), false);
+            }
+            let level = gauges.level(Gauge::BackEmf, WINDOWS[1]).unwrap();
+            assert!(level.value.abs() < 2.0 * level.sd && level.sd < 0.03, "{per_k} per K: {level:?}");
+        }
+        let mut gauges = learned(None);
+        gauges.push(NORMAL, &Features { back_emf_v_s_per_rad: Some(3.8), ..Features::default() }, None, false);
+        let level = gauges.level(Gauge::BackEmf, WINDOWS[0]).unwrap();
+        assert!(level.sd < 0.01, "without a temperature nothing is known about its effect: {level:?}");
+    }
+
+    #[test]
+    fn a_resistance_that_scatters_much_is_not_judged() {
+        for (scatter, is_judged) in [(0.02_f64, true), (0.3, false)] {
+            let mut gauges = Gauges::default();
+            let mut push = |ohm: f64| {
+                let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(ohm)) };
+                gauges.push(NORMAL, &features, None, false);
+            };
+            for at in 0..LEARNED.1 {
+                push(0.9 * if at % 2 == 0 { scatter.exp() } else { (-scatter).exp() });
+            }
+            for _ in 0..WINDOWS[1] {
+                push(18.0);
+            }
+            assert_eq!(gauges.circuit(true).is_some_and(|circuit| circuit.size > 1.0), is_judged, "{scatter}");
+        }
+    }
+
+    #[test]
+    fn a_voltage_explains_a_duration_up_to_that_of_the_back_emf() {
+        for (ohm, longest) in
+            [(Some(0.9), (36.0 - 4.5) / (30.0 - 4.5)), (None, (1.0 - 5.0 / 30.0) / (30.0 / 36.0 - 5.0 / 30.0))]
+        {
+            let mut gauges = Gauges::default();
+            for _ in 0..LEARNED.0 {
+                gauges.push(NORMAL, &features(36.0, 7.0, ohm), None, false);
+            }
+            for (factor, rest) in [
+                (1.0, 0.0),
+                (longest, 0.0),
+                (1.2 * longest, 1.2_f64.ln()),
+                // A shorter throw is not the effect of a lower voltage.
+                (0.9, 0.9_f64.ln()),
+            ] {
+                let throw = features(30.0, 7.0 * factor, ohm);
+                let [found] = gauges.unexplained([Gauge::Duration], NORMAL, &throw, None);
+                let found = f64::from(found.unwrap().0);
+                assert!((found - rest).abs() < 1e-3, "{ohm:?}, {factor}: {found}");
+            }
+        }
+    }
+}

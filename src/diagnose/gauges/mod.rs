@@ -1,0 +1,17 @@
+//! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
+//! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature). Each is used as the
+//! logarithm of its ratio to the normal value of the direction; delay of the start, current at rest, middle and temperature as a
+//! difference. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes
+//! the two.
+
+mod circuit;
+mod gauge;
+mod levels;
+mod normal;
+mod offset;
+
+pub(super) use circuit::{BackEmf, Circuit};
+pub(super) use gauge::Gauge;
+pub(super) use levels::{Change, Gauges, Level};
+pub(super) use normal::sd_of_mean;
+pub(super) use offset::Offset;

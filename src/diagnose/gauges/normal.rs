@@ -1,0 +1,116 @@
+//! The normal values of the gauges in a direction, and what a changed supply does to them.
+
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::gauge::{Gauge, Values};
+use crate::diagnose::robust::{centre_and_sd, skewed_sd};
+
+/// The normal value of a gauge in a direction is used from the first number of values on, and fixed from the second.
+pub(super) const LEARNED: (usize, usize) = (12, 24);
+/// Largest part of the normal voltage across the resistance: more would be a motor near its stall.
+const LARGEST_SHARE: f32 = 0.6;
+/// Least speed that a supply leaves, as part of the normal one; it bounds a logarithm.
+const LEAST_SPEED: f32 = 0.1;
+/// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
+/// correlation of 0.5.
+const CORRELATED: f64 = 1.7;
+
+/// Normal values of a direction: centre and standard deviation of each gauge.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Normal {
+    /// Values of each gauge for learning; empty if there are none.
+    learned: Vec<Vec<f32>>,
+    #[serde(deserialize_with = "padded")]
+    known: [Option<(f32, f32)>; Gauge::COUNT],
+}
+
+/// Reads the normal values. The list is shorter in snapshots of a version with fewer gauges.
+fn padded<'de, D: Deserializer<'de>>(from: D) -> Result<[Option<(f32, f32)>; Gauge::COUNT], D::Error> {
+    let known = Vec::deserialize(from)?;
+    Ok(std::array::from_fn(|at| known.get(at).copied().flatten()))
+}
+
+/// Changes of a throw by its supply, as logarithms.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Supplied {
+    /// By how much the motor is slower.
+    slower: f32,
+    /// Change of the inrush, V/R.
+    inrush: f32,
+}
+
+impl Supplied {
+    /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
+    /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
+    pub(super) fn range(self, gauge: Gauge) -> [f32; 2] {
+        let Self { slower, inrush } = self;
+        let [from, to] = match gauge {
+            Gauge::Duration => [0.0, slower],
+            Gauge::Running => [0.0, -slower],
+            Gauge::Charge => [inrush, slower],
+            _ => [0.0, 0.0],
+        };
+        [from.min(to).min(0.0), from.max(to).max(0.0)]
+    }
+}
+
+impl Normal {
+    /// Centre and standard deviation of a gauge.
+    pub(super) fn of(&self, gauge: Gauge) -> Option<(f32, f32)> {
+        self.known[gauge as usize]
+    }
+
+    /// Throws from which the normal value of a gauge is learned so far, and those that it needs.
+    pub(super) fn progress(&self, gauge: Gauge) -> (usize, usize) {
+        let so_far = || self.learned.get(gauge as usize).map_or(0, Vec::len);
+        (if self.of(gauge).is_some() { LEARNED.0 } else { so_far() }, LEARNED.0)
+    }
+
+    /// How much slower supply voltage and resistance of a throw make the motor, as a logarithm. The speed is (V - R i)/K; of the
+    /// normal voltage the resistance takes the part s = R i/V, so the speed changes by (V/V0 - s R/R0)/(1 - s). The current
+    /// is the normal one, as before a dry load; before a viscous load it follows the speed, and the change is smaller. If
+    /// the resistance is unknown, the inrush, at most V/R, gives an upper bound of s. No change if the voltage is unknown.
+    pub(super) fn supplied(&self, values: &Values) -> Supplied {
+        let change = |gauge: Gauge| Some(values[gauge as usize]? - self.of(gauge)?.0);
+        let centre = |gauge: Gauge| self.of(gauge).map(|(centre, _)| centre);
+        let of_resistance = || Some(centre(Gauge::Resistance)? + centre(Gauge::Running)? - centre(Gauge::Volts)?);
+        let of_inrush = || Some(centre(Gauge::Running)? - centre(Gauge::Inrush)?);
+        let share = of_resistance().or_else(of_inrush).map_or(0.0, f32::exp).min(LARGEST_SHARE);
+        change(Gauge::Volts).map_or(Supplied::default(), |volts| {
+            let ohms = change(Gauge::Resistance).unwrap_or_default();
+            let speed = ((volts.exp() - share * ohms.exp()) / (1.0 - share)).max(LEAST_SPEED);
+            Supplied { slower: -speed.ln(), inrush: volts - ohms }
+        })
+    }
+
+    pub(super) fn learn(&mut self, values: Values) {
+        for (at, value) in values.into_iter().enumerate() {
+            let is_final = self.known[at].is_some() && self.learned.get(at).is_none_or(Vec::is_empty);
+            let Some(value) = value.filter(|_| !is_final) else { continue };
+            self.learned.resize(Gauge::COUNT, Vec::new());
+            let learned = &mut self.learned[at];
+            learned.push(value);
+            if learned.len() >= LEARNED.0 {
+                let values: Vec<f64> = learned.iter().copied().map(f64::from).collect();
+                let (centre, sd) = centre_and_sd(&values);
+                // Without a toe sensor, at 25 Hz, half of the throws have no sample of the inrush in their charge.
+                let sd = sd.max(skewed_sd(&values, centre));
+                #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
+                let known = (centre as f32, sd as f32);
+                self.known[at] = Some(known);
+            }
+            if learned.len() >= LEARNED.1 {
+                *learned = Vec::new();
+            }
+        }
+        if self.learned.iter().all(Vec::is_empty) {
+            self.learned = Vec::new();
+        }
+    }
+}
+
+/// Standard deviation of the mean departure of `count` throws from the normal value of `gauge`; `sd` is that of one
+/// throw.
+pub(in crate::diagnose) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
+    (CORRELATED * sd * (1.0 / count + 1.0 / LEARNED.0 as f64).sqrt()).hypot(gauge.floor())
+}
