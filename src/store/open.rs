@@ -23,7 +23,6 @@ use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_interrupted},
     files::DatabaseFiles,
-    read_only,
     salvage::{PARTS, Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
@@ -228,24 +227,13 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Refuses a database of another version, for commands that only read it: their queries need every migration.
-pub(crate) async fn refuse_other_version(path: &Path) -> Result<(), StoreError> {
-    let mut connection = read_only::connect(path).await?;
-    let versions = async { Ok((needed(&mut connection).await?, applied(&mut connection).await?)) };
-    let (needed, applied) = versions.await.map_err(StoreError::read)?;
-    refuse_newer(path, needed)?;
-    // Without any migration it is no database of pointsd.
-    let is_older = !applied.is_empty() && !applied.contains(&newest_known());
-    if is_older { Err(StoreError::Older { path: path.to_owned() }) } else { Ok(()) }
-}
-
-fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
+pub(super) fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
     let known = newest_known();
     if needed > known { Err(StoreError::TooNew { path: path.to_owned(), needed, known }) } else { Ok(()) }
 }
 
 /// Oldest schema version that may use the database: see [`migrator`].
-async fn needed(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
+pub(super) async fn needed(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
     sqlx::query_scalar("PRAGMA user_version").fetch_one(connection).await
 }
 
@@ -356,7 +344,7 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Res
 }
 
 /// Newest migration of this program.
-fn newest_known() -> i64 {
+pub(super) fn newest_known() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
 
@@ -370,7 +358,7 @@ fn migrator() -> Migrator {
 }
 
 /// Versions of the applied migrations.
-async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
+pub(super) async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
     if !has_table(connection, "_sqlx_migrations").await? {
         return Ok(Vec::new());
     }

@@ -51,6 +51,17 @@ pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
     }
 }
 
+/// Refuses a database of another version, for commands that only read it: their queries need every migration.
+pub(crate) async fn refuse_other_version(path: &Path) -> Result<(), StoreError> {
+    let mut connection = connect(path).await?;
+    let versions = async { Ok((open::needed(&mut connection).await?, open::applied(&mut connection).await?)) };
+    let (needed, applied) = versions.await.map_err(StoreError::read)?;
+    open::refuse_newer(path, needed)?;
+    // Without any migration it is no database of pointsd.
+    let is_older = !applied.is_empty() && !applied.contains(&open::newest_known());
+    if is_older { Err(StoreError::Older { path: path.to_owned() }) } else { Ok(()) }
+}
+
 /// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
 /// `columns` is called with the names before the rows of each statement, also without rows.
 ///

@@ -407,13 +407,14 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
         let widest = text.lines().map(|line| line.chars().count()).max().unwrap();
         assert!(widest <= 80 || arguments.contains(&"--json"), "{arguments:?} is {widest} wide: {text}");
     }
-    let mut watch =
-        pointsd(&["status", "--watch", "--connect", &daemon.endpoint]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut watch = pointsd(&["status", "--watch", "--connect", &daemon.endpoint]);
+    let mut watch = watch.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut start = [0; 7];
+    // The pipe is closed after the first line.
     watch.stdout.take().unwrap().read_exact(&mut start).unwrap();
-    watch.kill().unwrap();
-    watch.wait().unwrap();
-    assert_eq!(&start, b"\x1b[H\x1b[2J", "--watch clears the terminal");
+    let output = watch.wait_with_output().unwrap();
+    assert_eq!(&start, b"fleet/a", "--watch clears terminals only");
+    assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
     let text = daemon.says(1, &["alarms", "--check"]);
     assert!(text.contains("now -") && text.contains("(95 %)") && text.contains("not acknowledged"), "{text}");
     let arguments = ["shelve", "north/machine-1", "motor", "--for", "3d", "--why", "parts ordered", "--by", "tester"];
