@@ -27,6 +27,8 @@ const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "droppe
 /// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: some
 /// hundred rows, a step, are at most some seconds of reading from flash.
 const COPY_HANGS: Duration = Duration::from_secs(30);
+/// Time in which the loops that waited for a copy show a heartbeat again.
+const AFTER_COPY: Duration = Duration::from_secs(5);
 
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray)]
@@ -144,9 +146,9 @@ impl Disk {
         *self.copied.lock() = Some(Instant::now());
     }
 
-    /// Records the end of a copy of the database.
+    /// Records the end of a copy of the database, which counts until the loops that waited for it work again.
     pub(super) fn end_copying(&self) {
-        *self.copied.lock() = None;
+        *self.copied.lock() = Instant::now().checked_sub(COPY_HANGS.saturating_sub(AFTER_COPY));
     }
 
     /// Whether a copy of the database made progress in the last 30 s.
