@@ -144,7 +144,8 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
         caveats.iter().try_for_each(output::line)
     };
-    output::after(print(), result)
+    // With --watch a closed pipe ends the command.
+    if arguments.watch { print().map(|()| result) } else { output::after(print(), result) }
 }
 
 /// A sentence about each machine that several daemons serve: both publish its alarms, and no command reaches it.

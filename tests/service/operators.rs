@@ -387,12 +387,19 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     }
 }
 
-/// A closed pipe ends the command without an error.
+/// A closed pipe ends the command without an error, and without a change of its result.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     let (rig, daemon) = daemon_with_alarm("a", "");
     daemon.until_status("the states of the machines", |status| status["machines"]["critical"] == 1).await;
-    for arguments in [&["status"][..], &["alarms"], &["alarms", "--json"], &["alarms", "--since", "2026-01-01"]] {
+    let commands: [(&[&str], i32); 5] = [
+        (&["status"], 1),
+        (&["alarms"], 0),
+        (&["alarms", "--check"], 1),
+        (&["alarms", "--json"], 0),
+        (&["alarms", "--since", "2026-01-01"], 0),
+    ];
+    for (arguments, result) in commands {
         let mut child = pointsd(arguments)
             .args(["--connect", &daemon.endpoint])
             .stdout(Stdio::piped())
@@ -402,7 +409,7 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();
         assert!(output.stderr.is_empty(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-        assert_eq!(output.status.code(), Some(0), "{arguments:?}");
+        assert_eq!(output.status.code(), Some(result), "{arguments:?}");
         let (_, text) = daemon.operate(arguments);
         let widest = text.lines().map(|line| line.chars().count()).max().unwrap();
         assert!(widest <= 80 || arguments.contains(&"--json"), "{arguments:?} is {widest} wide: {text}");
