@@ -85,12 +85,18 @@ pub struct Answers {
 
 impl Answers {
     /// The messages, if no daemon replied with an error.
+    ///
+    /// # Errors
+    /// The first error of a daemon.
     pub fn complete(self) -> Result<Vec<(String, Vec<u8>)>, OperatorError> {
         self.errors.into_iter().next().map_or(Ok(self.messages), Err)
     }
 }
 
 /// Queries all daemons.
+///
+/// # Errors
+/// When zenoh refuses the query.
 pub async fn ask(
     session: &Session,
     selector: &str,

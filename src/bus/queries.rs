@@ -74,6 +74,9 @@ pub struct Questions {
 
 impl Questions {
     /// Declares the queryable.
+    ///
+    /// # Errors
+    /// When zenoh refuses the key expression.
     pub async fn declare(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let (sender, waiting) = mpsc::channel(QUEUE);
         let dropped = Arc::<AtomicU64>::default();

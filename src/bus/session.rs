@@ -21,6 +21,9 @@ pub(crate) fn is_client(config: &Config) -> bool {
 }
 
 /// Opens a zenoh session. A client waits for its router, and logs that it does; dropping the future ends the wait.
+///
+/// # Errors
+/// When zenoh cannot listen or connect as configured.
 pub async fn open(config: Config) -> Result<Session, BusError> {
     let is_client = is_client(&config);
     let routers = config.get_json("connect/endpoints").unwrap_or_default();

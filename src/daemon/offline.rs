@@ -66,6 +66,9 @@ impl Offline {
 
     /// Stores a throw, received at this time, and judges after every `GROUP`. Returns the result of storing it, and the
     /// throws judged now.
+    ///
+    /// # Errors
+    /// When the database cannot be written to.
     pub async fn take(
         &mut self,
         machine: &MachineId,
@@ -79,17 +82,26 @@ impl Offline {
     }
 
     /// Whether the database has a throw with this number of a machine.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn has(&self, machine: &MachineId, throw: &ThrowRef) -> Result<bool, StoreError> {
         Ok(self.store.reader().throw_of(machine, throw).await?.is_some())
     }
 
     /// Start of the last throw of a machine that was judged.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn last_start(&self, machine: &MachineId) -> Result<Option<Timestamp>, StoreError> {
         let latest = self.store.reader().latest_health(&machine.into()).await?;
         Ok(latest.iter().map(|health| health.started_at).max())
     }
 
     /// Judges all pending throws.
+    ///
+    /// # Errors
+    /// When the database cannot be written to.
     pub async fn judge(&mut self) -> Result<Vec<Judged>, StoreError> {
         self.waiting = 0;
         let mut all = Vec::new();

@@ -101,6 +101,9 @@ struct Starting {
 
 impl Daemon {
     /// Opens the database and zenoh, and starts every loop. Returns when all loops run.
+    ///
+    /// # Errors
+    /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.

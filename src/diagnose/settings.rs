@@ -77,6 +77,9 @@ settings! {
 
 impl Settings {
     /// Checks every key against its range.
+    ///
+    /// # Errors
+    /// The first key out of its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         let usable = self.baseline_usable_throws as f64;

@@ -29,6 +29,9 @@ const DELAY_SIGMAS: f64 = 5.0;
 const SCALE_STEP: f64 = 0.02;
 
 /// The delay of the start \[s\]; 0 if it cannot be computed.
+///
+/// # Errors
+/// When the delay is too large.
 pub(super) fn check(
     channels: (&[f64], &[f64], &[f64]),
     equilibrium: Option<&[f64]>,

@@ -31,6 +31,9 @@ impl Sriv<2, 1, 3> {
     /// Refines `solution`, which must be stable, with the noise of output and input; its `fit` stays that of the model
     /// before the refinement. `None` without noise of the input, for which the prefilter of SRIV is optimal, or without
     /// noise of the output.
+    ///
+    /// # Errors
+    /// When the normal equations become singular or the model unstable.
     pub fn refine(
         &self,
         problem: &Problem<1>,

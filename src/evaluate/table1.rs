@@ -182,6 +182,9 @@ impl Default for Study {
 }
 
 /// Runs all four cases.
+///
+/// # Errors
+/// When a throw cannot be simulated or identified.
 pub fn run(study: &Study) -> Result<Vec<CaseResult>, Failure> {
     let mut nominal = Parameters::default();
     nominal.rails.model = study.rails;

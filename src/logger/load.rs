@@ -99,6 +99,9 @@ type Shared = Arc<Mutex<Tracking>>;
 
 impl Load {
     /// Publishes the throws, and waits until the health of all has arrived, or none has arrived for `patience`.
+    ///
+    /// # Errors
+    /// When the simulation or zenoh fails.
     pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());

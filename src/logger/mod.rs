@@ -114,6 +114,9 @@ impl Logger {
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
+    ///
+    /// # Errors
+    /// When publishing failed.
     pub async fn finished(&mut self) -> Result<u64, LoggerError> {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }

@@ -40,6 +40,9 @@ impl LoggerSettings {
     const MAX_NAME: usize = Name::MAX_LEN - 7;
 
     /// Checks every setting.
+    ///
+    /// # Errors
+    /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         Within(1.0, Self::MAX_NAME as f64, "characters").check("machine", self.machine.as_str().len() as f64)?;
         self.check_ranges()

@@ -128,6 +128,9 @@ impl Parameters {
     /// These parameters with the parts in this condition.
     ///
     /// Dry friction on the chairs counts by its torque at running speed, see [`Parameters::coefficients`].
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
     pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();

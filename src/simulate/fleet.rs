@@ -320,6 +320,9 @@ impl Fleet {
 
 impl FleetSettings {
     /// Checks that every setting is in its range.
+    ///
+    /// # Errors
+    /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         self.machine.check().map_err(|error| error.within("machine"))?;

@@ -188,6 +188,9 @@ impl Parameters {
     /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Equation (10) has no dry
     /// friction. It counts as the viscous friction with the same torque at running speed, as in an estimate from one
     /// throw.
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
     pub fn coefficients(&self) -> Result<Coefficients, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();
@@ -206,6 +209,9 @@ impl Parameters {
     }
 
     /// Checks that every parameter is finite and in its range.
+    ///
+    /// # Errors
+    /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         let is_short = self.timeout_s > 0.0 && self.timeout_s <= 40.0;

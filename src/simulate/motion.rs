@@ -65,6 +65,9 @@ pub struct Motion {
 impl Parameters {
     /// Simulates one throw in steps of `step_s` (normally [`STEP_S`]), from the start of the motor to 0.4 s after its
     /// cut-off.
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
     pub fn simulate(&self, direction: Direction, conditions: &Conditions, step_s: f64) -> Result<Motion, OutOfRange> {
         self.check()?;
         conditions.check(self.stroke_mm)?;

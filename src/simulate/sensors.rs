@@ -99,6 +99,9 @@ impl Sensors {
     }
 
     /// Checks that every value is finite and in its range.
+    ///
+    /// # Errors
+    /// The first value out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         self.current.check().map_err(|error| error.within("current"))?;
@@ -124,6 +127,9 @@ impl Sensors {
     }
 
     /// The recording of `motion`, with sensor errors, filter and sampling.
+    ///
+    /// # Errors
+    /// When a value is out of its range.
     pub fn record<R: Rng>(&self, motion: &Motion, direction: Direction, rng: &mut R) -> Result<Recording, OutOfRange> {
         self.check()?;
         let sign = if self.signed_current { direction.sign() } else { 1.0 };

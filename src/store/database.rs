@@ -91,6 +91,9 @@ impl Store {
     }
 
     /// Stores a received throw. After `Ok` it is on the disk.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub async fn spool(
         &self,
         machine: &MachineId,
@@ -142,6 +145,9 @@ impl Store {
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub async fn spool_page(
         &self,
         machine: &MachineId,
@@ -156,18 +162,27 @@ impl Store {
     }
 
     /// Writes off the throws of a machine that were awaited at the query with `cursor`, and are in no backlog.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
     /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction; returns whether
     /// each was written: false if its throw was judged before.
+    ///
+    /// # Errors
+    /// When they could not be stored; the same call may be repeated.
     pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
         let drop_traces = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         self.writer.write(Judgements { judgements, drop_traces }).await
     }
 
     /// Stores the outcome of an operator's command or of a tick, in one transaction.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub async fn record(&self, outcome: Outcome) -> Result<(), StoreError> {
         self.record_all(Arc::new([outcome])).await
     }
@@ -178,6 +193,9 @@ impl Store {
     }
 
     /// Removes messages from the outbox that zenoh has accepted.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }
@@ -193,6 +211,9 @@ impl Store {
     }
 
     /// Stores the starts of rejected messages with their reasons, in one transaction.
+    ///
+    /// # Errors
+    /// When they could not be stored.
     pub async fn quarantine(&self, refused: Vec<Refused>) -> Result<(), StoreError> {
         self.writer.write(Quarantine { refused, keep: self.settings.max_quarantined }).await
     }

@@ -170,6 +170,9 @@ impl Reader {
     /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
     /// Later throws of a machine with an open backlog are left out, for at most `wait` after the backlog last shrank.
     /// Also returns whether the batch is full.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn to_judge(
         &self,
         after: Option<&MachineId>,
@@ -212,6 +215,9 @@ impl Reader {
     }
 
     /// The cursor of a machine.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
@@ -232,11 +238,17 @@ impl Reader {
     }
 
     /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
     /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
         let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
         self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
@@ -253,11 +265,17 @@ impl Reader {
     }
 
     /// The latest health of each selected machine and direction, with the state of the machine now.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
         self.external(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn health_history(
         &self,
         which: &Selector,
@@ -276,12 +294,18 @@ impl Reader {
     }
 
     /// The last event of every open alarm of the selected machines, oldest alarm first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
         self.external_alarms(query).await
     }
 
     /// The newest `limit` alarm events since `since`, oldest first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn alarm_history(
         &self,
         which: &Selector,
@@ -297,6 +321,9 @@ impl Reader {
     }
 
     /// Up to `limit` messages of the outbox after the row `after` (0 for all), in order.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
         self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }

@@ -209,6 +209,9 @@ impl Write for DropRows {
 impl Store {
     /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
     /// few seconds; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
+    ///
+    /// # Errors
+    /// When the database cannot be read or written.
     pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
         let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {

@@ -143,6 +143,9 @@ impl Salvaged {
 }
 
 /// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
+///
+/// # Errors
+/// When the new database cannot be written.
 pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;

@@ -52,6 +52,9 @@ impl Statistics {
 
 impl Store {
     /// Reads the figures, on the connections for external queries. Counts rows, so it is too slow for every second.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
         let read: Vec<Statistics> = self.reader.external(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {

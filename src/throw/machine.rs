@@ -77,6 +77,9 @@ pub struct MachineId {
 
 impl MachineId {
     /// The machine `machine` at `site`.
+    ///
+    /// # Errors
+    /// When either text is not a valid [`Name`].
     pub fn new(site: &str, machine: &str) -> Result<Self, InvalidName> {
         Ok(Self { site: site.parse()?, machine: machine.parse()? })
     }

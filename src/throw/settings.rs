@@ -61,6 +61,9 @@ macro_rules! settings {
 
         impl $name {
             /// Checks the range of each number.
+            ///
+            /// # Errors
+            /// The first number outside its range.
             pub fn check_ranges(&self) -> Result<(), $crate::throw::OutOfRange> {
                 $($(
                     if let Some(number) = $crate::throw::Number::number(self.$field) {

@@ -170,6 +170,9 @@ async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<
 }
 
 /// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
+///
+/// # Errors
+/// When the database cannot be read.
 pub async fn report(
     reader: &Reader,
     machine: &MachineId,

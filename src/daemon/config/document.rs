@@ -73,6 +73,9 @@ impl Document {
     }
 
     /// Parses a text as the content of `file`.
+    ///
+    /// # Errors
+    /// When the text is not TOML.
     pub fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
         let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
         let mut places = Vec::new();

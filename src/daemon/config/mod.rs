@@ -257,6 +257,9 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
+///
+/// # Errors
+/// The first error of this section.
 pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError> {
     #[derive(Deserialize)]
     struct Section {
@@ -350,6 +353,9 @@ fn checked_session(
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
+///
+/// # Errors
+/// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
     checked_session(zenoh::CLIENT, section(document)?.as_ref(), document)
 }

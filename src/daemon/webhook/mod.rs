@@ -65,6 +65,9 @@ struct Message {
 
 impl Notifier {
     /// The loop of a configuration; `None` without a webhook.
+    ///
+    /// # Errors
+    /// When the database or the certificates cannot be used.
     pub(super) async fn new(
         store: Store,
         config: &Config,

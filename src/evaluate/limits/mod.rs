@@ -20,6 +20,9 @@ pub struct Runs {
 }
 
 /// Computes every finding, in the order of this page.
+///
+/// # Errors
+/// When a machine cannot be simulated.
 pub fn run(runs: Runs) -> Result<Vec<Finding>, OutOfRange> {
     let mut bench = trial::Bench::new(runs.seed);
     let mut findings = findings::sampling(&mut bench)?;
