@@ -89,7 +89,7 @@ struct Page {
     throws: Vec<Row>,
     takes_commands: bool,
     form: Form,
-    /// Longest window in the form [h].
+    /// Longest window in the form \[h\].
     longest_hours: u32,
     /// The style sheet, in a file without links; `None` for a page of the dashboard.
     file_style: Option<&'static str>,
