@@ -32,6 +32,7 @@ async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdi
         total.lost += verdict.lost;
         total.duplicated += verdict.duplicated;
         total.unreadable += verdict.unreadable;
+        total.given_up += verdict.given_up;
         total.notes.extend(verdict.notes);
     };
     cut_at_random(&records, &database, cuts, seed, check).await;
@@ -52,8 +53,8 @@ fn cuts() -> usize {
 async fn power_cuts_lose_nothing_that_was_acknowledged() {
     for (seed, variables) in [(1, &[(THROWS, "60")][..]), (2, &[(THROWS, "60"), (HOLDER, "1")])] {
         let Some(verdict) = cut(cuts(), seed, variables).await else { return };
-        let Verdict { lost, duplicated, unreadable, notes } = verdict;
-        assert_eq!((lost, duplicated, unreadable), (0, 0, 0), "{notes:?}");
+        let Verdict { lost, duplicated, unreadable, given_up, notes } = verdict;
+        assert_eq!((lost, duplicated, unreadable, given_up), (0, 0, 0, 0), "{notes:?}");
     }
 }
 

@@ -18,7 +18,7 @@ use std::{
 };
 
 use jiff::Timestamp;
-use pointsd::store::{Found, Settings, Store, ThrowRow};
+use pointsd::store::{Found, Settings, Store, ThrowRow, UnreadableTrace};
 
 use crate::given::{query, throw};
 
@@ -56,6 +56,8 @@ pub(crate) struct Verdict {
     lost: usize,
     duplicated: usize,
     unreadable: usize,
+    /// Traces of judged throws that were dropped as the disk was full; their throws exist.
+    given_up: usize,
     notes: Vec<String>,
 }
 
@@ -82,6 +84,10 @@ async fn inspect(folder: &Path, acknowledged: &Acknowledged) -> Verdict {
         let key = (found.machine.machine.to_string(), found.id.throw_no);
         match &found.throw {
             Ok(read) if read.trace == throw("b1", key.1).trace => {}
+            Err(UnreadableTrace::Dropped) => {
+                verdict.given_up += 1;
+                verdict.notes.push(format!("{key:?}: the trace was dropped"));
+            }
             other => {
                 verdict.unreadable += 1;
                 verdict.notes.push(format!(
