@@ -51,12 +51,10 @@ impl Location {
     }
 }
 
-/// Refuses a database of another version, whose queries would fail with an error of SQL.
-pub(super) async fn require_this_version(path: &Path) -> Result<(), Failure> {
-    store::refuse_other_version(path).await.map_err(|error| match error {
-        StoreError::Open { .. } => Failure::new(Exit::NoInput, error),
-        _ => Failure::new(Exit::Data, error),
-    })
+/// The failure of opening a database for reading: it cannot be opened, or is of another version.
+pub(super) fn cannot_open(error: StoreError) -> Failure {
+    let exit = if matches!(error, StoreError::Open { .. }) { Exit::NoInput } else { Exit::Data };
+    Failure::new(exit, error)
 }
 
 /// Reads only the key `path` of the section `[store]`, so that the rest of the configuration may be invalid.

@@ -12,7 +12,7 @@ use jiff::Timestamp;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, argument,
-    database::{Location, require_this_version},
+    database::{Location, cannot_open},
     output,
     runtime::block_on,
     sql::text,
@@ -54,9 +54,8 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     block_on(async {
-        require_this_version(&path).await?;
         let Arguments { machine, since, until, .. } = arguments;
-        let mut export = Export::open(&path, machine.clone(), *since, *until).await.or_exit(Exit::NoInput)?;
+        let mut export = Export::open(&path, machine.clone(), *since, *until).await.map_err(cannot_open)?;
         let mut out = csv::Writer::from_writer(io::stdout().lock());
         let mut columns = export.columns().await.map_err(unreadable)?;
         if arguments.traces.is_some() {

@@ -6,7 +6,7 @@ use anyhow::anyhow;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, argument,
-    database::{Location, require_this_version},
+    database::{Location, cannot_open},
     output,
     runtime::block_on,
 };
@@ -51,8 +51,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let machine = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
-        require_this_version(&path).await?;
-        let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
+        let reader = Reader::open_outside(&path).await.map_err(cannot_open)?;
         web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;
     let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());

@@ -64,8 +64,8 @@ pub(super) struct Disk {
     replaced: RecentCount,
     /// Whether the file could not be written again.
     replacement_fails: AtomicBool,
-    /// Time of the last step of a copy of the database, during which the writer writes nothing else.
-    copied: Mutex<Option<Instant>>,
+    /// Time until which a copy of the database counts, during which the writer writes nothing else; `None` before the first.
+    copies_until: Mutex<Option<Instant>>,
     /// The counters of the database at the last look.
     counters: Mutex<Option<BTreeMap<String, u64>>>,
     /// Rows dropped before they were judged or published, by [`LOSSES`].
@@ -143,17 +143,17 @@ impl Disk {
 
     /// Records a step of a copy of the database.
     pub(super) fn note_copying(&self) {
-        *self.copied.lock() = Some(Instant::now());
+        *self.copies_until.lock() = Some(Instant::now() + COPY_HANGS);
     }
 
     /// Records the end of a copy of the database, which counts until the loops that waited for it work again.
     pub(super) fn end_copying(&self) {
-        *self.copied.lock() = Instant::now().checked_sub(COPY_HANGS.saturating_sub(AFTER_COPY));
+        *self.copies_until.lock() = Some(Instant::now() + AFTER_COPY);
     }
 
     /// Whether a copy of the database made progress in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
-        self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)
+        self.copies_until.lock().is_some_and(|until| Instant::now() < until)
     }
 
     /// Failed write transactions since the start.

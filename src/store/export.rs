@@ -46,7 +46,8 @@ impl Export {
         since: Option<Timestamp>,
         until: Option<Timestamp>,
     ) -> Result<Self, StoreError> {
-        let connection = read_only::connect(path).await?;
+        let mut connection = read_only::connect(path).await?;
+        read_only::refuse_other_version(path, &mut connection).await?;
         let microseconds = |bound: Option<Timestamp>, none| bound.map_or(none, Timestamp::as_microsecond);
         let after = (microseconds(since, i64::MIN), i64::MIN);
         Ok(Self { connection, machine, after, until_us: microseconds(until, i64::MAX) })

@@ -50,7 +50,7 @@ pub(crate) use pace::{RecentCount, Seldom, seldom};
 pub use page::{Cursor, PageStored};
 pub(crate) use path::{beside, folder_of, unwritable};
 pub use quarantine::{QUARANTINED_BYTES, Refused};
-pub(crate) use read_only::{Backup, refuse_other_version};
+pub(crate) use read_only::Backup;
 pub use read_only::{Value, ask};
 pub use reader::Reader;
 pub use retention::Dropped;

@@ -257,7 +257,7 @@ enum Trouble {
     Broken(String),
     Access(sqlx::Error),
     Migration(MigrateError),
-    TooNew { needed: i64, known: i64 },
+    TooNew(StoreError),
 }
 
 impl Trouble {
@@ -269,7 +269,7 @@ impl Trouble {
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(&path)(source),
             Self::Migration(source) => StoreError::Migrate { path, source: Box::new(source) },
-            Self::TooNew { needed, known } => StoreError::TooNew { path, needed, known },
+            Self::TooNew(error) => error,
         }
     }
 }
@@ -303,7 +303,7 @@ async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(Sqlit
 
 async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
     let mut connection = SqliteConnection::connect_with(&writing(settings, fresh)).await?;
-    match bring_up_to_date(&mut connection, fresh).await {
+    match bring_up_to_date(&mut connection, &settings.path, fresh).await {
         Ok(report) => Ok((connection, report)),
         Err(trouble) => {
             // Without this call the connection would close later, perhaps after its file was renamed.
@@ -313,11 +313,8 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
     }
 }
 
-async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Result<Report, Trouble> {
-    let (needed, known) = (needed(&mut *connection).await?, newest_known());
-    if needed > known {
-        return Err(Trouble::TooNew { needed, known });
-    }
+async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, Trouble> {
+    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::TooNew)?;
     let before = applied(&mut *connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,

@@ -52,9 +52,8 @@ pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
 }
 
 /// Refuses a database of another version, for commands that only read it: their queries need every migration.
-pub(crate) async fn refuse_other_version(path: &Path) -> Result<(), StoreError> {
-    let mut connection = connect(path).await?;
-    let versions = async { Ok((open::needed(&mut connection).await?, open::applied(&mut connection).await?)) };
+pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteConnection) -> Result<(), StoreError> {
+    let versions = async { Ok((open::needed(connection).await?, open::applied(connection).await?)) };
     let (needed, applied) = versions.await.map_err(StoreError::read)?;
     open::refuse_newer(path, needed)?;
     // Without any migration it is no database of pointsd.

@@ -68,7 +68,11 @@ impl Reader {
 
     /// Opens a database for a command that may have no right to write into its folder.
     pub(crate) async fn open_outside(path: &Path) -> Result<Self, StoreError> {
-        Self::with(path, read_only::options(path).await?).await
+        let reader = Self::with(path, read_only::options(path).await?).await?;
+        let mut connection = reader.pools().own.acquire().await.map_err(StoreError::open(path))?;
+        read_only::refuse_other_version(path, &mut connection).await?;
+        drop(connection);
+        Ok(reader)
     }
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
