@@ -1,7 +1,7 @@
 //! Parsers of arguments that several commands have.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, Unit, civil::Date, tz::TimeZone};
+use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
 use strum::VariantArray as _;
 
 use super::{Exit, Failure};
@@ -100,9 +100,7 @@ impl Window {
         let from_now = || {
             let length = self.length.or(default);
             let length = length.ok_or_else(|| usage("no end given: use --for 8h or --until 2026-05-04T06:00:00Z"))?;
-            // Whole seconds, as people write times.
-            let until = clock::now().checked_add(length).and_then(|until| until.round(Unit::Second));
-            until.map_err(|_| usage("--for is too long"))
+            clock::end_of_window(clock::now(), length).map_err(|_| usage("--for is too long"))
         };
         let until = self.until.map_or_else(from_now, Ok)?;
         Ok(Some((self.why.clone().unwrap_or_default(), until)))

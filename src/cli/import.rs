@@ -52,8 +52,8 @@ pub(super) struct Arguments {
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the throw in the first CSV file, a date or a time as 2026-05-04T06:00:00Z, a minute more for each further file [default: from
-    /// `throws.csv`, else the times of the files].
+    /// Time of the throw in the first CSV file, a date or a time as 2026-05-04T06:00:00Z, a minute more for each further
+    /// file [default: from `throws.csv`, else the times of the files].
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.
@@ -144,16 +144,14 @@ fn is_json(file: &Path) -> bool {
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
     let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
-    // The byte order mark of some editors.
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if bytes.trim_ascii_start().starts_with(b"[") {
         let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
         return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
     }
-    match wire::decode_throw(Encoding::Json, bytes) {
+    match wire::decode_throw(Encoding::Json, &bytes) {
         Ok(throw) => return Ok(vec![throw]),
         // Otherwise a file of lines would be explained by its first.
-        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
+        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(&bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
         }
         Err(_) => {}

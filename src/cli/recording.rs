@@ -49,13 +49,17 @@ pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
 }
 
-/// The content of a file, or of standard input for `-`.
+/// The content of a file, or of standard input for `-`, without the byte order mark of some editors.
 pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
-    if path != Path::new("-") {
-        return fs::read(path);
-    }
     let mut bytes = Vec::new();
-    io::stdin().read_to_end(&mut bytes)?;
+    if path == Path::new("-") {
+        io::stdin().read_to_end(&mut bytes)?;
+    } else {
+        bytes = fs::read(path)?;
+    }
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        bytes.drain(..'\u{feff}'.len_utf8());
+    }
     Ok(bytes)
 }
 
@@ -64,7 +68,6 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
         let line = bytes[..error.valid_up_to()].split(|byte| *byte == b'\n').count();
         anyhow!("line {line}: not UTF-8 text: is this a CSV file?")
     })?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(text.as_bytes());
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));

@@ -3,12 +3,17 @@
 
 use std::time::Instant;
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp, Unit};
 
 /// Wall time, for records and texts only, as it may jump.
 #[expect(clippy::disallowed_methods, reason = "this is the place")]
 pub(crate) fn now() -> Timestamp {
     Timestamp::now()
+}
+
+/// The end of a window of this length that begins `now`, as a whole second, as people write times.
+pub(crate) fn end_of_window(now: Timestamp, length: SignedDuration) -> Result<Timestamp, jiff::Error> {
+    now.checked_add(length)?.round(Unit::Second)
 }
 
 /// Monotonic time, for waits and heartbeats.

@@ -8,7 +8,7 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use jiff::{SignedDuration, Timestamp, Unit};
+use jiff::{SignedDuration, Timestamp};
 use tokio::time;
 
 use super::{
@@ -77,8 +77,7 @@ fn command(fields: &HashMap<String, String>, now: Timestamp) -> Result<Command, 
     let until = || {
         let hours = text("hours").parse::<i64>().ok().filter(|hours| (1..=LONGEST_HOURS).contains(hours));
         let hours = hours.ok_or("The number of hours must be a whole number from 1.")?;
-        let until = now.checked_add(SignedDuration::from_hours(hours)).and_then(|until| until.round(Unit::Second));
-        until.map_err(|error| error.to_string())
+        clock::end_of_window(now, SignedDuration::from_hours(hours)).map_err(|error| error.to_string())
     };
     let why = || Some(text("why")).filter(|why| !why.is_empty()).ok_or("The reason is missing.".to_owned());
     Ok(match text("command").as_str() {
