@@ -103,7 +103,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             if arguments.json {
                 return found.iter().try_for_each(|((_, payload), _)| output::line(String::from_utf8_lossy(payload)));
             }
-            let alarms: Vec<Alarm> = found.iter().map(|(_, alarm)| alarm.clone()).collect();
+            let alarms: Vec<Alarm> = found.into_iter().map(|(_, alarm)| alarm).collect();
             if shows_open {
                 let (reports, _) = operator::values::<StatusReport>(&daemons);
                 let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();

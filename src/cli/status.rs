@@ -37,8 +37,8 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, lost messages), a machine has an alarm, is
-/// not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong; 69 no
+/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, lost messages), a machine has an alarm,
+/// is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong; 69 no
 /// daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
@@ -49,7 +49,8 @@ pub(super) struct Arguments {
     /// List only machines of this site.
     #[arg(long)]
     site: Option<Name>,
-    /// List only machines in this state, and their alarms: learning, healthy, warning, critical, `not_monitored` or maintenance.
+    /// List only machines in this state, and their alarms: learning, healthy, warning, critical, `not_monitored` or
+    /// maintenance.
     #[arg(long, value_parser = argument::machine_state)]
     state: Option<MachineState>,
     /// List every machine.
@@ -131,15 +132,18 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
         return Err(Failure::new(Exit::Unavailable, error));
     }
+    let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
+    for row in &health {
+        machines.entry(&row.machine).or_default().push(row);
+    }
     if let Some(state) = arguments.state {
-        let is_in = |row: &&Health| row.state.unwrap_or_default() == state;
-        let chosen: HashSet<&MachineId> = health.iter().filter(is_in).map(|row| &row.machine).collect();
-        windows.retain(|window| chosen.contains(&window.machine));
-        alarms.retain(|alarm| chosen.contains(&alarm.machine));
+        let is_in = |machine: &MachineId| machines.get(machine).is_some_and(|rows| state_of(rows) == state);
+        windows.retain(|window| is_in(&window.machine));
+        alarms.retain(|alarm| is_in(&alarm.machine));
     }
     let print = || {
         reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
-        let caveats = print_machines(&health, &windows, arguments)?;
+        let caveats = print_machines(&machines, &windows, arguments)?;
         twice.iter().try_for_each(output::line)?;
         alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
         caveats.iter().try_for_each(output::line)
@@ -174,27 +178,24 @@ fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
 }
 
 /// Prints the table of the machines and those in maintenance. Returns the caveats of the machines in the table.
-fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<Vec<String>, Failure> {
-    let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
-    for row in health {
-        machines.entry(&row.machine).or_default().push(row);
-    }
-    // Several daemons may serve a machine: then the worst state counts.
-    let state =
-        |rows: &[&Health]| rows.iter().filter_map(|row| row.state).min_by_key(|state| rank(*state)).unwrap_or_default();
-    let count = |of| machines.values().filter(|rows| state(rows) == of).count();
+fn print_machines(
+    machines: &BTreeMap<&MachineId, Vec<&Health>>,
+    windows: &[Window],
+    arguments: &Arguments,
+) -> Result<Vec<String>, Failure> {
+    let count = |of| machines.values().filter(|rows| state_of(rows) == of).count();
     let tally = WORST_FIRST.map(|of| (count(of), of.as_str().replace('_', " ")));
     let tally: Vec<String> =
         tally.iter().filter(|(count, _)| *count > 0).map(|(count, state)| format!("{count} {state}")).collect();
     let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
     let noun = if machines.len() == 1 { "machine" } else { "machines" };
     output::line(format_args!("{} {noun}{tally}", machines.len()))?;
-    let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state(rows));
+    let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state_of(rows));
     let is_short =
         arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;
     let mut shown: Vec<_> =
-        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state(rows).is_well())).collect();
-    shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
+        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state_of(rows).is_well())).collect();
+    shown.sort_by_key(|(machine, rows)| (rank(state_of(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
     // Names are not wrapped, and in a pipe no cell is: programs search them.
     if let Some(name) = table.column_mut(0) {
@@ -207,7 +208,7 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
             let rejected = if row.is_rejected() { ", rejected" } else { "" };
             table.add_row([
                 first(machine.to_string()),
-                first(state(rows).as_str().replace('_', " ")),
+                first(state_of(rows).as_str().replace('_', " ")),
                 target(row.direction).to_owned(),
                 change(0),
                 change(1),
@@ -239,6 +240,11 @@ fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
         format!("{noun} {}: {caveat}", names.join(", "))
     };
     machines.into_iter().map(sentence).collect()
+}
+
+/// The state of a machine. Several daemons may serve it: then the worst counts.
+fn state_of(rows: &[&Health]) -> MachineState {
+    rows.iter().filter_map(|row| row.state).min_by_key(|state| rank(*state)).unwrap_or_default()
 }
 
 /// Sort order of the states, the worst first.

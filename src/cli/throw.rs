@@ -126,11 +126,15 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         samples: recording.trace.len(),
         temperature_c: arguments.temperature_c,
     };
-    match (is_stdout, arguments.json) {
-        (true, true) => eprintln!("{}", serde_json::to_string_pretty(&truth).or_exit(Exit::Software)?),
-        (true, false) => eprintln!("{}", text(&truth, &arguments.out)),
-        (false, true) => output::json(&truth)?,
-        (false, false) => output::line(text(&truth, &arguments.out))?,
+    let summary = if arguments.json {
+        serde_json::to_string_pretty(&truth).or_exit(Exit::Software)?
+    } else {
+        text(&truth, &arguments.out)
+    };
+    if is_stdout {
+        eprintln!("{summary}");
+    } else {
+        output::line(summary)?;
     }
     Ok(Exit::Ok)
 }

@@ -299,7 +299,9 @@ impl JudgeLoop {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
-            } else if self.refused.len() < NAMED || self.refused.contains_key(&machine) {
+            } else if !self.judge.fleet.knows(&machine)
+                && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
+            {
                 self.refused.insert(machine, (reason, clock::monotonic()));
             }
         }
