@@ -160,6 +160,11 @@ impl Baseline {
         self.centre = self.centre.map(|log| log - self.centre[0]);
     }
 
+    /// Whether the throws had coefficients, and not only their ratios, whose errors are compared with those of the baseline.
+    pub(super) fn has_coefficients(&self) -> bool {
+        self.differing.is_none()
+    }
+
     /// The covariance of the errors of a throw's ratios without those that are equal in every throw.
     pub(super) fn differing(&self, sensor: Matrix3<f64>) -> Matrix3<f64> {
         self.differing.as_ref().map_or(sensor, |part| transformed(sensor, &Matrix3::from(**part)))

@@ -43,6 +43,9 @@ const DRYING: Range<f64> = 0.0..0.36;
 /// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
 const ONE_SIDED_THROWS: u8 = 6;
 
+/// Least present size of a part that is named, in standard deviations: its 95 % interval excludes 0.
+const SHOWN_SD: f64 = 1.96;
+
 /// Part of a warning limit from which a change that is shared with the site is stated.
 const SHARED_FROM: f64 = 0.5;
 
@@ -109,7 +112,9 @@ impl DriftAlarms {
                 // The window may contain throws in which the drift was larger.
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
                 let least = 1.0 - settings.deadband_pct / 100.0;
-                reading.claim = if size > least { Claim::Named } else { Claim::Counts };
+                // A part is not named whose change may be none.
+                let is_shown = active.is_some() || now.size.abs() > SHOWN_SD * now.size_sd;
+                reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
             }
             let transition = self.conditions[index].step(reading, active, settings);
             let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };

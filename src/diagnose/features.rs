@@ -2,10 +2,12 @@
 //! whose throws are rejected one after the other, and of machines whose throws are all rough, so that they have no
 //! baseline. A rejection concerns the data: the features may still show a fault.
 
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::{
     event::{Cause, Severity},
+    explain::percent,
     found::{Found, count_over},
     gauges::{Change, Gauge, Gauges, sd_of_mean},
     last::Last,
@@ -27,9 +29,37 @@ const SIGNIFICANT_SD: f64 = 4.0;
 
 /// A change that has grown by this factor since it was last reported is reported again.
 const LARGER: f64 = 1.5;
+/// Factor on the limit of a slow change of a current without a temperature: a season of 20 K up and down changes it by
+/// 0.16, and the baseline may be at one end of it.
+const OF_SEASON: f64 = 2.0;
+/// Part of a slow change that existed earlier.
+const SLOW_FROM: f64 = 1.0 / 3.0;
+/// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
+const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
-/// Departures of the watched features from normal, beyond what the supply explains, and their standard deviations.
+/// Departures of the watched features from normal, beyond what supply and temperature explain, and their standard deviations.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
+/// Changes of the watched features.
+type Changes = [f32; WATCHED.len()];
+
+/// The changes of a direction some weeks ago, as those of a season come slowly.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Earlier {
+    since: Timestamp,
+    throws: u32,
+    /// At `since`, and at least as long before.
+    changes: [Changes; 2],
+}
+
+impl Earlier {
+    /// Adds a throw of the direction with these present changes.
+    fn follow(&mut self, at: Timestamp, present: Changes) {
+        self.throws = self.throws.saturating_add(1);
+        if self.throws >= EARLIER.1 && at.duration_since(self.since) >= EARLIER.0 {
+            *self = Self { since: at, throws: 0, changes: [present, self.changes[0]] };
+        }
+    }
+}
 
 /// The features of the last throws without an estimate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -40,6 +70,21 @@ pub(super) struct FeatureWatch {
     /// Largest change when it was last reported, as multiple of the change that matters.
     #[serde(default)]
     reported: f64,
+    /// Of each direction, if the machine has no temperature.
+    #[serde(default)]
+    earlier: [Option<Earlier>; 2],
+    /// Change of a current \[%\] that raises no alarm, as it is slow enough for the season's.
+    #[serde(default)]
+    pub(super) season_pct: Option<f64>,
+}
+
+/// The departure of a feature in the last throws of a direction.
+struct Departure {
+    /// Size relative to what is significant and relevant.
+    size: f64,
+    change: Change,
+    /// Whether it may be the season's.
+    is_slow: bool,
 }
 
 impl FeatureWatch {
@@ -51,13 +96,15 @@ impl FeatureWatch {
         gauges: &Gauges,
         step: &Step,
     ) -> Found {
-        let recent = &mut self.sides[direction.side()];
-        recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
-        let levels = self.levels();
-        let largest = levels.iter().map(|(size, _)| *size).max_by(f64::total_cmp);
+        let side = direction.side();
+        self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
+        self.follow_season(side, celsius, step.at);
+        let levels: Vec<Departure> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
+        let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);
-        let changes: Vec<Change> =
-            levels.into_iter().filter_map(|(size, change)| (size > 1.0).then_some(change)).collect();
+        let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
+        self.season_pct = seasonal.map(|level| percent(level.change.size));
+        let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
             let text = text::features(step.name, &changes, LEVEL);
             let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
@@ -98,26 +145,43 @@ impl FeatureWatch {
         *self = Self::default();
     }
 
-    /// The change of each feature that is known, in the direction with the larger one, and its size relative to what is
-    /// significant and relevant.
-    fn levels(&self) -> Vec<(f64, Change)> {
-        let in_side = |side: usize, at: usize| {
-            let (gauge, limit) = WATCHED[at];
-            let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
-                let known = self.sides[side].iter().filter_map(|departures| departures[at].as_ref());
-                known.map(part).map(f64::from).collect()
-            };
-            let mut values = of(|(value, _)| *value);
-            if values.len() < LEVEL {
-                return None;
-            }
-            let size = median(&mut values);
-            let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
-            let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
-            Some((size.abs() / limit.max(SIGNIFICANT_SD * sd), Change { gauge, size, size_sd }))
+    /// Keeps the earlier changes of a side of a machine without a temperature.
+    fn follow_season(&mut self, side: usize, celsius: Option<f64>, at: Timestamp) {
+        #[expect(clippy::cast_possible_truncation, reason = "far below the scatter")]
+        let present: Changes =
+            std::array::from_fn(|gauge| self.level(side, gauge).map_or(0.0, |level| level.change.size as f32));
+        let new = || Earlier { since: at, throws: 0, changes: [present, Changes::default()] };
+        self.earlier[side] = celsius.is_none().then(|| self.earlier[side].take().unwrap_or_else(new));
+        if let Some(earlier) = &mut self.earlier[side] {
+            earlier.follow(at, present);
+        }
+    }
+
+    /// The departure of a feature in the direction with the larger one; `None` if it is unknown.
+    fn largest(&self, at: usize) -> Option<Departure> {
+        [0, 1].into_iter().filter_map(|side| self.level(side, at)).max_by(|a, b| a.size.total_cmp(&b.size))
+    }
+
+    /// The departure of a feature in the last throws of a side.
+    fn level(&self, side: usize, at: usize) -> Option<Departure> {
+        let (gauge, limit) = WATCHED[at];
+        let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
+            let known = self.sides[side].iter().filter_map(|departures| departures[at].as_ref());
+            known.map(part).map(f64::from).collect()
         };
-        let largest =
-            |at: usize| [0, 1].into_iter().filter_map(|side| in_side(side, at)).max_by(|a, b| a.0.total_cmp(&b.0));
-        (0..WATCHED.len()).filter_map(largest).collect()
+        let mut values = of(|(value, _)| *value);
+        if values.len() < LEVEL {
+            return None;
+        }
+        let size = median(&mut values);
+        let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
+        let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
+        // An alarm about a change that came at once does not end because it lasts.
+        let is_slow = gauge.follows_weather()
+            && self.reported == 0.0
+            && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes[1][at]) / size > SLOW_FROM);
+        let limit = if is_slow { OF_SEASON * limit } else { limit };
+        let change = Change { gauge, size, size_sd };
+        Some(Departure { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })
     }
 }

@@ -55,6 +55,11 @@ const SUPPLY_LIMIT_PCT: f64 = 15.0;
 const LONGER: std::ops::Range<f64> = 0.6..1.7;
 /// Largest increase of friction, as share of the loss of supply voltage; a decrease is only scatter.
 const DRIER: f64 = 1.3;
+/// Least change of the inrush with the gain of the current sensor, as part of it.
+const INRUSH_OF_GAIN: f64 = 0.5;
+/// Largest change of the motor's size with the logarithm of the resistance between supply and motor: twice the resistance
+/// changed it by 0.08 on an independent drive at 250 Hz.
+const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
 /// Throws for which a past sensor or supply fault can still explain a drift: a longest window of each direction.
 const LINGERS: u32 = 48;
@@ -112,7 +117,7 @@ impl Instruments {
         let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
             return Testimony::Machine;
         };
-        if self.supply_explains(attribution, window, settings) {
+        if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution) {
             return Testimony::Supply;
         }
         let levels = self.levels(window.throws);
@@ -122,7 +127,12 @@ impl Instruments {
             let is_known = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
             let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
             let (size, size_sd, own) = alone?;
-            if *channel == SensorChannel::Clock && !self.may_be_clock(size, window) {
+            let is_possible = match channel {
+                SensorChannel::Clock => self.may_be_clock(size, window),
+                SensorChannel::Current => self.may_be_current(gain * size, window),
+                _ => true,
+            };
+            if !is_possible {
                 return None;
             }
             let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
@@ -161,6 +171,30 @@ impl Instruments {
         let running = self.gauges.level(Gauge::Running, window.throws);
         let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
         window.shows(Cause::Inertia) && !has_changed
+    }
+
+    /// Whether a wrong gain of the current sensor may explain a drift: the inrush has changed as well, by at least half of it,
+    /// beyond the changes by the supply voltage and by the temperature of the winding. The resistance is no such evidence, as
+    /// one computed from a toe that moves otherwise than the motor may be anything.
+    fn may_be_current(&self, gain: f64, window: &Window) -> bool {
+        let level = |gauge| self.gauges.level(gauge, window.throws);
+        let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
+        let [from, to] = self.gauges.winding_of_air(window.throws);
+        let change = inrush.value - volts.value;
+        let slack = 2.0 * inrush.sd.hypot(volts.sd);
+        let shown = if gain > 0.0 { change + to } else { -(change + from) } + slack;
+        shown > INRUSH_OF_GAIN * gain.abs()
+    }
+
+    /// Whether a changed resistance between supply and motor explains a change of the motor: it changes the inrush, which
+    /// accelerates the machine, and with it b0 a little.
+    fn circuit_explains(&self, attribution: &Attribution) -> bool {
+        let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
+        let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
+        let Some(main) = attribution.main().filter(|main| main.cause == Cause::Kt) else { return false };
+        let explained = MOTOR_OF_CIRCUIT * circuit.level.value.abs() + 2.0 * main.size_sd;
+        let is_changed = circuit.size > 1.0 && !circuit.is_doubtful;
+        is_changed && matches!(attribution.naming, Naming::One(_) | Naming::Either(..)) && main.size.abs() < explained
     }
 
     /// Whether the supply explains a change of friction, alone or with a small change of the motor beside it: the model has
@@ -241,13 +275,14 @@ impl Instruments {
             (self.channel, self.size) = (Some(channel), size);
         }
         let is_alike = drift.testimony == Testimony::Lingers { is_alike: true };
+        let delay = settings.on_delay_throws;
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left);
+        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left, delay);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
-        if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
+        if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
             let event = AlarmEvent {
                 change_pct: Some(percent(fault.size)),
                 change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
@@ -255,7 +290,7 @@ impl Instruments {
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
                 ..step.sensor(fault.channel, text::sensor(step.name, &fault))
             };
-            step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == settings.on_delay_throws);
+            step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
             step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor, false));
         }
@@ -269,8 +304,8 @@ impl Instruments {
             Offset::Current => (&mut self.rest, SensorChannel::Current),
             Offset::Position => (&mut self.shift, SensorChannel::Position),
         };
-        streaks.follow(size > 1.0, true, false, Some(size));
         let delay = step.settings.on_delay_throws;
+        streaks.follow(size > 1.0, true, false, Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
         if streaks.named >= delay {
@@ -289,19 +324,25 @@ impl Instruments {
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
         let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
-        self.supply.follow(lost.is_some() || explained.is_some(), matters || explained == Some(true), false, left);
+        let delay = step.settings.on_delay_throws;
+        self.supply.follow(
+            lost.is_some() || explained.is_some(),
+            matters || explained == Some(true),
+            false,
+            left,
+            delay,
+        );
         // A wrong current changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
-        self.circuit.follow(circuit.is_some(), true, false, left);
+        self.circuit.follow(circuit.is_some(), true, false, left, delay);
         let event = |Level { value, sd }: Level, text: String| AlarmEvent {
             change_pct: Some(percent(value)),
             change_pct_sd: Some(100.0 * sd * value.exp()),
             ..step.warning(Cause::Supply, text)
         };
-        let delay = step.settings.on_delay_throws;
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
             (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
@@ -330,13 +371,13 @@ impl Instruments {
 
 impl Streaks {
     /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
-    /// limit.
-    fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>) {
+    /// limit; `delay`: throws after which a fault has an alarm, as one that is seen in fewer explains no later drift.
+    fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>, delay: u32) {
         streak(&mut self.named, holds && matters);
         streak(&mut self.unseen, !holds && !is_alike);
         count_over(&mut self.over, if holds { Some(1.0) } else { left });
         let is_recent = self.unseen < LINGERS && self.over < LINGERS;
-        self.lingers = holds && matters || self.lingers && is_recent;
+        self.lingers = holds && matters && self.named >= delay || self.lingers && is_recent;
     }
 }
 

@@ -17,6 +17,7 @@ use super::{
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
 };
+use crate::estimate::Estimate;
 
 /// Largest part of the limit of T that a single innovation may have: two throws show a step.
 const MOST_OF_ONE: f64 = 0.4;
@@ -29,10 +30,10 @@ const KEPT: usize = WINDOWS[3];
 /// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
 /// for all its throws of ratios.
 const LEAST_SCALED: usize = WINDOWS[0];
-/// Standard deviations of the effect of the temperature that a healthy machine may have, in the test of T. The doubt is about
-/// one slope a machine, which physics bounds at 2.5 standard deviations before anything is learned; the limit of T, which
-/// rules out chance in thousands of throws, would multiply it by six or seven.
-const MOST_OF_EFFECT_SD: f64 = 3.0;
+/// Standard deviations of an error that a healthy machine has once for ever, in the test of T: of the effect of the temperature,
+/// one slope a machine, which physics bounds at 2.5 of them before anything is learned; and of the misfit of rough throws,
+/// which repeats. The limit of T, which rules out chance in thousands of throws, would multiply them by six or seven.
+const MOST_OF_LASTING_SD: f64 = 3.0;
 /// Standard deviation of the logarithm of the common scale in a window that does not show it: far more than any fault.
 pub(super) const UNKNOWN_SCALE_SD: f64 = 1.0;
 /// A size has no part in the common scale if its weights sum to less than this part of the largest of them. Weights
@@ -125,6 +126,8 @@ pub(super) struct Window {
     pub(super) covariance: Matrix3<f64>,
     /// Standard deviation of the temperature's effect on the mean; part of the covariance.
     pub(super) temperature_sd: Vector3<f64>,
+    /// Covariance of the misfit of the model in rough throws, which repeats; part of the covariance.
+    pub(super) misfit: Matrix3<f64>,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
     /// Whether a drift above its limit is more than an outlier that fades over the throws after it.
@@ -138,10 +141,10 @@ impl Window {
         cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
     }
 
-    /// The covariance with which T has this limit: the temperature's effect counts up to [`MOST_OF_EFFECT_SD`].
+    /// The covariance with which T has this limit: lasting errors count up to [`MOST_OF_LASTING_SD`].
     pub(super) fn tested(&self, limit: f64) -> Matrix3<f64> {
-        let counts = (MOST_OF_EFFECT_SD * MOST_OF_EFFECT_SD / limit).min(1.0);
-        self.covariance - doubt(self.temperature_sd) * (1.0 - counts)
+        let counts = (MOST_OF_LASTING_SD * MOST_OF_LASTING_SD / limit).min(1.0);
+        self.covariance - (doubt(self.temperature_sd) + self.misfit) * (1.0 - counts)
     }
 }
 
@@ -239,6 +242,7 @@ impl<'a> Stream<'a> {
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
+        let mut misfit = self.mean_misfit(throws, baselines) / n;
         let of_scale = match scale {
             // The throw before the window may be the only one of ratios.
             _ if last.iter().all(|(_, throw)| throw.has_scale()) => None,
@@ -256,9 +260,11 @@ impl<'a> Stream<'a> {
         if let Some((k, of_scale)) = of_scale {
             let ratios = Matrix3::identity() - Vector3::repeat(1.0) * k.transpose();
             covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
+            misfit = ratios * misfit * ratios.transpose();
         }
         covariance += doubt(temperature);
-        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0, confirmed: false, scale })
+        let temperature_sd = temperature;
+        Some(Window { throws, mean, covariance, temperature_sd, misfit, excess: 0.0, confirmed: false, scale })
     }
 
     /// The common scale of the last throws with these residuals.
@@ -311,7 +317,9 @@ impl<'a> Stream<'a> {
         scatter: &Scatter,
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
-        let sensor = self.mean_sensor(window.throws);
+        // A misfit that repeats is in no innovation, except for its part in one throw.
+        let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / Estimate::LONGEST_WINDOW);
+        let sensor = self.mean_sensor(window.throws) - repeated;
         let rho = scatter.highest_lag1_of_one(&sensor);
         let inverse = scatter.of_innovation(&sensor).try_inverse()?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
@@ -345,6 +353,15 @@ impl<'a> Stream<'a> {
         let sensor = self.mean_sensor(window.throws);
         let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
         Some((scatter.lag1_of_one(&sensor), covariance.try_inverse()?))
+    }
+
+    /// The part of the mean covariance that is the misfit of rough throws beside a baseline of coefficients, which repeats.
+    fn mean_misfit(&self, throws: usize, baselines: [Option<&Baseline>; 2]) -> Matrix3<f64> {
+        let repeats = |(side, throw): &&(usize, &RecentThrow)| {
+            throw.ratios_only && baselines[*side].is_some_and(Baseline::has_coefficients)
+        };
+        let rough = self.0[..throws].iter().filter(repeats);
+        rough.map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
     }
 
     /// Mean covariance of the estimates of the last throws.

@@ -1,6 +1,7 @@
 //! The circuit of the motor: a changed resistance, a sensor of the supply voltage that lies, a supply that explains slower
 //! throws, and a lost torque with sound magnets.
 
+use nalgebra::{Matrix3, Vector3};
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Observation, SensorChannel, Settings},
     throw::Direction,
@@ -136,6 +137,47 @@ fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
             raised.extend(drive.monitor.observe(&observation, &settings).events);
         }
         assert_eq!(raised.len(), expected, "{raised:?}");
+    }
+}
+
+/// Twice the resistance changes the inrush, and with it the acceleration that b0 describes: the motor is sound.
+#[test]
+fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
+    let settings = Settings::default();
+    for (seed, before) in [(60, SOUND), (61, SOUND), (62, OF_RATIOS), (63, OF_RATIOS)] {
+        let mut drive = learned(seed, before);
+        let mut events = Vec::new();
+        for _ in 0..100 {
+            let mut observation = drive.observe(State { ohms: 2.0, ..before });
+            if let Some(([b0, a1, a0], covariance)) = observation.estimate {
+                let weaker = Vector3::new(0.925, 1.0, 1.0);
+                let scale = Matrix3::from_diagonal(&weaker);
+                observation.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
+            }
+            events.extend(drive.monitor.observe(&observation, &settings).events);
+        }
+        let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
+        assert_eq!(causes, [Cause::Supply], "seed {seed}: {events:?}");
+    }
+}
+
+/// The resistance is computed from the toe. Where the toe moves otherwise than the motor it may be anything, and the inrush,
+/// which follows the gain of the current sensor, has not changed.
+#[test]
+fn a_resistance_that_is_wrong_in_one_direction_accuses_no_current_sensor() {
+    let settings = Settings::default();
+    for seed in 64..68 {
+        let mut drive = learned(seed, OF_RATIOS);
+        let mut events = Vec::new();
+        for _ in 0..60 {
+            let mut observation = drive.observe(State { stiffness: 1.6, ..OF_RATIOS });
+            if observation.direction == Some(Direction::ReverseToNormal) {
+                observation.features.resistance_ohm = observation.features.resistance_ohm.map(|ohm| 0.7 * ohm);
+            }
+            events.extend(drive.monitor.observe(&observation, &settings).events);
+        }
+        assert!(events.iter().any(|event| event.cause == Cause::Stiffness), "seed {seed}: {events:?}");
+        assert!(events.iter().all(|event| event.cause != Cause::Sensor), "seed {seed}: {events:?}");
     }
 }
 

@@ -382,6 +382,40 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
     }
 }
 
+/// A fault that makes every throw rough has a name: the misfit of the model, which repeats in these throws, is an error of the
+/// machine, and not of chance in thousands of throws. A change that it may explain has no alarm.
+#[test]
+fn a_fault_that_makes_every_throw_rough_is_named() {
+    let settings = Settings::default();
+    let misfit_sd = Vector3::new(0.0, 0.07, 0.08);
+    let shared = 24.0 * Matrix3::from_diagonal(&misfit_sd.component_mul(&misfit_sd));
+    // Without healthy rough throws, here all of one direction, the machine has not shown how much the misfit changes the ratios.
+    for (every_tenth, pct, is_found) in [(true, 26.0, true), (false, 45.0, true), (false, 12.0, false)] {
+        for seed in 0..8 {
+            let mut machine = Machine::new(9_900 + seed, Nature::default());
+            let mut monitor = machine.learned(&settings);
+            let mut life = |throws: u32, is_rough: fn(u32) -> bool, fault: Vector3<f64>| -> Vec<AlarmEvent> {
+                let throws = (0..throws).flat_map(|at| {
+                    let throw = machine.throw(fault);
+                    let throw = if is_rough(at) { rough(throw, shared) } else { throw };
+                    monitor.observe(&throw, &settings).events
+                });
+                throws.collect()
+            };
+            let healthy = life(120, if every_tenth { |at| at % 10 == 3 } else { |_| false }, Vector3::zeros());
+            assert_eq!(healthy, [], "{every_tenth}, seed {seed}: healthy");
+            let events = life(80, |_| true, shift(Cause::Stiffness, pct));
+            // While the misfit may change the ratios by as much as it states, they leave more than one explanation.
+            let is_right = |event: &AlarmEvent| {
+                let is_named = event.cause == Cause::Stiffness;
+                is_named || !every_tenth && event.cause == Cause::Unattributed && event.text.contains("stiffness")
+            };
+            assert_eq!(!events.is_empty(), is_found, "{every_tenth}, {pct}, seed {seed}");
+            assert!(events.iter().all(is_right), "{every_tenth}, {pct}, seed {seed}: {events:?}");
+        }
+    }
+}
+
 /// A toe that waits for the unlocking makes every throw rough: such a machine has a baseline of ratios.
 #[test]
 fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {

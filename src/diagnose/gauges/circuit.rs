@@ -56,6 +56,13 @@ pub(in crate::diagnose) struct Circuit {
     pub(in crate::diagnose) is_doubtful: bool,
 }
 
+impl Circuit {
+    /// The change beside a change of b0, as a logarithm, that may be a sensor's: the sensor changes the resistance as much.
+    pub(in crate::diagnose) fn beside(self, change: f64) -> Self {
+        Self { is_doubtful: self.is_doubtful || change.abs() > ALIKE * self.level.value.abs(), ..self }
+    }
+}
+
 impl Gauges {
     /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
     /// and the no-load speed is not: the voltage changed, and the speed did not follow. A voltage that is not changed, but
@@ -94,6 +101,13 @@ impl Gauges {
         let of_duration = || self.level(Gauge::Duration, throws).filter(|level| level.value < -SHORTER_SD * level.sd);
         let level = shown.or_else(of_duration)?;
         Some(BackEmf { level, of_duration: shown.is_none() })
+    }
+
+    /// Range of the change of the winding's resistance with the temperature of the air, as logarithms, that may have changed the
+    /// inrush: it is limited by the inductance too, so by all of the resistance or none of it.
+    pub(in crate::diagnose) fn winding_of_air(&self, throws: usize) -> [f64; 2] {
+        let warmer = self.level(Gauge::Air, throws).map(|air| heat(air.value));
+        warmer.map_or([-heat(WEATHER_K), heat(WEATHER_K)], |warmer| [warmer.min(0.0), warmer.max(0.0)])
     }
 
     /// Change of the resistance between supply and motor that heat does not explain; `knows_weather`: the resistance is

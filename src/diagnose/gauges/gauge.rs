@@ -51,6 +51,11 @@ impl Gauge {
         }
     }
 
+    /// Whether the weather changes the gauge by more than some percent: cold stiffens the drive.
+    pub(in crate::diagnose) fn follows_weather(self) -> bool {
+        matches!(self, Self::Running | Self::Charge)
+    }
+
     /// Sign of the change with the field of the magnets; 0 without one.
     pub(super) fn sign_of_magnets(self) -> f64 {
         match self {

@@ -121,8 +121,8 @@ impl Gauges {
         self.sides[direction.side()].progress(Gauge::Duration)
     }
 
-    /// Departures of some gauges of this throw from normal that its supply does not explain, as logarithms, with the
-    /// standard deviation of one throw; `None` if the gauge or its normal value is unknown.
+    /// Departures of some gauges of this throw from normal that its supply and its temperature do not explain, as logarithms,
+    /// with the standard deviation of one throw; `None` if the gauge or its normal value is unknown.
     pub(in crate::diagnose) fn unexplained<const N: usize>(
         &self,
         gauges: [Gauge; N],
@@ -136,7 +136,8 @@ impl Gauges {
             let (centre, sd) = normal.of(gauge)?;
             let change = values[gauge as usize]? - centre;
             let [from, to] = supplied.range(gauge);
-            Some((change - change.clamp(from, to), sd))
+            let by_weather = normal.of_weather(gauge, &values);
+            Some((change - change.clamp(from + by_weather.min(0.0), to + by_weather.max(0.0)), sd))
         })
     }
 

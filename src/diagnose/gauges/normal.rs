@@ -11,6 +11,8 @@ pub(super) const LEARNED: (usize, usize) = (12, 24);
 const LARGEST_SHARE: f32 = 0.6;
 /// Least speed that a supply leaves, as part of the normal one; it bounds a logarithm.
 const LEAST_SPEED: f32 = 0.1;
+/// Largest change of the logarithm of the running current with the temperature \[1/K\]: -0.6 % on two independent drives.
+const CURRENT_PER_K: f32 = -0.008;
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
 /// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
@@ -81,6 +83,12 @@ impl Normal {
             let speed = ((volts.exp() - share * ohms.exp()) / (1.0 - share)).max(LEAST_SPEED);
             Supplied { slower: -speed.ln(), inrush: volts - ohms }
         })
+    }
+
+    /// Largest change of a gauge that the published temperature explains, as a logarithm: cold stiffens the drive.
+    pub(super) fn of_weather(&self, gauge: Gauge, values: &Values) -> f32 {
+        let warmer_k = values[Gauge::Air as usize].zip(self.of(Gauge::Air)).map_or(0.0, |(now, (then, _))| now - then);
+        if gauge.follows_weather() { CURRENT_PER_K * warmer_k } else { 0.0 }
     }
 
     pub(super) fn learn(&mut self, values: Values) {

@@ -12,7 +12,7 @@ use super::{
         event::Cause,
         explain::percent,
         found,
-        gauges::{Circuit, Offset},
+        gauges::Offset,
         latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
         rule::Rule,
@@ -197,10 +197,10 @@ impl MachineMonitor {
         let excused = testimony.is_some_and(Testimony::excuses);
         let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
         // A sensor that explains a resistance explains a drift that matters, too.
-        let is_doubtful =
-            matches!(testimony, Some(Testimony::Either { .. })) && drift.as_ref().is_some_and(Drift::matters);
+        let may_be_sensor = |drift: &&Drift| matches!(drift.testimony, Testimony::Either { .. }) && drift.matters();
+        let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
-        let circuit = circuit.map(|found| Circuit { is_doubtful: found.is_doubtful || is_doubtful, ..found });
+        let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |window| window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
         // The inrush, which accelerates the machine, depends on the supply.
         let excused_start = excused || step.alarms.is_active(Cause::Supply);

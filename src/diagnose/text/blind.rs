@@ -116,10 +116,19 @@ pub(crate) fn blind(name: &str, blind: &Blindness) -> String {
 
 /// Text for a slow change of the friction of a machine without a temperature.
 pub(crate) fn season(name: &str, pct: f64) -> String {
+    slow_change(name, "friction", pct, "a change at the critical limit")
+}
+
+/// The same for the current of a machine that is monitored by its features.
+pub(crate) fn season_of_features(name: &str, pct: f64) -> String {
+    slow_change(name, "current", pct, "twice the usual limit")
+}
+
+fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
     let way = if pct < 0.0 { "fell" } else { "rose" };
     format!(
-        "Machine {name}: its friction {way} by {:.0} % over more than a week. Without a temperature, the season looks the \
-         same as wear or lubrication, so only a change at the critical limit raises an alarm. Publish temperature_c.",
+        "Machine {name}: its {what} {way} by {:.0} % over more than a week. Without a temperature, the season looks the \
+         same as wear or lubrication, so only {least} raises an alarm. Publish temperature_c.",
         pct.abs()
     )
 }

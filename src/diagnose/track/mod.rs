@@ -80,12 +80,15 @@ impl RoughErrors {
         }
     }
 
-    /// Variance of the errors relative to the stated one, at most 1.
-    fn share(self) -> f64 {
-        if self.throws < Self::THROWS.0 {
+    /// Variance of the errors relative to the stated one, at most 1: from the throws of both directions, whose misfit has the
+    /// same reasons.
+    fn share([one, other]: [Self; 2]) -> f64 {
+        let throws = one.throws + other.throws;
+        if throws < Self::THROWS.0 {
             return 1.0;
         }
-        (Self::MARGIN * (f64::from(self.squares) / f64::from(self.throws)).max(Self::LEAST)).min(1.0)
+        let mean = f64::from(one.squares + other.squares) / f64::from(throws);
+        (Self::MARGIN * mean.max(Self::LEAST)).min(1.0)
     }
 }
 
@@ -131,7 +134,9 @@ impl Tracks {
         settings: &Settings,
     ) -> Option<Vector3<f64>> {
         self.refresh_thresholds(settings);
-        let track = &mut self.sides[throw.direction.side()];
+        let side = throw.direction.side();
+        let rough_of_other = self.sides[1 - side].rough;
+        let track = &mut self.sides[side];
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = if track.of_ratios { baseline.differing(throw.sensor) } else { throw.sensor };
@@ -149,7 +154,7 @@ impl Tracks {
                 let stated = sensor.trace() / Estimate::LONGEST_WINDOW;
                 track.rough.learn((departure.norm_squared() - of_machine) / stated.max(f64::MIN_POSITIVE));
             }
-            sensor *= track.rough.share();
+            sensor *= RoughErrors::share([track.rough, rough_of_other]);
         }
         track.since_baseline += 1;
         let residual = baseline.compensated((raw, distance));
