@@ -25,25 +25,17 @@ const MOVES_SHARE: f64 = 0.0026;
 const MOVES_SD: f64 = 5.0;
 
 /// Adds no-load speed, and with a supply voltage resistance and back-EMF constant, to the features of a throw.
-pub(super) fn add_constants(
-    features: &mut Features,
-    supply_v: Option<f64>,
-    movement: &Movement,
-    (current, position): (&[f64], &[f64]),
-    interval_s: f64,
-    lead_mm: f64,
-) {
+pub(super) fn add_constants(features: &mut Features, supply_v: Option<f64>, movement: &Movement<'_>, lead_mm: f64) {
+    let interval_s = movement.interval_s;
     if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
         return;
     }
     let radians_per_mm = std::f64::consts::TAU / lead_mm;
-    let drive = movement.drive(current);
+    let drive = movement.drive();
     let (start, end) = (movement.start(), movement.near_end);
     let amperes = |i: &f64| drive * (i - movement.current.mean);
-    let (Some([first, current @ ..]), Some([_, position @ ..])) = (current.get(start..=end), position.get(start..=end))
-    else {
-        return;
-    };
+    let channels = (movement.current_a.get(start..=end), movement.position_mm.get(start..=end));
+    let (Some([first, current @ ..]), Some([_, position @ ..])) = channels else { return };
     let way_mm = |x: &f64| movement.sign * (x - movement.position.mean);
     let moves_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
     let Some(moves) = position.iter().position(|x| way_mm(x) > moves_mm) else { return };

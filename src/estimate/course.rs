@@ -2,8 +2,10 @@
 
 use super::{
     damage::LEAST_SLIP,
-    movement::{LARGEST_POSITION_SHARE, Level, MIN_QUIET, Movement, every, mean, median_of_magnitudes, peak},
-    noise::{SD_PER_MEDIAN, first_difference_noise},
+    movement::{
+        LARGEST_POSITION_SHARE, Level, MIN_QUIET, Movement, SD_PER_MEDIAN, every, first_difference_noise, mean,
+        median_of_magnitudes, peak,
+    },
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -74,18 +76,11 @@ const LATE_START_SHARE: f64 = 0.25;
 const INRUSH_FACTOR: f64 = 1.1;
 
 /// Rejects a trace without one complete movement driven by a measurable current.
-pub(super) fn course(
-    movement: &Movement,
-    (current, position): (&[f64], &[f64]),
-    interval_s: f64,
-    settings: &Settings,
-    noise_mm: f64,
-    scratch: &mut Vec<f64>,
-) -> Result<(), Rejection> {
+pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let Movement { current_a: current, position_mm: position, interval_s, travel_mm, .. } = *movement;
     let at = |k: usize| k as f64 * interval_s;
-    let travel_mm = movement.travel_mm;
     let furthest = peak(position, position[0]);
-    let noise_mm = whole_noise(movement, position, noise_mm, scratch);
+    let noise_mm = whole_noise(movement, scratch);
     if is_in_metres(movement, settings, noise_mm) {
         return Err(Rejection::WrongUnit { travel_mm });
     }
@@ -111,8 +106,8 @@ pub(super) fn course(
     if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
-    jumps(movement, position, interval_s, noise_mm)?;
-    let back_mm = backwards(movement, &position[..=movement.motor_off.unwrap_or(position.len() - 1)]);
+    jumps(movement, noise_mm)?;
+    let back_mm = backwards(movement);
     if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBackwards { back_mm });
     }
@@ -133,11 +128,11 @@ pub(super) fn course(
         return Err(Rejection::Stuck { channel: Channel::Position, value, at_s, stuck_s: stalled_s });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
-        stroke(movement, (current, position), stroke_mm, interval_s, noise_mm, scratch)?;
+        stroke(movement, stroke_mm, noise_mm, scratch)?;
     }
     let is_whole = |stroke_mm| travel_mm + WHOLE_SIGMAS * noise_mm > WHOLE_SHARE * stroke_mm;
     if stalled_s > LONGEST_STALL_S && !settings.stroke_mm.is_some_and(is_whole) {
-        if noise_mm > LARGEST_POSITION_SHARE * travel_mm && moves_until(off, movement, position, noise_mm) {
+        if noise_mm > LARGEST_POSITION_SHARE * travel_mm && moves_until(off, movement, noise_mm) {
             return Err(noisy);
         }
         return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
@@ -154,7 +149,7 @@ pub(super) fn course(
 }
 
 /// Whether the travel is a thousandth of a stroke. A locked toe that moves as far is not resolved as finely.
-fn is_in_metres(movement: &Movement, settings: &Settings, noise_mm: f64) -> bool {
+fn is_in_metres(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> bool {
     let (low, high) = settings.stroke_mm.map_or(USUAL_STROKES_MM, |stroke_mm| (0.9 * stroke_mm, 1.1 * stroke_mm));
     (low..=high).contains(&(1000.0 * movement.travel_mm))
         && movement.travel_mm > METRES_RESOLUTION * noise_mm.max(movement.position.quantum)
@@ -162,7 +157,8 @@ fn is_in_metres(movement: &Movement, settings: &Settings, noise_mm: f64) -> bool
 
 /// The noise of the position, also if it is hum or other noise that is not white: then the values at rest scatter more
 /// than their differences show. A toe that was displaced there is not noise.
-fn whole_noise(movement: &Movement, position: &[f64], noise_mm: f64, scratch: &mut Vec<f64>) -> f64 {
+fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
+    let Movement { position_mm: position, position_noise_mm: noise_mm, .. } = *movement;
     let Level { mean: centre, sd, samples, .. } = movement.position;
     let quarter = samples / 4;
     if quarter < MIN_QUIET || sd < 2.0 * noise_mm {
@@ -183,14 +179,7 @@ pub(super) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
 }
 
 /// Rejects a travel that is not the whole stroke.
-fn stroke(
-    movement: &Movement,
-    (current, position): (&[f64], &[f64]),
-    stroke_mm: f64,
-    interval_s: f64,
-    noise_mm: f64,
-    scratch: &mut Vec<f64>,
-) -> Result<(), Rejection> {
+fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
     let travel_mm = movement.travel_mm;
     if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
         return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
@@ -198,32 +187,25 @@ fn stroke(
     if !is_short(travel_mm, stroke_mm, noise_mm) {
         return Ok(());
     }
-    if movement.ends_moving(position) && movement.ends_driven(current) {
+    if movement.ends_moving() && movement.ends_driven() {
         return Err(Rejection::EndMissing { travel_mm });
     }
-    let has_wrong_gain = travel_mm > WRONG_GAIN_SHARE * stroke_mm
-        && ends_complete(movement, (current, position), interval_s, noise_mm, scratch);
+    let has_wrong_gain = travel_mm > WRONG_GAIN_SHARE * stroke_mm && ends_complete(movement, noise_mm, scratch);
     if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
 }
 
 /// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a moment.
 /// A motor that is switched off before would leave the same trace if it had lost its supply, and is no evidence.
-fn ends_complete(
-    movement: &Movement,
-    (current, position): (&[f64], &[f64]),
-    interval_s: f64,
-    noise_mm: f64,
-    scratch: &mut Vec<f64>,
-) -> bool {
-    let Movement { sign, travel_mm, arrived, .. } = *movement;
+fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>) -> bool {
+    let Movement { current_a: current, sign, travel_mm, arrived, .. } = *movement;
     let start = movement.start();
     let Some(off) = movement.motor_off.filter(|off| *off > arrived) else { return false };
-    let progress = |k: usize| sign * (position[k] - movement.position.mean);
+    let progress = |k: usize| sign * (movement.position_mm[k] - movement.position.mean);
     let reach = |share: f64| (start..arrived).find(|&k| progress(k) >= share * travel_mm);
     let (Some(before), Some(last)) = (reach(1.0 - 10.0 * LAST_SHARE), reach(1.0 - LAST_SHARE)) else { return false };
     let speed = |from: usize, to: usize| (progress(to) - progress(from)) / to.saturating_sub(from).max(1) as f64;
     let rebound_mm = travel_mm - sign * (movement.end_mm - movement.position.mean);
-    let push_s = (off - arrived) as f64 * interval_s;
+    let push_s = (off - arrived) as f64 * movement.interval_s;
     let push_a = peak(&current[arrived..=off], movement.current.mean);
     scratch.clear();
     scratch.extend(current[start.midpoint(arrived)..arrived].iter().map(|i| (i - movement.current.mean).abs()));
@@ -235,12 +217,12 @@ fn ends_complete(
 
 /// Whether the toe still moves before the end of the motor: in a noisy position the first sample near the end of the
 /// travel is much too early. Compares the means of the second and the last third of the time since then.
-fn moves_until(off: usize, movement: &Movement, position: &[f64], noise_mm: f64) -> bool {
+fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     let third = off.saturating_sub(movement.near_end) / 3;
     if third == 0 {
         return false;
     }
-    let of = |from: usize| mean(position[from..from + third].iter().copied());
+    let of = |from: usize| mean(movement.position_mm[from..from + third].iter().copied());
     let moved = movement.sign * (of(off - third) - of(off - 2 * third));
     let usual = movement.travel_mm * third as f64 / off.saturating_sub(movement.start()).max(1) as f64;
     moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
@@ -248,12 +230,12 @@ fn moves_until(off: usize, movement: &Movement, position: &[f64], noise_mm: f64)
 
 /// Rejects a toe that already moves at the start of the motor: three consecutive positions are displaced. (Noise can
 /// displace one of them.)
-pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejection> {
+pub(super) fn early(movement: &Movement<'_>) -> Result<(), Rejection> {
     if movement.quiet <= 2 * MIN_QUIET {
         return Ok(());
     }
     let start = movement.start();
-    let moved_mm = (mean(position[start - 2..=start].iter().copied()) - movement.position.mean).abs();
+    let moved_mm = (mean(movement.position_mm[start - 2..=start].iter().copied()) - movement.position.mean).abs();
     let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(movement.position.quantum);
     if moved_mm > noise_mm.max(LEAST_SLIP * movement.travel_mm) {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
@@ -262,7 +244,8 @@ pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejecti
 }
 
 /// Rejects a movement without inrush: a starting motor takes more current than a running one.
-pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+pub(super) fn inrush(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let current = movement.current_a;
     let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
     let early = start + ((end - start) / 5).max(1);
     let level = |i: &f64| (i - movement.current.mean).abs();
@@ -278,8 +261,8 @@ const CREST_SHARE: f64 = 0.9;
 const CREST_FLATNESS: f64 = 0.97;
 
 /// Samples from the last quiet one to the end of the first crest of the current.
-pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
-    let start = movement.start();
+pub(super) fn rise_samples(movement: &Movement<'_>) -> usize {
+    let (current, start) = (movement.current_a, movement.start());
     let level = |k: usize| (current[k] - movement.current.mean).abs();
     let falls = |k: usize| k + 1 == current.len() || level(k + 1) <= level(k);
     let Some(crest) = (start..current.len()).find(|&k| level(k) >= CREST_SHARE * movement.peak_a && falls(k)) else {
@@ -297,29 +280,31 @@ const JUMP_QUANTA: f64 = 3.0;
 const LARGEST_QUANTUM_MM: f64 = 0.5;
 
 /// Rejects a step between two samples that the speed of the machine does not explain.
-fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
+fn jumps(movement: &Movement<'_>, noise_mm: f64) -> Result<(), Rejection> {
     let span = movement.arrived.saturating_sub(movement.start()).max(1);
     let mean_step = movement.travel_mm / span as f64;
     let allowed = JUMP_MEAN_STEPS * mean_step
         + JUMP_SIGMAS * noise_mm
         + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
-    let steps = position.array_windows().map(|[before, after]| (after - before).abs());
+    let steps = movement.position_mm.array_windows().map(|[before, after]| (after - before).abs());
     if every(steps.clone().map(|step| step <= allowed)) {
         return Ok(());
     }
     match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((at, jump_mm)) if jump_mm > allowed => {
-            Err(Rejection::PositionJump { jump_mm, at_s: at as f64 * interval_s })
+            Err(Rejection::PositionJump { jump_mm, at_s: at as f64 * movement.interval_s })
         }
         _ => Ok(()),
     }
 }
 
-/// Largest distance back from the furthest position so far.
-fn backwards(movement: &Movement, position: &[f64]) -> f64 {
+/// Largest distance back from the furthest position so far, while the motor is on.
+fn backwards(movement: &Movement<'_>) -> f64 {
+    let position = movement.position_mm;
+    let last = movement.motor_off.unwrap_or(position.len() - 1);
     let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
     let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0);
-    for x in position {
+    for x in &position[..=last] {
         let x = sign * x;
         furthest = if x > furthest { x } else { furthest };
         worst = if furthest - x > worst { furthest - x } else { worst };

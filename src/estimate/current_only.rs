@@ -60,9 +60,9 @@ const NO_ARMATURE: &str = "the inrush does not give resistance, inductance and b
 const NO_MODEL: &str = "the movement that follows from the current does not fit the model of a point machine";
 
 /// The features of a throw without a toe position; the duration is that of the motor.
-pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
-    let duration_s = movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * interval_s);
-    Features { duration_s, ..movement.features(current, &[], interval_s).without(Channel::Position) }
+pub(super) fn features(movement: &Movement<'_>) -> Features {
+    let duration_s = movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * movement.interval_s);
+    Features { duration_s, ..movement.features().without(Channel::Position) }
 }
 
 /// The five unknowns of the equation in the first samples: L, R + a1 L, K b0 + a1 R + a0 L, c and d. `integrals` are those of
@@ -90,21 +90,20 @@ fn solve(
 /// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
 /// back-EMF constant to the features.
 pub(super) fn estimate(
-    current: &[f64],
-    movement: &Movement,
+    movement: &Movement<'_>,
     throw: &Throw,
     settings: &Settings,
-    interval_s: f64,
     features: &mut Features,
 ) -> Result<Estimate, &'static str> {
+    let Movement { current_a: current, interval_s, .. } = *movement;
     let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
     let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
     if interval_s * LEAST_RATE_HZ > 1.0001 {
         return Err("the coefficients need at least 500 samples/s");
     }
     let start = movement.start();
-    let off = end_of_voltage(movement, current, interval_s).ok_or(NOT_ENDED)?;
-    let drive = movement.drive(current);
+    let off = end_of_voltage(movement).ok_or(NOT_ENDED)?;
+    let drive = movement.drive();
     let amperes: Vec<f64> =
         current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
@@ -191,15 +190,16 @@ fn unknown(throw: &Throw, settings: &Settings) -> &'static str {
 
 /// The last sample with the supply voltage at the motor. A motor that stalls at the end of the stroke winds up the drive,
 /// which turns it back after the cut-off: then a current flows for a tenth of a second without a voltage.
-fn end_of_voltage(movement: &Movement, current: &[f64], interval_s: f64) -> Option<usize> {
+fn end_of_voltage(movement: &Movement<'_>) -> Option<usize> {
     let off = movement.motor_off?;
     let from = movement.start().midpoint(off);
-    let mut late: Vec<f64> = current.get(from..=off)?.iter().map(|i| (i - movement.current.mean).abs()).collect();
+    let mut late: Vec<f64> =
+        movement.current_a.get(from..=off)?.iter().map(|i| (i - movement.current.mean).abs()).collect();
     let peak = late.iter().copied().fold(0.0, f64::max);
     let stalled = late.iter().rposition(|i| *i >= STALLED_SHARE * peak)?;
     let (first, second) = late[stalled..].split_at((late.len() - stalled) / 2);
     let decays = mean(second.iter().copied()) < FREEWHEEL_SHARE * mean(first.iter().copied());
-    let is_short = (late.len() - stalled) as f64 * interval_s <= FREEWHEEL_S;
+    let is_short = (late.len() - stalled) as f64 * movement.interval_s <= FREEWHEEL_S;
     let stalls = is_short && decays && peak > STALL_FACTOR * median_of_magnitudes(&mut late);
     Some(if stalls { from + stalled } else { off })
 }

@@ -86,7 +86,7 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 /// A machine may unlock for some tenths of a second before its toe moves, and a converter whose step is larger than the
 /// noise repeats the place at rest for this time. Then the position goes on from there, step by step.
 pub(super) fn sticking(
-    movement: &Movement,
+    movement: &Movement<'_>,
     channel: Channel,
     values: &[f64],
     interval_s: f64,
@@ -153,13 +153,8 @@ const RIPPLE_SPIKES: usize = 6;
 /// Rejects single values far from their neighbours: the second difference is large there, half as large with the
 /// opposite sign at the neighbours, and small two samples away (unlike the ringing of an anti-alias filter after the
 /// inrush). A few are corrupt values; many are a ripple that the sampling hardly resolves.
-pub(super) fn spikes(
-    movement: &Movement,
-    channel: Channel,
-    values: &[f64],
-    interval_s: f64,
-    filtered: bool,
-) -> Result<(), Rejection> {
+pub(super) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) -> Result<(), Rejection> {
+    let values = movement.values(channel);
     let range = if channel == Channel::Current {
         SPIKE_CURRENT_SHARE * movement.peak_a
     } else {
@@ -191,7 +186,7 @@ pub(super) fn spikes(
     });
     match spikes.next() {
         Some(at) if spikes.count() + 1 < RIPPLE_SPIKES => {
-            Err(Rejection::Spike { channel, height: bend(at), at_s: at as f64 * interval_s })
+            Err(Rejection::Spike { channel, height: bend(at), at_s: at as f64 * movement.interval_s })
         }
         _ => Ok(()),
     }
@@ -220,7 +215,8 @@ const LEAST_STEP: f64 = 0.006;
 pub(super) const LEAST_SLIP: f64 = 5e-4;
 
 /// Rejects a lasting step of the current within the inrush.
-fn inrush_step(movement: &Movement, current: &[f64], interval_s: f64, sd: f64) -> Result<(), Rejection> {
+fn inrush_step(movement: &Movement<'_>, sd: f64) -> Result<(), Rejection> {
+    let current = movement.current_a;
     let least_a = (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a);
     let is_step = |k: &usize| {
         let [a, b, c, d] = [current[k - 1], current[*k], current[k + 1], current[k + 2]];
@@ -231,7 +227,7 @@ fn inrush_step(movement: &Movement, current: &[f64], interval_s: f64, sd: f64) -
     // One step shows at neighbouring places too; more are a switching supply.
     match found.next() {
         Some(at) if found.count() < 3 => {
-            Err(Rejection::CurrentJump { jump_a: current[at + 1] - current[at], at_s: at as f64 * interval_s })
+            Err(Rejection::CurrentJump { jump_a: current[at + 1] - current[at], at_s: at as f64 * movement.interval_s })
         }
         _ => Ok(()),
     }
@@ -242,19 +238,19 @@ fn inrush_step(movement: &Movement, current: &[f64], interval_s: f64, sd: f64) -
 /// height only for a step; for a smooth signal the shorter means show an eighth. Many steps are a ripple that the
 /// sampling hardly resolves.
 pub(super) fn steps(
-    movement: &Movement,
+    movement: &Movement<'_>,
     channel: Channel,
-    values: &[f64],
-    (interval_s, noise): (f64, f64),
+    noise: f64,
     sums: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
+    let (values, interval_s) = (movement.values(channel), movement.interval_s);
     // A step at rest increases the noise at rest, but not that of differences.
     let rest = movement.level(channel);
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
     let wide = 2 * samples_in(0.5 * STEP_S, interval_s).clamp(2, 16);
     if channel == Channel::Current {
-        inrush_step(movement, values, interval_s, sd)?;
+        inrush_step(movement, sd)?;
     }
     sums.clear();
     sums.push(0.0);
@@ -326,11 +322,15 @@ mod tests {
         let noise = 0.62;
         let level = Level { mean: 0.0, sd: noise, samples: 200, quantum: 1.0 };
         let movement = Movement {
+            current_a: &[],
+            position_mm: &[],
+            interval_s: 5e-5,
             quiet: 200,
             motor_off: Some(4500),
             current: level,
             position: level,
             position_every: 1.0,
+            position_noise_mm: noise,
             sign: 1.0,
             travel_mm: 115.0,
             near_end: 4400,

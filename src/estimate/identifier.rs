@@ -12,8 +12,8 @@ use super::{
     lateness,
     load::Load,
     missing,
-    movement::{Level, MIN_QUIET, Movement, every, peak, start_of_motor},
-    noise::{self, second_difference_noise},
+    movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
+    noise,
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
     release,
@@ -53,6 +53,12 @@ const NOISE_BANDWIDTH: f64 = 1.026;
 pub struct Identifier {
     current: Vec<f64>,
     position: Vec<f64>,
+    buffers: Buffers,
+}
+
+/// The signals of a window and the buffers of its estimation.
+#[derive(Debug, Default)]
+struct Buffers {
     input: Vec<f64>,
     input_scale: Vec<f64>,
     output: Vec<f64>,
@@ -80,52 +86,53 @@ impl Identifier {
     /// Identifies a throw whose current has a new value in each sample, and its position in one of `position_every`.
     fn identify_sampled(&mut self, throw: &Throw, position_every: f64, settings: &Settings) -> Identification {
         let trace = &throw.trace;
+        let Self { current, position, buffers } = self;
+        let scratch = &mut buffers.scratch;
         let has_position = trace.has_position();
         let raw_interval_s = 1.0 / trace.sample_rate_hz();
         let factor = decimate::factor(trace.sample_rate_hz());
         let interval_s = raw_interval_s * factor as f64;
         let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
-        copy_finite(&mut self.current, &raw_current);
-        let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
+        copy_finite(current, &raw_current);
+        let at_rest = if factor > 1 { level_before(current) } else { 0.0 };
         let linear = settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz().is_none();
         let released = (factor > 1 && has_position)
-            .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
+            .then(|| release::at_full_rate(current, raw_interval_s, linear, scratch))
             .flatten();
-        decimate::decimate(&mut self.current, factor, at_rest);
+        decimate::decimate(current, factor, at_rest);
         if !has_position {
-            return self.identify_current(throw, (&raw_current, raw_interval_s), interval_s, settings);
+            position.clear();
+            position.resize(current.len(), 0.0);
+            let movement = Movement::of(current, position, interval_s, scratch);
+            let values = damage::values(&raw_current, &[], raw_interval_s);
+            return identify_current(throw, &movement, values, settings);
         }
         let raw_position = missing::bridged(trace.position_mm(), raw_interval_s);
         let raw_checks = damage::values(&raw_current, &raw_position, raw_interval_s)
             .and_then(|()| damage::clipping(&raw_current, raw_interval_s));
-        copy_finite(&mut self.position, &raw_position);
-        let first = self.position[0];
-        decimate::decimate(&mut self.position, factor, first);
+        copy_finite(position, &raw_position);
+        let first = position[0];
+        decimate::decimate(position, factor, first);
 
-        if let Some(foot) = start_of_motor(&self.current, interval_s, &mut self.scratch) {
-            let noise = second_difference_noise(&self.current[..=foot], &mut self.scratch);
-            if Level::of(&self.current[..=foot]).sd > HUM_FACTOR * noise {
-                hum::remove(&mut self.current, foot + 1, interval_s);
+        if let Some(foot) = start_of_motor(current, interval_s, scratch) {
+            let noise = second_difference_noise(&current[..=foot], scratch);
+            if Level::of(&current[..=foot]).sd > HUM_FACTOR * noise {
+                hum::remove(current, foot + 1, interval_s);
             }
         }
-        let mut movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
-        movement.measure_position_every(position_every / factor as f64);
-        let noise_mm = self.position_noise_mm(settings, &movement);
+        let mut movement = Movement::of(current, position, interval_s, scratch);
+        movement.measure_position_every(position_every / factor as f64, settings.position_noise_mm);
         let outcome = raw_checks
-            .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
-            .and_then(|()| long_enough(self.current.len(), interval_s))
-            .and_then(|()| {
-                let channels = (self.current.as_slice(), self.position.as_slice());
-                course::course(&movement, channels, interval_s, settings, noise_mm, &mut self.scratch)
-            })
+            .and_then(|()| usable(&movement, settings))
+            .and_then(|()| course::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
-            .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
+            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
         let moved = direction_moved(&movement, &outcome);
         let undamaged = !outcome
             .as_ref()
             .is_err_and(|reason| reason.faulty_channel().is_some() || matches!(reason, Rejection::PositionJump { .. }));
-        let mut features = movement.features(&self.current, &self.position, interval_s);
+        let mut features = movement.features();
         match outcome {
             Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
                 features = features.without(channel);
@@ -139,15 +146,14 @@ impl Identifier {
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
         features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
-            let (channels, supply_v) = ((self.current.as_slice(), self.position.as_slice()), throw.possible_supply_v());
-            armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
+            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
         }
         if let Ok(estimate) = &outcome {
-            self.add_start(&mut features, estimate, &movement, interval_s);
+            buffers.add_start(&mut features, estimate, &movement);
         }
-        let short_of_stroke_mm = settings
-            .stroke_mm
-            .filter(|stroke_mm| outcome.is_ok() && course::is_short(movement.travel_mm, *stroke_mm, noise_mm));
+        let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
+            outcome.is_ok() && course::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
+        });
         Identification {
             direction: moved.or(throw.direction),
             direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
@@ -157,48 +163,17 @@ impl Identifier {
             short_of_stroke_mm,
         }
     }
+}
 
+impl Buffers {
     /// Adds the start of the movement in the window of its estimate to the features.
-    fn add_start(&mut self, features: &mut Features, estimate: &Estimate, movement: &Movement, interval_s: f64) {
+    fn add_start(&mut self, features: &mut Features, estimate: &Estimate, movement: &Movement<'_>) {
         let foot = movement.start().min(LEAD_IN);
         let channels = (&self.input[foot..], &self.output[foot..]);
-        let start = start::find(channels, &self.equilibrium[foot..], estimate.ratios(), interval_s, &mut self.free);
+        let equilibrium = &self.equilibrium[foot..];
+        let start = start::find(channels, equilibrium, estimate.ratios(), movement.interval_s, &mut self.free);
         features.start_delay_s = start.map(|start| start.delay_s);
         features.start_gain = start.map(|start| start.gain);
-    }
-
-    /// Identifies a throw of a machine without a toe sensor from its decimated current.
-    fn identify_current(
-        &mut self,
-        throw: &Throw,
-        (raw_current, raw_interval_s): (&[f64], f64),
-        interval_s: f64,
-        settings: &Settings,
-    ) -> Identification {
-        let trace = &throw.trace;
-        self.position.clear();
-        self.position.resize(self.current.len(), 0.0);
-        let movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
-        let mut features = current_only::features(&movement, &self.current, interval_s);
-        features.supply_v = throw.supply_v;
-        features.energy_j = energy_j(throw, &features);
-        let start_s = movement.start() as f64 * interval_s;
-        let outcome = damage::values(raw_current, &[], raw_interval_s)
-            .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
-            .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
-            .and_then(|()| long_enough(self.current.len(), interval_s))
-            .and_then(|()| {
-                current_only::estimate(&self.current, &movement, throw, settings, interval_s, &mut features)
-                    .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
-            });
-        Identification {
-            direction: throw.direction,
-            direction_contradicted: false,
-            features,
-            outcome,
-            unused_fields: throw.unused_fields(),
-            short_of_stroke_mm: None,
-        }
     }
 
     /// Checks the samples of a complete movement; `filter_hz` is the cut-off of an anti-alias filter. Returns the reason why
@@ -207,12 +182,13 @@ impl Identifier {
         &mut self,
         trace: &Trace,
         settings: &Settings,
-        movement: &Movement,
-        (interval_s, factor, noise_mm): (f64, usize, f64),
+        movement: &Movement<'_>,
+        factor: usize,
         filter_hz: Option<f64>,
     ) -> Result<Option<Rejection>, Rejection> {
-        let mut doubt = course::early(movement, &self.position).err();
-        let rise_samples = course::rise_samples(movement, &self.current);
+        let interval_s = movement.interval_s;
+        let mut doubt = course::early(movement).err();
+        let rise_samples = course::rise_samples(movement);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { interval_s, rise_samples };
             if interval_s > LONGEST_INTERVAL_S {
@@ -223,7 +199,7 @@ impl Identifier {
         let filtered = filter_hz.is_some();
         // A disturbance of the start falsifies the scale; a disturbance of the movement falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
-        let released_s = movement.released(&self.position).unwrap_or(0) as f64 * interval_s;
+        let released_s = movement.released().unwrap_or(0) as f64 * interval_s;
         let inrush = start_s - interval_s..(start_s + damage::INRUSH_S).max(released_s + START_S);
         doubt = doubt.or_else(|| missing::within(trace, inrush.start, inrush.end));
         let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
@@ -233,16 +209,16 @@ impl Identifier {
             }
             verdict => verdict,
         };
-        or_doubt(damage::spikes(movement, Channel::Current, &self.current, interval_s, filtered))?;
-        or_doubt(damage::spikes(movement, Channel::Position, &self.position, interval_s, filtered))?;
+        or_doubt(damage::spikes(movement, Channel::Current, filtered))?;
+        or_doubt(damage::spikes(movement, Channel::Position, filtered))?;
         if factor == 1 && filter_hz.is_none() {
-            let noise_a = second_difference_noise(&self.current, &mut self.scratch);
-            let (current, position) = ((interval_s, noise_a), (interval_s, noise_mm));
-            or_doubt(damage::steps(movement, Channel::Current, &self.current, current, &mut self.scratch))?;
+            let noise_a = second_difference_noise(movement.current_a, &mut self.scratch);
+            or_doubt(damage::steps(movement, Channel::Current, noise_a, &mut self.scratch))?;
             if movement.position_every <= 1.0 {
-                or_doubt(damage::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
+                let noise_mm = movement.position_noise_mm;
+                or_doubt(damage::steps(movement, Channel::Position, noise_mm, &mut self.scratch))?;
             }
-            noise::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
+            noise::noise_level(movement, settings, &mut self.scratch)?;
         }
         Ok(doubt)
     }
@@ -252,19 +228,19 @@ impl Identifier {
         &mut self,
         throw: &Throw,
         settings: &Settings,
-        movement: &Movement,
-        (interval_s, factor, noise_mm): (f64, usize, f64),
+        movement: &Movement<'_>,
+        factor: usize,
         released: Option<f64>,
     ) -> Result<Estimate, Rejection> {
-        let rate_hz = 1.0 / interval_s;
+        let rate_hz = 1.0 / movement.interval_s;
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
         noise::resolved(movement, settings)?;
         let noisy = noise::plausible(movement, settings).err();
-        let no_inrush = course::inrush(movement, &self.current, &mut self.scratch);
-        let doubt = self.check_samples(&throw.trace, settings, movement, (interval_s, factor, noise_mm), filter_hz)?;
+        let no_inrush = course::inrush(movement, &mut self.scratch);
+        let doubt = self.check_samples(&throw.trace, settings, movement, factor, filter_hz)?;
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
-        let mut window = self.window(settings, movement, interval_s, filter_hz, released)?;
-        if settings.stroke_mm.is_none() && movement.ends_moving(&self.position) && movement.ends_driven(&self.current) {
+        let mut window = self.window(settings, movement, filter_hz, released)?;
+        if settings.stroke_mm.is_none() && movement.ends_moving() && movement.ends_driven() {
             return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
         }
         let doubt = doubt.or(window.doubt.take());
@@ -300,7 +276,7 @@ impl Identifier {
     fn fit(
         &mut self,
         settings: &Settings,
-        movement: &Movement,
+        movement: &Movement<'_>,
         window: &Window,
     ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
         let Some(mut model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
@@ -352,7 +328,7 @@ impl Identifier {
                 .and_then(|from| Load::of((&self.input, &self.output), window.equilibrium, from, window.interval_s))
                 .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
                 .ok_or(Rejection::Singular)?;
-            let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
+            let cut = settings.stroke_mm.is_none() && movement.ends_moving();
             let departure = Departure { delay_s, brake_sd, ..departure };
             finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
         };
@@ -364,22 +340,22 @@ impl Identifier {
     fn window(
         &mut self,
         settings: &Settings,
-        movement: &Movement,
-        interval_s: f64,
+        movement: &Movement<'_>,
         filter_hz: Option<f64>,
         released: Option<f64>,
     ) -> Result<Window, Rejection> {
+        let Movement { current_a: current, position_mm: position, interval_s, .. } = *movement;
         let from = movement.start().saturating_sub(LEAD_IN);
-        let to = movement.end(&self.position).max(from) + 1;
+        let to = movement.end().max(from) + 1;
         long_enough(to - from, interval_s)?;
         let radians_per_mm = std::f64::consts::TAU / settings.lead_mm;
         let offset = movement.current.mean;
-        let drive = movement.drive(&self.current);
+        let drive = movement.drive();
         let start_mm = movement.position.mean;
         self.output.clear();
-        self.output.extend(self.position[from..to].iter().map(|x| movement.sign * (x - start_mm) * radians_per_mm));
+        self.output.extend(position[from..to].iter().map(|x| movement.sign * (x - start_mm) * radians_per_mm));
         self.input.clear();
-        self.input.extend(self.current[from..to].iter().map(|i| drive * (i - offset)));
+        self.input.extend(current[from..to].iter().map(|i| drive * (i - offset)));
         self.input_scale.clear();
         if settings.motor == Motor::Series {
             self.input_scale.extend(self.input.iter().map(|i| 2.0 * i.abs()));
@@ -388,12 +364,12 @@ impl Identifier {
             }
         }
         let (rise, doubt) = if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
-            release::complete_onset(&mut self.input, movement, movement.start() - from, interval_s)?
+            release::complete_onset(&mut self.input, movement, movement.start() - from)?
         } else {
             (0.0, None)
         };
         let released = released.map_or_else(
-            || release::time(&self.current[from..to], offset, movement.start() - from, interval_s, filter_hz),
+            || release::time(&current[from..to], offset, movement.start() - from, interval_s, filter_hz),
             |released| released - from as f64 * interval_s,
         );
         let equilibrium = movement.sign * (settings.neutral_mm - start_mm) * radians_per_mm;
@@ -401,7 +377,7 @@ impl Identifier {
         for shift in &mut self.equilibrium {
             *shift *= equilibrium;
         }
-        let (current_sd, position_sd) = self.sensor_noise(settings, movement);
+        let (current_sd, position_sd) = sensor_noise(settings, movement);
         // Filtered white noise has more power below the cut-off than its variance at this rate shows.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
         Ok(Window {
@@ -425,31 +401,49 @@ impl Identifier {
             doubt,
         })
     }
+}
 
-    /// Standard deviation of the noise of the position \[mm\], from the roughness of the trace; a position that is joined by
-    /// lines has no roughness.
-    fn position_noise_mm(&mut self, settings: &Settings, movement: &Movement) -> f64 {
-        if movement.position_every <= 1.0 {
-            second_difference_noise(&self.position, &mut self.scratch)
-        } else if movement.position.samples >= MIN_QUIET {
-            movement.position.sd
-        } else {
-            settings.position_noise_mm
-        }
-    }
+/// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness
+/// of the trace or the settings; at least the rounding error of the converter.
+fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
+    let current = if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
+    let position = if movement.position.samples >= MIN_QUIET {
+        movement.position.sd
+    } else {
+        movement.position_noise_mm.min(settings.position_noise_mm)
+    };
+    let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
+    (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
+}
 
-    /// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness
-    /// of the trace or the settings; at least the rounding error of the converter.
-    fn sensor_noise(&mut self, settings: &Settings, movement: &Movement) -> (f64, f64) {
-        let current =
-            if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
-        let position = if movement.position.samples >= MIN_QUIET {
-            movement.position.sd
-        } else {
-            self.position_noise_mm(settings, movement).min(settings.position_noise_mm)
-        };
-        let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
-        (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
+/// Identifies a throw of a machine without a toe sensor; `values` is the check of its samples.
+fn identify_current(
+    throw: &Throw,
+    movement: &Movement<'_>,
+    values: Result<(), Rejection>,
+    settings: &Settings,
+) -> Identification {
+    let mut features = current_only::features(movement);
+    features.supply_v = throw.supply_v;
+    features.energy_j = energy_j(throw, &features);
+    let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
+    let outcome = values
+        .and_then(|()| {
+            let inrush_s = (start_s - movement.interval_s, start_s + damage::INRUSH_S);
+            missing::within(trace, inrush_s.0, inrush_s.1).map_or(Ok(()), Err)
+        })
+        .and_then(|()| usable(movement, settings))
+        .and_then(|()| {
+            current_only::estimate(movement, throw, settings, &mut features)
+                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
+        });
+    Identification {
+        direction: throw.direction,
+        direction_contradicted: false,
+        features,
+        outcome,
+        unused_fields: throw.unused_fields(),
+        short_of_stroke_mm: None,
     }
 }
 
@@ -467,6 +461,12 @@ fn sent_position(trace: &Trace) -> &'static str {
     }
 }
 
+/// Rejects settings out of range, and a trace that is too short.
+fn usable(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
+    settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() })?;
+    long_enough(movement.current_a.len(), movement.interval_s)
+}
+
 /// Rejects a trace or window that is too short.
 fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
     let duration_s = samples as f64 * interval_s;
@@ -477,7 +477,7 @@ fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
 }
 
 /// Direction of the toe's movement, if the position is reliable for this.
-fn direction_moved(movement: &Movement, outcome: &Result<Estimate, Rejection>) -> Option<Direction> {
+fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection>) -> Option<Direction> {
     let untrusted = matches!(
         outcome,
         Err(Rejection::NoMovement

@@ -47,9 +47,13 @@ pub(super) struct Level {
     pub(super) quantum: f64,
 }
 
-/// The course of a throw. Indices count samples of the channels given to [`Movement::of`].
+/// A recorded throw with its course. Indices count its samples.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Movement {
+pub(super) struct Movement<'a> {
+    /// The channels: finite, of equal length and not empty.
+    pub(super) current_a: &'a [f64],
+    pub(super) position_mm: &'a [f64],
+    pub(super) interval_s: f64,
     /// Number of samples before the start of the motor; the start is the last of them, or the first sample of the
     /// trace.
     pub(super) quiet: usize,
@@ -61,6 +65,8 @@ pub(super) struct Movement {
     pub(super) position: Level,
     /// Samples from one measured position to the next; more than 1 if lines join them.
     pub(super) position_every: f64,
+    /// Standard deviation of the noise of the position, also if it is not known at rest.
+    pub(super) position_noise_mm: f64,
     /// Sign of the toe's movement; 0 without movement.
     pub(super) sign: f64,
     /// Distance from start to end \[mm\].
@@ -77,9 +83,9 @@ pub(super) struct Movement {
     pub(super) mean_a: f64,
 }
 
-impl Movement {
-    /// Determines the course of a throw; the channels are finite, of equal length and not empty.
-    pub(super) fn of(current: &[f64], position: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Self {
+impl<'a> Movement<'a> {
+    /// Determines the course of a throw.
+    pub(super) fn of(current: &'a [f64], position: &'a [f64], interval_s: f64, scratch: &mut Vec<f64>) -> Self {
         let len = current.len();
         let start = start_of_motor(current, interval_s, scratch);
         let quiet = start.map_or(len, |start| start + 1);
@@ -137,11 +143,15 @@ impl Movement {
         let on = from..motor_off.map_or(0, |off| off + 1).max(from);
         let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
         Self {
+            current_a: current,
+            position_mm: position,
+            interval_s,
             quiet,
             motor_off,
             current: level,
             position: position_level,
             position_every: 1.0,
+            position_noise_mm: second_difference_noise(position, scratch),
             sign,
             travel_mm,
             near_end,
@@ -149,6 +159,14 @@ impl Movement {
             end_mm,
             peak_a,
             mean_a,
+        }
+    }
+
+    /// The samples of a channel.
+    pub(super) fn values(&self, channel: Channel) -> &'a [f64] {
+        match channel {
+            Channel::Current => self.current_a,
+            Channel::Position => self.position_mm,
         }
     }
 
@@ -161,13 +179,14 @@ impl Movement {
     }
 
     /// Sign of the driving current: that of the inrush. (Later a stiff spring may drive the motor.)
-    pub(super) fn drive(&self, current: &[f64]) -> f64 {
+    pub(super) fn drive(&self) -> f64 {
         let beyond = |i: &&f64| (*i - self.current.mean).abs() >= 0.5 * self.peak_a;
-        current[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
+        self.current_a[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
     }
 
     /// Whether the trace ends while the toe is moving.
-    pub(super) fn ends_moving(&self, position: &[f64]) -> bool {
+    pub(super) fn ends_moving(&self) -> bool {
+        let position = self.position_mm;
         let last = position.len() - 1;
         let stretch = (last / 50).max(3).min(last);
         let speed = |from: usize, to: usize| (position[to] - position[from]).abs() / (to - from).max(1) as f64;
@@ -176,8 +195,8 @@ impl Movement {
     }
 
     /// Whether the motor still drives at the last sample, with at least half of the mean current.
-    pub(super) fn ends_driven(&self, current: &[f64]) -> bool {
-        let last = &current[current.len().saturating_sub(MIN_QUIET)..];
+    pub(super) fn ends_driven(&self) -> bool {
+        let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET)..];
         mean(last.iter().map(|i| (i - self.current.mean).abs())) > 0.5 * self.mean_a
     }
 
@@ -187,41 +206,48 @@ impl Movement {
     }
 
     /// First sample at which the toe is released.
-    pub(super) fn released(&self, position: &[f64]) -> Option<usize> {
+    pub(super) fn released(&self) -> Option<usize> {
         let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
-        (self.start()..position.len()).find(|&k| self.sign * (position[k] - self.position.mean) >= least_mm)
+        let progress = |k: usize| self.sign * (self.position_mm[k] - self.position.mean);
+        (self.start()..self.position_mm.len()).find(|&k| progress(k) >= least_mm)
     }
 
     /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it.
     /// (With a driving spring the current crosses zero while the motor is on.)
-    pub(super) fn end(&self, position: &[f64]) -> usize {
+    pub(super) fn end(&self) -> usize {
+        let position = self.position_mm;
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
         let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
         let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// States that only one of so many positions is measured, so that fewer of those at rest count.
-    pub(super) fn measure_position_every(&mut self, samples: f64) {
+    /// States that only one of so many positions is measured, so that fewer of those at rest count. Lines join the others:
+    /// they have no roughness, so the noise is that at rest, or the expected one.
+    pub(super) fn measure_position_every(&mut self, samples: f64, expected_noise_mm: f64) {
         self.position_every = samples.max(1.0);
         self.position.samples = samples_in(self.position.samples as f64, self.position_every);
+        if self.position_every > 1.0 {
+            self.position_noise_mm =
+                if self.position.samples >= MIN_QUIET { self.position.sd } else { expected_noise_mm };
+        }
     }
 
-    /// The features of the two channels, with the sampling interval \[s\].
-    pub(super) fn features(&self, current: &[f64], position: &[f64], interval_s: f64) -> Features {
+    /// The features of the two channels.
+    pub(super) fn features(&self) -> Features {
         let start = self.start();
-        let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
+        let since_start_s = |k: usize| k.saturating_sub(start) as f64 * self.interval_s;
         let on_s = self.motor_off.map(since_start_s);
         let magnitude = |i: &f64| (i - self.current.mean).abs();
         let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
-            release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),
+            release_s: self.motor_off.and_then(|_| self.released()).map(since_start_s),
             // The offset of a huge current overflows.
             peak_current_a: Some(self.peak_a).filter(|peak_a| peak_a.is_finite()),
             running_current_a: running
                 .filter(|running| !running.is_empty())
-                .map(|running| mean(current[running].iter().map(magnitude))),
+                .map(|running| mean(self.current_a[running].iter().map(magnitude))),
             mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
             charge_as: on_s.map(|on_s| on_s * self.mean_a).filter(|charge_as| charge_as.is_finite()),
             quiet_current_a: (self.current.samples >= MIN_QUIET).then_some(self.current.mean),
@@ -349,6 +375,23 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 pub(super) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
+}
+
+/// Standard deviation over median magnitude of a normal variable.
+pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
+
+/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
+pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
+}
+
+/// Standard deviation of white noise from first differences, for a mostly constant signal.
+pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
 }
 
 /// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide

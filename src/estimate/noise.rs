@@ -1,8 +1,8 @@
-//! Noise of the channels, and checks of its size.
+//! Checks of the noise of the channels.
 
 use super::{
     damage::INRUSH_S,
-    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes, samples_in},
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, samples_in, second_difference_noise},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -16,19 +16,19 @@ const POSITION_NOISE_FACTOR: f64 = 25.0;
 const LARGEST_NOISE_SHARE: f64 = 0.025;
 
 /// Rejects noise that is too large compared with the signals.
-pub(super) fn resolved(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
+pub(super) fn resolved(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
     let largest_a = LARGEST_NOISE_SHARE * movement.peak_a;
     within(movement, settings, [largest_a, LARGEST_POSITION_SHARE * movement.travel_mm])
 }
 
 /// Rejects noise that is too large compared with the configured sensors.
-pub(super) fn plausible(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
+pub(super) fn plausible(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
     let largest_a = CURRENT_NOISE_FACTOR * settings.current_noise_a;
     within(movement, settings, [largest_a, POSITION_NOISE_FACTOR * settings.position_noise_mm])
 }
 
 /// Rejects a channel whose noise at rest has a larger standard deviation than this \[A, mm\].
-fn within(movement: &Movement, settings: &Settings, [current_a, position_mm]: [f64; 2]) -> Result<(), Rejection> {
+fn within(movement: &Movement<'_>, settings: &Settings, [current_a, position_mm]: [f64; 2]) -> Result<(), Rejection> {
     for (channel, level, expected, largest) in [
         (Channel::Current, movement.current, settings.current_noise_a, current_a),
         (Channel::Position, movement.position, settings.position_noise_mm, position_mm),
@@ -56,12 +56,11 @@ const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 /// that of the sensor. (With a ripple of the supply, noise of a commutator, a coarse converter, or a sensor so good
 /// that vibrations are visible, there is no check.)
 pub(super) fn noise_level(
-    movement: &Movement,
-    current: &[f64],
-    interval_s: f64,
+    movement: &Movement<'_>,
     settings: &Settings,
     scratch: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
+    let current = movement.current_a;
     let quiet = &current[..movement.quiet];
     if quiet.len() < NOISE_SAMPLES {
         return Ok(());
@@ -81,7 +80,7 @@ pub(super) fn noise_level(
     if halves < REST_NOISE.start * usual {
         return Ok(());
     }
-    let settled = movement.start() + samples_in(INRUSH_S, interval_s);
+    let settled = movement.start() + samples_in(INRUSH_S, movement.interval_s);
     scratch.clear();
     scratch.push(0.0);
     let (mut sum, square) = (0.0, 6.0 * usual * usual);
@@ -108,21 +107,4 @@ pub(super) fn noise_level(
         width *= 2;
     }
     Ok(())
-}
-
-/// Standard deviation over median magnitude of a normal variable.
-pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
-
-/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
-pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
-    scratch.clear();
-    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
-    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
-}
-
-/// Standard deviation of white noise from first differences, for a mostly constant signal.
-pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
-    scratch.clear();
-    scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
-    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
 }

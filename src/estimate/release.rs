@@ -69,9 +69,8 @@ pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, f
 /// When the recording began after the start of the motor.
 pub(super) fn complete_onset(
     input: &mut [f64],
-    movement: &Movement,
+    movement: &Movement<'_>,
     foot: usize,
-    interval_s: f64,
 ) -> Result<(f64, Option<Rejection>), Rejection> {
     let noise_a = movement.current.sd;
     let Some(onset) = onset(input, 0.0, foot) else {
@@ -81,7 +80,7 @@ pub(super) fn complete_onset(
         return if is_late { Err(start_missing) } else { Ok((0.0, is_high.then_some(start_missing))) };
     };
     if let Some(missing) = onset.missing() {
-        return Ok((0.0, Some(Rejection::OnsetMissing { missing_s: missing * interval_s })));
+        return Ok((0.0, Some(Rejection::OnsetMissing { missing_s: missing * movement.interval_s })));
     }
     if onset.roughness > (ROUGH_RISE_SIGMAS * noise_a).max(ROUGH_RISE_SHARE * movement.peak_a) {
         return Ok((0.0, Some(Rejection::RoughRise { departure_a: onset.roughness })));

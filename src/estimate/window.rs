@@ -40,12 +40,12 @@ pub(super) struct Window {
 }
 
 /// Variance of the offset of the current \[A²\].
-pub(super) fn current_offset_variance(movement: &Movement) -> f64 {
+pub(super) fn current_offset_variance(movement: &Movement<'_>) -> f64 {
     offset_variance(movement.current, (OFFSET_SHARE * movement.peak_a).powi(2))
 }
 
 /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\].
-pub(super) fn rest(movement: &Movement) -> f64 {
+pub(super) fn rest(movement: &Movement<'_>) -> f64 {
     REST_SHARE * movement.current.mean.abs()
 }
 

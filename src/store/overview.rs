@@ -23,55 +23,37 @@ pub(crate) struct AlarmCount {
     pub(crate) active: i64,
 }
 
+/// Up to so many throws of a machine in one direction.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Choice {
+    /// The newest.
+    Newest(u32),
+    /// Spread evenly over all stored ones.
+    Spread(u32),
+    /// The last up to this time, among the last throws of both directions.
+    Until(Timestamp, u32),
+}
+
 impl Reader {
     /// Number of open alarms for each cause and severity.
     pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<AlarmCount>, StoreError> {
         self.external(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await
     }
 
-    /// The newest `limit` throws of a machine in one direction, oldest first.
-    pub(crate) async fn newest_of(
+    /// Throws of a machine in one direction, oldest first.
+    pub(crate) async fn throws_in(
         &self,
         machine: &MachineId,
         direction: Direction,
-        limit: u32,
+        choice: Choice,
     ) -> Result<Vec<Health>, StoreError> {
-        self.way(sql::WAY_NEWEST, machine, direction, limit).await
-    }
-
-    /// Up to `limit` throws of a machine in one direction, spread evenly over all stored ones, oldest first.
-    pub(crate) async fn spread_of(
-        &self,
-        machine: &MachineId,
-        direction: Direction,
-        limit: u32,
-    ) -> Result<Vec<Health>, StoreError> {
-        self.way(sql::WAY_SPREAD, machine, direction, limit).await
-    }
-
-    /// The last `limit` throws of a machine in one direction up to `at`, oldest first, among the last throws of both
-    /// directions.
-    pub(crate) async fn last_until(
-        &self,
-        machine: &MachineId,
-        direction: Direction,
-        at: Timestamp,
-        limit: u32,
-    ) -> Result<Vec<Health>, StoreError> {
-        let statement = about(sql::WAY_UNTIL, machine).bind(direction.as_str()).bind(limit);
-        let mut rows = self.external(statement.bind(at.as_microsecond())).await?;
-        rows.reverse();
-        Ok(rows)
-    }
-
-    async fn way(
-        &self,
-        statement: &'static str,
-        machine: &MachineId,
-        direction: Direction,
-        limit: u32,
-    ) -> Result<Vec<Health>, StoreError> {
-        let mut rows = self.external(about(statement, machine).bind(direction.as_str()).bind(limit)).await?;
+        let of = |statement| about(statement, machine).bind(direction.as_str());
+        let query = match choice {
+            Choice::Newest(limit) => of(sql::WAY_NEWEST).bind(limit),
+            Choice::Spread(limit) => of(sql::WAY_SPREAD).bind(limit),
+            Choice::Until(at, limit) => of(sql::WAY_UNTIL).bind(limit).bind(at.as_microsecond()),
+        };
+        let mut rows = self.external(query).await?;
         rows.reverse();
         Ok(rows)
     }

@@ -21,7 +21,7 @@ use super::{
 use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
-    store::{CommandRow, Reader, StoreError, Window},
+    store::{Choice, CommandRow, Reader, StoreError, Window},
     throw::{Direction, MachineId, utc, without_digits},
     wire::{Alarm, Health},
 };
@@ -265,8 +265,11 @@ async fn rows(
     span: Span,
 ) -> Result<Vec<Health>, StoreError> {
     let mut rows = match span {
-        Span::Newest(limit) => trend::thinned(reader.newest_of(machine, direction, limit).await?),
-        Span::All => reader.spread_of(machine, direction, u32::try_from(trend::POINTS).unwrap_or(u32::MAX)).await?,
+        Span::Newest(limit) => trend::thinned(reader.throws_in(machine, direction, Choice::Newest(limit)).await?),
+        Span::All => {
+            let choice = Choice::Spread(u32::try_from(trend::POINTS).unwrap_or(u32::MAX));
+            reader.throws_in(machine, direction, choice).await?
+        }
     };
     // Rows are in the order of arrival; throws from a backlog arrive after later ones.
     rows.sort_by_key(|row| row.started_at);
@@ -287,7 +290,7 @@ async fn throws_of_baseline(
         return Ok(Vec::new());
     }
     let throws = u32::try_from(baseline.throws).unwrap_or(u32::MAX);
-    reader.last_until(machine, *direction, baseline.taken_at, throws).await
+    reader.throws_in(machine, *direction, Choice::Until(baseline.taken_at, throws)).await
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {

@@ -52,12 +52,10 @@ async fn a_logger_cannot_answer_or_be_alive_for_another() {
     let _not_mine = logger.liveliness().declare_token(ALIVE_B).await.unwrap();
     let _mine = logger.liveliness().declare_token(ALIVE_A).await.unwrap();
 
-    let answered = async {
-        while ask(&cabinet, "points/v1/*/*/throw/@adv/pub/honest?_anyke", None).await != [THROW_A] {
-            tokio::task::yield_now().await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, answered).await.expect("a logger may answer for its own machine");
+    until("a logger may answer for its own machine", async || {
+        ask(&cabinet, "points/v1/*/*/throw/@adv/pub/honest?_anyke", None).await == [THROW_A]
+    })
+    .await;
     assert!(honest.load(Ordering::SeqCst) > 0);
 
     assert!(ask(&cabinet, "points/v1/*/*/throw/@adv/pub/smuggled?_anyke", None).await.is_empty());
@@ -100,13 +98,8 @@ async fn a_client_without_a_certificate_of_the_authority_gets_no_link() {
 async fn an_expired_certificate_opens_no_link() {
     let (_cabinet, endpoint) = cabinet().await;
     let config = client_config(&railway().expiring("logger.north.21A"), &endpoint);
-    let expired = async {
-        while gets_a_link(config.clone()).await {
-            tokio::task::yield_now().await;
-        }
-    };
     // This certificate is valid for a second; a valid one of the same name shows that only the time matters.
-    tokio::time::timeout(PATIENCE, expired).await.expect("it expires");
+    until("it expires", async || !gets_a_link(config.clone()).await).await;
     assert!(gets_a_link(client_config(&railway().folder("logger.north.21A"), &endpoint)).await);
 }
 
@@ -214,10 +207,7 @@ async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
     // Without a backlog, so that a rejected message is not requested again.
     let publisher =
         logger.declare_publisher(THROW_A).congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
-    let matching = publisher.matching_listener().await.unwrap();
-    while !publisher.matching_status().await.unwrap().matching() {
-        tokio::time::timeout(PATIENCE, matching.recv_async()).await.expect("the subscription arrives").unwrap();
-    }
+    until_heard(&publisher).await;
     // At the limit; above it; above the limit of a fragmented message.
     for (size, taken) in [(LIMIT, true), (LIMIT + 1, false), (64, true), (3 * LIMIT, false), (65, true)] {
         publisher.put(vec![7_u8; size]).await.unwrap();
@@ -251,20 +241,16 @@ async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_t
         wire.cut();
         kept.lock().unwrap().push(vec![outage]);
         wire.mend();
-        let read = async {
-            loop {
-                let get = cabinet.get(format!("{THROW_A}?limit=9")).consolidation(ConsolidationMode::None);
-                let replies = get.timeout(Duration::from_secs(1)).await.unwrap();
-                let mut page = Vec::new();
-                while let Ok(reply) = replies.recv_async().await {
-                    page.extend(reply.result().ok().map(|sample| sample.payload().to_bytes().into_owned()));
-                }
-                if page == *kept.lock().unwrap() {
-                    return;
-                }
+        until("the backlog is read", async || {
+            let get = cabinet.get(format!("{THROW_A}?limit=9")).consolidation(ConsolidationMode::None);
+            let replies = get.timeout(Duration::from_secs(1)).await.unwrap();
+            let mut page = Vec::new();
+            while let Ok(reply) = replies.recv_async().await {
+                page.extend(reply.result().ok().map(|sample| sample.payload().to_bytes().into_owned()));
             }
-        };
-        tokio::time::timeout(PATIENCE, read).await.expect("the backlog is read");
+            page == *kept.lock().unwrap()
+        })
+        .await;
     }
 }
 
@@ -288,24 +274,14 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
         let end = tokio::time::timeout(PATIENCE, socket.read(&mut [0; 64])).await.expect("it is closed");
         assert!(matches!(end, Ok(0) | Err(_)), "{end:?}");
     }
-    let gets_in = async {
-        while !gets_a_link(logger.clone()).await {
-            tokio::task::yield_now().await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, gets_in).await.expect("after the flood a logger has its link");
+    until("after the flood a logger has its link", async || gets_a_link(logger.clone()).await).await;
 
     // Links with a good certificate count too; the end of a link frees its place.
     let first = client("viewer", &endpoint).await;
     let _second = client("operator", &endpoint).await;
     assert!(!gets_a_link(logger.clone()).await, "a third link, above the limit");
     first.close().await.unwrap();
-    let gets_in = async {
-        while !gets_a_link(logger.clone()).await {
-            tokio::task::yield_now().await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, gets_in).await.expect("the end of a link frees its place");
+    until("the end of a link frees its place", async || gets_a_link(logger.clone()).await).await;
 }
 
 async fn viewer_of(session: &zenoh::Session) -> Alarms {
@@ -316,15 +292,11 @@ type Alarms = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zeno
 
 /// Publishes until `reader` receives the alarm, because a new subscription takes some time to spread.
 async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Alarms) {
-    let publish = async {
-        loop {
-            session.put(key, "{}").wait().unwrap();
-            if tokio::time::timeout(Duration::from_millis(50), reader.recv_async()).await.is_ok() {
-                break;
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, publish).await.expect("a reader gets the alarm");
+    until("a reader gets the alarm", async || {
+        session.put(key, "{}").wait().unwrap();
+        tokio::time::timeout(Duration::from_millis(50), reader.recv_async()).await.is_ok()
+    })
+    .await;
 }
 
 /// A TCP relay that can be cut: then it drops every link and accepts no new one.

@@ -28,12 +28,7 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     // The daemon of another site, which this cabinet may watch.
     let _south = router.liveliness().declare_token("points/v1/south/monitor/box/alive").await.unwrap();
     let _logger = router.liveliness().declare_token("points/v1/south/21A/alive").await.unwrap();
-    let joined = async {
-        while ask(&viewer, "points/v1/**/alarm", None).await.is_empty() {
-            tokio::task::yield_now().await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, joined).await.expect("the cabinet joins the router");
+    until("the cabinet joins the router", async || !ask(&viewer, "points/v1/**/alarm", None).await.is_empty()).await;
     assert_eq!(ask(&viewer, "points/v1/**/alarm", None).await, [NORTH], "a cabinet speaks for its own site only");
     let seen = tokio::time::timeout(PATIENCE, daemons.recv_async()).await.expect("the cabinet sees a daemon").unwrap();
     assert_eq!(seen.key_expr().as_str(), "points/v1/south/monitor/box/alive");

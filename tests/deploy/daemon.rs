@@ -64,15 +64,13 @@ async fn ask_json(session: &Session, selector: &str, payload: Option<Value>) -> 
 }
 
 async fn until_answered(session: &Session, selector: &str) -> Vec<Value> {
-    let answered = async {
-        loop {
-            let values = ask_json(session, selector, None).await;
-            if !values.is_empty() {
-                return values;
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, answered).await.unwrap_or_else(|_| panic!("{selector} is answered"))
+    let mut values = Vec::new();
+    until(selector, async || {
+        values = ask_json(session, selector, None).await;
+        !values.is_empty()
+    })
+    .await;
+    values
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -92,8 +90,10 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let logger = client("logger.north.21A", &endpoint).await;
     let publisher = throw_publisher(&logger, THROW_A).await;
     until_heard(&publisher).await;
-    let seen = async { while until_answered(&viewer, STATUS).await[0]["connected"] != true {} };
-    tokio::time::timeout(PATIENCE, seen).await.expect("the daemon knows that it is connected");
+    until("the daemon knows that it is connected", async || {
+        until_answered(&viewer, STATUS).await[0]["connected"] == true
+    })
+    .await;
     publisher.put(still_machine().to_string()).await.unwrap();
 
     let not_monitored = |alarms: Vec<Value>| alarms.into_iter().find(|alarm| alarm["cause"] == "not_monitored");

@@ -9,7 +9,7 @@ use std::{
 };
 
 use tempfile::TempDir;
-use zenoh::{Config, Session};
+use zenoh::{Config, Session, handlers::FifoChannelHandler, query::Reply};
 
 /// Time limit for an expected event on a busy computer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
@@ -137,7 +137,7 @@ pub(crate) async fn gets_a_link(mut config: Config) -> bool {
 }
 
 pub(crate) type Publisher = zenoh::pubsub::Publisher<'static>;
-pub(crate) type Subscriber = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
+pub(crate) type Subscriber = zenoh::pubsub::Subscriber<FifoChannelHandler<zenoh::sample::Sample>>;
 
 /// A publisher of throws with the settings of a logger.
 pub(crate) async fn throw_publisher(session: &Session, key: &'static str) -> Publisher {
@@ -151,14 +151,20 @@ pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
 
 /// Waits until the publisher has a subscriber.
 pub(crate) async fn until_heard(publisher: &Publisher) {
-    tokio::time::timeout(PATIENCE, async {
-        let matching = publisher.matching_listener().await.unwrap();
-        while !publisher.matching_status().await.unwrap().matching() {
-            let _ = matching.recv_async().await;
-        }
+    until("the cabinet's subscription reaches the logger", async || {
+        publisher.matching_status().await.unwrap().matching()
     })
-    .await
-    .expect("the cabinet's subscription reaches the logger");
+    .await;
+}
+
+/// Waits for something that must happen.
+pub(crate) async fn until(what: &str, mut happens: impl AsyncFnMut() -> bool) {
+    let wait = async {
+        while !happens().await {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, wait).await.unwrap_or_else(|_| panic!("not in time: {what}"));
 }
 
 /// The next sample: its key and payload.
@@ -174,19 +180,16 @@ pub(crate) async fn ask(session: &Session, selector: &str, payload: Option<&str>
         Some(payload) => get.payload(payload).await,
         None => get.await,
     };
-    let replies = replies.unwrap();
-    let mut keys = Vec::new();
-    while let Ok(reply) = replies.recv_async().await {
-        if let Ok(sample) = reply.result() {
-            keys.push(sample.key_expr().to_string());
-        }
-    }
-    keys
+    keys(replies.unwrap()).await
 }
 
 /// The liveliness tokens visible to this session.
 pub(crate) async fn alive(session: &Session, key: &str) -> Vec<String> {
-    let replies = session.liveliness().get(key).timeout(Duration::from_secs(1)).await.unwrap();
+    keys(session.liveliness().get(key).timeout(Duration::from_secs(1)).await.unwrap()).await
+}
+
+/// The keys of the replies that are no errors.
+async fn keys(replies: FifoChannelHandler<Reply>) -> Vec<String> {
     let mut keys = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
         if let Ok(sample) = reply.result() {

@@ -3,7 +3,7 @@
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, MachineMonitor, Settings, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, Settings, Severity},
     throw::{Direction, MachineId},
 };
 use proptest::prelude::*;
@@ -19,13 +19,15 @@ fn by() -> String {
 }
 
 /// A machine with an active friction warning, and the event that raised it.
-fn alarmed(seed: u64) -> (Machine, MachineMonitor, AlarmEvent) {
-    let settings = Settings::default();
-    let mut machine = Machine::new(seed, Nature::default());
-    let mut monitor = machine.learned(&settings);
-    let raised =
-        (0..20).find_map(|_| machine.feed(&mut monitor, shift(Cause::Friction, 25.0), &settings).events.pop()).unwrap();
-    (machine, monitor, raised)
+fn alarmed(seed: u64) -> (Machine, AlarmEvent) {
+    let mut machine = Machine::learned(seed, Nature::default());
+    let raised = (0..20).find_map(|_| machine.feed(shift(Cause::Friction, 25.0)).events.pop()).unwrap();
+    (machine, raised)
+}
+
+/// Gives a command to the monitor.
+fn act(machine: &mut Machine, command: &Command) -> Result<Vec<AlarmEvent>, CommandError> {
+    machine.monitor.command(command, now(), &machine.settings)
 }
 
 fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
@@ -34,11 +36,11 @@ fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
 
 #[test]
 fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
-    let (mut machine, mut monitor, raised) = alarmed(1);
+    let (mut machine, raised) = alarmed(1);
     assert_eq!((raised.state, raised.event_no), (AlarmState::ActiveUnacknowledged, 1));
-    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
-    let again = machine.events(&mut monitor, 10, shift(Cause::Friction, 25.0));
+    let again = machine.events(10, shift(Cause::Friction, 25.0));
     assert_eq!(states(&again), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
 }
@@ -48,64 +50,59 @@ fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
 fn a_constant_fault_is_not_cleared() {
     let settings = Settings { off_delay_throws: 3, ..Settings::default() };
     for seed in 0..10 {
-        let mut machine = Machine::new(70 + seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
+        let mut machine = Machine::learned_with(70 + seed, Nature::default(), settings.clone());
         let fault = shift(Cause::Friction, 45.0);
-        let events: Vec<_> = (0..60).flat_map(|_| machine.feed(&mut monitor, fault, &settings).events).collect();
+        let events = machine.events(60, fault);
         assert!(
             states(&events).iter().all(|state| *state == AlarmState::ActiveUnacknowledged),
             "seed {seed}: {events:?}"
         );
     }
-    let settings = Settings::default();
-    let mut machine = Machine::new(80, Nature::default());
-    let mut monitor = machine.learned(&settings);
+    let mut machine = Machine::learned(80, Nature::default());
     let faulty = Direction::NormalToReverse;
-    let mut feed = |monitor: &mut MachineMonitor, only| {
+    let feed = |machine: &mut Machine, only| {
         machine.only = only;
         let healthy = machine.throw(Vector3::zeros());
         let mut observation = machine.throw(shift(Cause::Friction, 45.0));
         if observation.direction != Some(faulty) {
             observation = healthy;
         }
-        monitor.observe(&observation, &settings).events
+        machine.observe(&observation).events
     };
-    let raised: Vec<_> = (0..40).flat_map(|at| feed(&mut monitor, Some(Direction::BOTH[at % 2]))).collect();
+    let raised: Vec<_> = (0..40).flat_map(|at| feed(&mut machine, Some(Direction::BOTH[at % 2]))).collect();
     assert!(raised.iter().any(|event| event.cause == Cause::Friction), "{raised:?}");
     let until = now() + SignedDuration::from_hours(8);
     let start = Command::MaintenanceStart { until, by: by(), why: "looked".to_owned() };
     for command in [start, Command::MaintenanceEnd { by: by() }] {
-        monitor.command(&command, now(), &settings).unwrap();
+        act(&mut machine, &command).unwrap();
     }
-    let events: Vec<_> = (0..30).flat_map(|_| feed(&mut monitor, Some(Direction::ReverseToNormal))).collect();
+    let events: Vec<_> = (0..30).flat_map(|_| feed(&mut machine, Some(Direction::ReverseToNormal))).collect();
     assert_eq!(states(&events), [], "the other direction was not thrown");
 }
 
 #[test]
 fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
-    let settings = Settings::default();
-    let (mut machine, mut monitor, raised) = alarmed(2);
+    let (mut machine, raised) = alarmed(2);
     let ack = Command::Ack { cause: Cause::Friction, by: by() };
-    let seen = monitor.command(&ack, now(), &settings).unwrap();
+    let seen = act(&mut machine, &ack).unwrap();
     assert_eq!(states(&seen), [AlarmState::ActiveAcknowledged]);
     assert_eq!(seen[0].by.as_deref(), Some("A. Fitter"));
-    let twice = monitor.command(&ack, now(), &settings);
+    let twice = act(&mut machine, &ack);
     assert_eq!(twice, Err(CommandError::AlreadyAcknowledged { cause: Cause::Friction, by: by() }));
-    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::Normal]);
-    assert_eq!(monitor.open_alarms(), []);
-    let again = machine.events(&mut monitor, 10, shift(Cause::Friction, 25.0));
+    assert_eq!(machine.monitor.open_alarms(), []);
+    let again = machine.events(10, shift(Cause::Friction, 25.0));
     assert_eq!(again[0].event_no, 1);
     assert_ne!(again[0].raised_at, raised.raised_at);
-    let none = monitor.command(&Command::Ack { cause: Cause::Kt, by: by() }, now(), &settings);
+    let none = act(&mut machine, &Command::Ack { cause: Cause::Kt, by: by() });
     assert_eq!(none, Err(CommandError::NoSuchAlarm { cause: Cause::Kt }));
 }
 
 /// The operator who ends a maintenance has not acknowledged the alarm, and its text is as old as before.
 #[test]
 fn a_command_changes_neither_the_acknowledgement_nor_the_time_of_the_text() {
-    let settings = Settings::default();
-    let (_, mut monitor, raised) = alarmed(2);
+    let (mut machine, raised) = alarmed(2);
     assert_eq!((raised.text_at, &raised.acknowledged_by), (Some(raised.event_at), &None));
     let (other, until) = ("B. Other".to_owned(), now() + SignedDuration::from_hours(8));
     for command in [
@@ -113,19 +110,18 @@ fn a_command_changes_neither_the_acknowledgement_nor_the_time_of_the_text() {
         Command::MaintenanceStart { until, by: other.clone(), why: "looked".to_owned() },
         Command::MaintenanceEnd { by: other.clone() },
     ] {
-        monitor.command(&command, now(), &settings).unwrap();
+        act(&mut machine, &command).unwrap();
     }
-    let [last] = &monitor.open_alarms()[..] else { panic!("one alarm") };
+    let [last] = &machine.monitor.open_alarms()[..] else { panic!("one alarm") };
     assert_eq!((last.state, last.by.as_ref()), (AlarmState::ActiveAcknowledged, Some(&other)));
     assert_eq!((last.acknowledged_by.as_deref(), last.text_at), (Some("A. Fitter"), raised.text_at));
 }
 
 #[test]
 fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
-    let settings = Settings::default();
-    let (mut machine, mut monitor, raised) = alarmed(3);
-    monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &settings).unwrap();
-    let worse = machine.events(&mut monitor, 20, shift(Cause::Friction, 70.0));
+    let (mut machine, raised) = alarmed(3);
+    act(&mut machine, &Command::Ack { cause: Cause::Friction, by: by() }).unwrap();
+    let worse = machine.events(20, shift(Cause::Friction, 70.0));
     assert_eq!(states(&worse), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((worse[0].severity, worse[0].raised_at, worse[0].event_no), (Severity::Critical, raised.raised_at, 3));
 }
@@ -134,12 +130,11 @@ fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
 #[test]
 fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
     for (first, then) in [(-30.0, 30.0), (30.0, -30.0)] {
-        let mut machine = Machine::new(7, Nature::default());
-        let mut monitor = machine.learned(&Settings::default());
-        let raised = machine.events(&mut monitor, 40, shift(Cause::Friction, first)).remove(0);
+        let mut machine = Machine::learned(7, Nature::default());
+        let raised = machine.events(40, shift(Cause::Friction, first)).remove(0);
         assert!(raised.cause == Cause::Friction && raised.change_pct.unwrap() * first > 0.0, "{}", raised.text);
-        monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &Settings::default()).unwrap();
-        let events = machine.events(&mut monitor, 20, shift(Cause::Friction, then));
+        act(&mut machine, &Command::Ack { cause: Cause::Friction, by: by() }).unwrap();
+        let events = machine.events(20, shift(Cause::Friction, then));
         let turned = events.iter().find(|event| event.change_pct.is_some_and(|pct| pct * then > 0.0)).unwrap();
         assert_eq!((turned.state, turned.raised_at), (AlarmState::ActiveUnacknowledged, raised.raised_at));
         assert!((turned.change_pct.unwrap() - then).abs() < 8.0, "{}", turned.text);
@@ -149,35 +144,35 @@ fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
 #[test]
 fn shelved_until_a_time_or_a_command() {
     let settings = Settings::default();
-    let (_, mut monitor, _) = alarmed(4);
+    let (mut machine, _) = alarmed(4);
     let until = now() + SignedDuration::from_hours(8);
     let shelve = Command::Shelve { cause: Cause::Friction, until, by: by(), why: "parts ordered".to_owned() };
-    assert_eq!(states(&monitor.command(&shelve, now(), &settings).unwrap()), [AlarmState::Shelved]);
-    assert_eq!(monitor.tick(now() + SignedDuration::from_hours(7), &settings), []);
-    let ended = monitor.tick(until, &settings);
+    assert_eq!(states(&act(&mut machine, &shelve).unwrap()), [AlarmState::Shelved]);
+    assert_eq!(machine.monitor.tick(now() + SignedDuration::from_hours(7), &settings), []);
+    let ended = machine.monitor.tick(until, &settings);
     assert_eq!(states(&ended), [AlarmState::ActiveUnacknowledged]);
-    monitor.command(&shelve, now(), &settings).unwrap();
+    act(&mut machine, &shelve).unwrap();
     let unshelve = Command::Unshelve { cause: Cause::Friction, by: by() };
-    assert_eq!(states(&monitor.command(&unshelve, now(), &settings).unwrap()), [AlarmState::ActiveUnacknowledged]);
-    assert_eq!(monitor.command(&unshelve, now(), &settings), Err(CommandError::NotShelved { cause: Cause::Friction }));
-    assert!(matches!(monitor.command(&shelve, until, &settings), Err(CommandError::UntilIsPast { .. })));
+    assert_eq!(states(&act(&mut machine, &unshelve).unwrap()), [AlarmState::ActiveUnacknowledged]);
+    assert_eq!(act(&mut machine, &unshelve), Err(CommandError::NotShelved { cause: Cause::Friction }));
+    assert!(matches!(machine.monitor.command(&shelve, until, &settings), Err(CommandError::UntilIsPast { .. })));
     let long = Command::Shelve {
         cause: Cause::Friction,
         until: now() + SignedDuration::from_hours(24 * 365),
         by: by(),
         why: "never".to_owned(),
     };
-    assert!(matches!(monitor.command(&long, now(), &settings), Err(CommandError::UntilTooFar { .. })));
+    assert!(matches!(act(&mut machine, &long), Err(CommandError::UntilTooFar { .. })));
 }
 
 /// Names and reasons are printed on terminals, which execute control characters.
 #[test]
 fn a_name_or_reason_with_control_characters_is_refused() {
-    let (_, mut monitor, _) = alarmed(4);
+    let (mut machine, _) = alarmed(4);
     let until = now() + SignedDuration::from_hours(8);
     for (by, why, field) in [("mia\u{1b}[2J", "greased", "by"), ("mia", "greased\u{9b}31m", "why")] {
         let command = Command::MaintenanceStart { until, by: by.to_owned(), why: why.to_owned() };
-        assert_eq!(monitor.command(&command, now(), &Settings::default()), Err(CommandError::Text { field }));
+        assert_eq!(act(&mut machine, &command), Err(CommandError::Text { field }));
     }
 }
 
@@ -185,61 +180,59 @@ fn a_name_or_reason_with_control_characters_is_refused() {
 fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let settings = Settings::default();
     let mut machine = Machine::new(5, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
-    machine.events(&mut monitor, 20, Vector3::zeros());
-    let progress = monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings);
+    machine.events(20, Vector3::zeros());
+    let progress = machine.monitor.baseline_progress(Direction::NormalToReverse, &settings);
     let until = now() + SignedDuration::from_hours(8);
     let start = Command::MaintenanceStart { until, by: by(), why: "slide chairs".to_owned() };
-    monitor.command(&start, now(), &settings).unwrap();
-    assert_eq!(machine.events(&mut monitor, 50, shift(Cause::Friction, 80.0)), []);
-    assert_eq!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
-    monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
-    machine.events(&mut monitor, 2, Vector3::zeros());
-    assert_ne!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
+    act(&mut machine, &start).unwrap();
+    assert_eq!(machine.events(50, shift(Cause::Friction, 80.0)), []);
+    assert_eq!(machine.monitor.baseline_progress(Direction::NormalToReverse, &settings), progress);
+    act(&mut machine, &Command::MaintenanceEnd { by: by() }).unwrap();
+    machine.events(2, Vector3::zeros());
+    assert_ne!(machine.monitor.baseline_progress(Direction::NormalToReverse, &settings), progress);
 
-    let (mut machine, mut monitor, raised) = alarmed(6);
-    let out = monitor.command(&start, now(), &settings).unwrap();
+    let (mut machine, raised) = alarmed(6);
+    let out = act(&mut machine, &start).unwrap();
     assert_eq!(states(&out), [AlarmState::OutOfService]);
     let longer = until + SignedDuration::from_hours(1);
     let again = Command::MaintenanceStart { until: longer, by: by(), why: "still at work".to_owned() };
-    monitor.command(&again, now(), &settings).unwrap();
-    let mut later = monitor.clone();
+    act(&mut machine, &again).unwrap();
+    let mut later = machine.monitor.clone();
     assert_eq!(later.tick(until, &settings), [], "the new window replaces the old one");
     assert_eq!(states(&later.tick(longer, &settings)), [AlarmState::ActiveUnacknowledged]);
-    let back = monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
+    let back = act(&mut machine, &Command::MaintenanceEnd { by: by() }).unwrap();
     assert_eq!(states(&back), [AlarmState::ActiveUnacknowledged]);
     assert!(back[0].text.contains("before the maintenance"), "{}", back[0].text);
     let told = Command::MaintenanceEnd { by: by() }.consequence(&back);
     let named = format!("Alarms from before: {} friction", raised.severity.as_str());
     assert!(told.contains(&named), "{told}");
-    let cleared = machine.events(&mut monitor, 60, Vector3::zeros());
+    let cleared = machine.events(60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
     assert_eq!(cleared[0].raised_at, raised.raised_at);
 }
 
 #[test]
 fn a_new_baseline_ends_drift_alarms_and_makes_the_present_normal() {
-    let settings = Settings::default();
-    let (mut machine, mut monitor, _) = alarmed(7);
+    let (mut machine, _) = alarmed(7);
     let rebaseline = Command::Rebaseline { by: by(), why: "new slide chairs".to_owned() };
-    let events = monitor.command(&rebaseline, now(), &settings).unwrap();
+    let events = act(&mut machine, &rebaseline).unwrap();
     assert_eq!(states(&events), [AlarmState::Normal]);
     assert_eq!(events[0].why.as_deref(), Some("new slide chairs"));
-    assert_eq!(machine.events(&mut monitor, 200, shift(Cause::Friction, 25.0)), []);
-    let record = monitor.baseline(pointsd::throw::Direction::ReverseToNormal).unwrap();
+    assert_eq!(machine.events(200, shift(Cause::Friction, 25.0)), []);
+    let record = machine.monitor.baseline(Direction::ReverseToNormal).unwrap();
     assert!(record.complete);
     assert!((record.center[1] / (1.25 * crate::fleet::NOMINAL[1]) - 1.0).abs() < 0.03);
 }
 
 #[test]
 fn an_unrecorded_repair_is_proposed_not_acted_on() {
-    let (mut machine, mut monitor, _) = alarmed(8);
-    machine.events(&mut monitor, 40, shift(Cause::Friction, 40.0));
-    let events = machine.events(&mut monitor, 80, Vector3::zeros());
+    let (mut machine, _) = alarmed(8);
+    machine.events(40, shift(Cause::Friction, 40.0));
+    let events = machine.events(80, Vector3::zeros());
     let cleared = events.last().unwrap();
     assert_eq!(cleared.state, AlarmState::ClearedUnacknowledged);
     assert!(cleared.text.contains("as after a repair"), "{}", cleared.text);
-    assert!(monitor.baseline(pointsd::throw::Direction::NormalToReverse).is_some());
+    assert!(machine.monitor.baseline(Direction::NormalToReverse).is_some());
 }
 
 #[test]
@@ -247,12 +240,9 @@ fn a_lasting_step_is_raised_once_and_stays() {
     let lasting =
         [(Cause::Kt, -20.0), (Cause::Friction, 45.0), (Cause::Stiffness, 30.0), (Cause::Inertia, 20.0)].into_iter();
     for ((cause, size_pct), seed) in lasting.flat_map(|fault| (0..25).map(move |seed| (fault, seed))) {
-        let settings = Settings::default();
-        let mut machine = Machine::new(seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
-        let healthy = machine.events(&mut monitor, 40, Vector3::zeros());
-        assert!(healthy.is_empty(), "{healthy:?}");
-        let events = machine.events(&mut monitor, 100, shift(cause, size_pct));
+        let mut machine = Machine::learned(seed, Nature::default());
+        machine.stay_healthy(40);
+        let events = machine.events(100, shift(cause, size_pct));
         assert!(events.iter().all(|event| event.cause == cause), "{events:?}");
         assert!(states(&events).iter().all(|state| *state == AlarmState::ActiveUnacknowledged), "{events:?}");
         assert_eq!(events[0].event_no, 1);
@@ -261,7 +251,6 @@ fn a_lasting_step_is_raised_once_and_stays() {
 
 #[test]
 fn an_alarm_at_its_limit_does_not_chatter() {
-    let settings = Settings::default();
     for (cause, pct, times) in [
         (Cause::Friction, 15.0, 1.0),
         (Cause::Friction, 12.5, 3.0),
@@ -269,13 +258,11 @@ fn an_alarm_at_its_limit_does_not_chatter() {
         (Cause::Stiffness, 10.0, 3.0),
     ] {
         let natural = Nature::default();
-        let mut machine = Machine::new(9, Nature { scatter: natural.scatter.map(|s| s * times), phi: 0.6, ..natural });
-        let mut monitor = machine.learned(&settings);
-        let mut raised = 0;
-        for _ in 0..10_000 {
-            let events = machine.feed(&mut monitor, shift(cause, pct), &settings).events;
-            raised += events.iter().filter(|e| e.cause == cause && e.state == AlarmState::ActiveUnacknowledged).count();
-        }
+        let mut machine =
+            Machine::learned(9, Nature { scatter: natural.scatter.map(|s| s * times), phi: 0.6, ..natural });
+        let events = machine.events(10_000, shift(cause, pct));
+        let is_raised = |e: &&AlarmEvent| e.cause == cause && e.state == AlarmState::ActiveUnacknowledged;
+        let raised = events.iter().filter(is_raised).count();
         assert!(raised <= 10_000 / 200, "{cause} at {pct} %: raised {raised} times");
     }
 }
@@ -286,22 +273,20 @@ proptest! {
     /// With any jumps of the clock each occurrence of an alarm has its own identity, and its events count from 1.
     #[test]
     fn identities_are_unique_whatever_the_clock_does(seed in 0_u64..1000, jumps in prop::collection::vec(0_u8..4, 40)) {
-        let settings = Settings::default();
-        let mut machine = Machine::new(seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
+        let mut machine = Machine::learned(seed, Nature::default());
         let mut seen = std::collections::BTreeMap::new();
         for jump in jumps {
             let mut observation = machine.throw(Vector3::zeros());
             observation.incomplete = jump > 0;
             observation.started_at = now() + SignedDuration::from_secs(i64::from(jump % 2));
-            let mut events = monitor.observe(&observation, &settings).events;
+            let mut events = machine.observe(&observation).events;
             for _ in 0..12 {
                 let mut fine = machine.throw(Vector3::zeros());
                 fine.started_at = now();
-                events.extend(monitor.observe(&fine, &settings).events);
+                events.extend(machine.observe(&fine).events);
             }
             let ack = Command::Ack { cause: Cause::IncompleteThrow, by: by() };
-            events.extend(monitor.command(&ack, now(), &settings).unwrap_or_default());
+            events.extend(act(&mut machine, &ack).unwrap_or_default());
             for event in events {
                 let last = seen.entry((event.cause, event.raised_at)).or_insert(0);
                 *last += 1;
@@ -313,17 +298,15 @@ proptest! {
 
 #[test]
 fn a_rebaseline_of_a_learning_machine_says_how_far_it_had_learned() {
-    let settings = Settings::default();
-    let mut machine = Machine::new(940, Nature::default());
-    let mut monitor = machine.learned(&settings);
-    let (id, command) =
-        (MachineId::new("north", "21B").unwrap(), Command::Rebaseline { by: by(), why: "new motor".into() });
-    let confirmation = |monitor: &MachineMonitor| command.confirmation(&id, monitor.learning(&settings));
-    assert!(!confirmation(&monitor).contains("already"), "{}", confirmation(&monitor));
-    monitor.command(&command, now(), &settings).unwrap();
-    machine.events(&mut monitor, 15, Vector3::zeros());
-    let text = confirmation(&monitor);
+    let mut machine = Machine::learned(940, Nature::default());
+    let id = MachineId::new("north", "21B").unwrap();
+    let rebaseline = Command::Rebaseline { by: by(), why: "new motor".into() };
+    let confirmation = |machine: &Machine| rebaseline.confirmation(&id, machine.monitor.learning(&machine.settings));
+    assert!(!confirmation(&machine).contains("already"), "{}", confirmation(&machine));
+    act(&mut machine, &rebaseline).unwrap();
+    machine.events(15, Vector3::zeros());
+    let text = confirmation(&machine);
     assert!(text.contains("already learning") && text.contains("8 of 50 throws") && text.contains("7 of 50"), "{text}");
-    monitor.command(&command, now(), &settings).unwrap();
-    assert_eq!(monitor.learning(&settings), Some([(0, 50); 2]));
+    act(&mut machine, &rebaseline).unwrap();
+    assert_eq!(machine.monitor.learning(&machine.settings), Some([(0, 50); 2]));
 }

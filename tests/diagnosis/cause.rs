@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, Settings, Severity},
     estimate::Grade,
 };
 
@@ -11,15 +11,13 @@ use crate::fleet::{Machine, Nature, normal, shift};
 /// First alarm within `throws` after the onset of a fault that grows over `ramp` throws: cause, and throws since the
 /// onset.
 fn first_alarm(seed: u64, cause: Cause, pct: f64, ramp: u32, throws: u32) -> Option<(Cause, u32)> {
-    let settings = Settings::default();
-    let mut machine = Machine::new(seed, Nature::default());
-    let mut monitor = machine.learned(&settings);
+    let mut machine = Machine::learned(seed, Nature::default());
     for _ in 0..machine.rng_u(40) {
-        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, []);
+        machine.stay_healthy(1);
     }
     (1..=throws).find_map(|at| {
         let part = if ramp == 0 { 1.0 } else { (f64::from(at) / f64::from(ramp)).min(1.0) };
-        let verdict = machine.feed(&mut monitor, shift(cause, pct * part), &settings);
+        let verdict = machine.feed(shift(cause, pct * part));
         verdict.events.first().map(|event| (event.cause, at))
     })
 }
@@ -61,7 +59,6 @@ fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
     let settings = Settings::default();
     let of_machine = |seed: u64| {
         let mut machine = Machine::new(seed, Nature::default());
-        let mut monitor = MachineMonitor::new("21B");
         let mut feed = |shift: Vector3<f64>, changes: Gauges| {
             let mut throw = machine.throw(shift);
             let mut scattered = |change: f64| (change + 0.01 * normal(&mut machine.rng)).exp();
@@ -70,7 +67,7 @@ fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
             if changes.ratios_only {
                 (throw.ratios_only, throw.grade) = (true, Grade::Rough);
             }
-            monitor.observe(&throw, &settings)
+            machine.observe(&throw)
         };
         let before = Gauges { speed: gauges.speed.map(|_| 0.0), duration: 0.0, ..gauges };
         for _ in 0..3 * settings.baseline_throws {
@@ -170,23 +167,17 @@ fn stiffness_and_friction_keep_their_names_on_machines_of_ratios() {
 
 #[test]
 fn healthy_machines_have_no_alarm() {
-    let settings = Settings::default();
     for (seed, phi) in (0..20).zip([0.0, 0.3, 0.5, 0.6].into_iter().cycle()) {
         let mut machine = Machine::new(seed, Nature { phi, ..Nature::default() });
-        let mut monitor = MachineMonitor::new("21B");
-        for _ in 0..1_000 {
-            let verdict = machine.feed(&mut monitor, Vector3::zeros(), &settings);
-            assert_eq!(verdict.events, []);
-        }
+        machine.stay_healthy(1_000);
     }
 }
 
 #[test]
 fn a_large_fault_is_critical_and_its_text_can_be_acted_on() {
     let settings = Settings::default();
-    let mut machine = Machine::new(3, Nature::default());
-    let mut monitor = machine.learned(&settings);
-    let events = machine.events(&mut monitor, 20, shift(Cause::Friction, 60.0));
+    let mut machine = Machine::learned(3, Nature::default());
+    let events = machine.events(20, shift(Cause::Friction, 60.0));
     let last = events.last().unwrap();
     assert_eq!((last.cause, last.severity), (Cause::Friction, Severity::Critical));
     assert!((last.change_pct.unwrap() - 60.0).abs() < 3.0 * last.change_pct_sd.unwrap() + 6.0);

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Observation, SensorChannel, Settings},
+    diagnose::{AlarmEvent, AlarmState, Cause, Observation, SensorChannel},
     throw::Direction,
 };
 
@@ -16,9 +16,7 @@ const OF_RATIOS: State = State { brake_s: 0.02, ..SOUND };
 /// A drive with a published voltage, after a healthy time without an event.
 fn learned(seed: u64, state: State) -> Drive {
     let mut drive = Drive::new(91_000 + seed, true);
-    for throw in 0..100 {
-        assert_eq!(drive.feed(state).events, [], "seed {seed}, throw {throw}");
-    }
+    drive.stay_healthy(100, state);
     drive
 }
 
@@ -81,15 +79,14 @@ fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {
 /// Its error is near the least one that is named, and scatters around it.
 #[test]
 fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
-    let settings = Settings::default();
     let mut count = 0;
     for seed in 60..64 {
         for gain in [1.1, 0.9] {
             let mut drive = learned(seed, SOUND);
             let mut events = Vec::new();
             for _ in 0..300 {
-                let observation = read_with(gain, drive.observe(SOUND));
-                events.extend(drive.monitor.observe(&observation, &settings).events);
+                let observation = read_with(gain, drive.throw(SOUND));
+                events.extend(drive.observe(&observation).events);
             }
             let named: Vec<_> = events.iter().map(|event| (event.channel, event.state)).collect();
             let raised = (Some(SensorChannel::Supply), AlarmState::ActiveUnacknowledged);
@@ -103,7 +100,6 @@ fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
 /// The copper of the motor follows the air, and is warmer in busy hours.
 #[test]
 fn a_motor_that_warms_and_cools_has_no_alarm() {
-    let settings = Settings::default();
     for (seed, is_published) in [(10, true), (11, true), (12, false), (13, false)] {
         let mut drive = Drive::new(91_000 + seed, true);
         let swing_k = if is_published { 30.0 } else { 15.0 };
@@ -111,9 +107,9 @@ fn a_motor_that_warms_and_cools_has_no_alarm() {
             let celsius = 10.0 - swing_k * (f64::from(throw) / 120.0).cos();
             let heated_k = if throw % 150 > 110 { 40.0 } else { 5.0 };
             let ohms = 1.0 + 0.0039 * (celsius + heated_k - 20.0);
-            let mut observation = drive.observe(State { ohms, ..SOUND });
+            let mut observation = drive.throw(State { ohms, ..SOUND });
             observation.temperature_c = is_published.then_some(celsius);
-            let mut events = drive.monitor.observe(&observation, &settings).events;
+            let mut events = drive.observe(&observation).events;
             // The baseline may not show the effect of the temperature on the friction, and says so.
             events.retain(|event| event.cause != Cause::NotMonitored);
             assert_eq!(events, [], "seed {seed}, throw {throw}");
@@ -124,7 +120,6 @@ fn a_motor_that_warms_and_cools_has_no_alarm() {
 /// With a temperature, a smaller change of the resistance is more than heat explains.
 #[test]
 fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
-    let settings = Settings::default();
     for (is_published, expected) in [(true, 1), (false, 0)] {
         let mut drive = Drive::new(91_020, true);
         let mut raised = Vec::new();
@@ -132,9 +127,9 @@ fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
             let celsius = 15.0 + 5.0 * (f64::from(throw) / 10.0).sin();
             let contact = if throw < 100 { 1.0 } else { 1.31 };
             let ohms = contact * (1.0 + 0.0039 * (celsius - 20.0));
-            let mut observation = drive.observe(State { ohms, ..SOUND });
+            let mut observation = drive.throw(State { ohms, ..SOUND });
             observation.temperature_c = is_published.then_some(celsius);
-            raised.extend(drive.monitor.observe(&observation, &settings).events);
+            raised.extend(drive.observe(&observation).events);
         }
         assert_eq!(raised.len(), expected, "{raised:?}");
     }
@@ -192,15 +187,14 @@ fn read_with(gain: f64, mut observation: Observation) -> Observation {
 
 #[test]
 fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
-    let settings = Settings::default();
     // The gain of the sensor, and the true voltage: one is stuck while the supply falls.
     for (at, (gain, volts)) in [(0.67, 1.0), (0.85, 1.0), (1.2, 1.0), (1.0 / 0.72, 0.72)].into_iter().enumerate() {
         for before in [SOUND, OF_RATIOS] {
             let mut drive = learned(30 + at as u64, before);
             let mut events = Vec::new();
             for _ in 0..60 {
-                let observation = read_with(gain, drive.observe(State { volts, ..before }));
-                events.extend(drive.monitor.observe(&observation, &settings).events);
+                let observation = read_with(gain, drive.throw(State { volts, ..before }));
+                events.extend(drive.observe(&observation).events);
             }
             let slower = [Cause::SlowThrow, Cause::Unattributed, Cause::Supply, Cause::NotMonitored];
             events.retain(|event| volts >= 1.0 || !slower.contains(&event.cause));
@@ -217,10 +211,10 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
 /// Feeds a throw of `state`, read with a wrong voltage. Those of one direction have no estimate, as with a load that varies
 /// along the stroke.
 fn feed_one_sided(drive: &mut Drive, gain: f64, state: State) -> Vec<AlarmEvent> {
-    let observation = read_with(gain, drive.observe(state));
+    let observation = read_with(gain, drive.throw(state));
     let is_rejected = observation.direction == Some(Direction::ReverseToNormal);
     let estimate = observation.estimate.filter(|_| !is_rejected);
-    drive.monitor.observe(&Observation { estimate, ..observation }, &Settings::default()).events
+    drive.observe(&Observation { estimate, ..observation }).events
 }
 
 /// A drive with a published voltage of which one direction is rejected.
@@ -264,9 +258,7 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
         let healthy = || {
             let mut drive = Drive::new(91_000 + seed, true);
             drive.has_toe_sensor = has_toe_sensor;
-            for throw in 0..100 {
-                assert_eq!(drive.feed(before).events, [], "seed {seed}, throw {throw}");
-            }
+            drive.stay_healthy(100, before);
             drive
         };
         for volts in [0.8, 0.7] {

@@ -114,14 +114,33 @@ impl Drive {
         }
     }
 
+    /// A drive after this number of sound throws, none of which had an event.
+    #[track_caller]
+    pub(crate) fn after(throws: usize, seed: u64, publishes_volts: bool) -> Self {
+        let mut drive = Self::new(seed, publishes_volts);
+        drive.stay_healthy(throws, State::SOUND);
+        drive
+    }
+
+    /// Gives throws of `state` to the monitor; none may have an event.
+    #[track_caller]
+    pub(crate) fn stay_healthy(&mut self, throws: usize, state: State) {
+        assert_eq!(self.events(throws, state), []);
+    }
+
     /// The direction of the next throw.
     pub(crate) fn next(&self) -> Direction {
         Direction::BOTH[usize::from(self.throws % 2 == 1)]
     }
 
     pub(crate) fn feed(&mut self, state: State) -> Verdict {
-        let observation = self.observe(state);
-        self.monitor.observe(&observation, &Settings::default())
+        let observation = self.throw(state);
+        self.observe(&observation)
+    }
+
+    /// Gives a throw to the monitor.
+    pub(crate) fn observe(&mut self, throw: &Observation) -> Verdict {
+        self.monitor.observe(throw, &Settings::default())
     }
 
     /// The events of the next throws.
@@ -129,7 +148,8 @@ impl Drive {
         (0..throws).flat_map(|_| self.feed(state).events).collect()
     }
 
-    pub(crate) fn observe(&mut self, state: State) -> Observation {
+    /// The next throw.
+    pub(crate) fn throw(&mut self, state: State) -> Observation {
         for value in &mut self.wander {
             *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
         }

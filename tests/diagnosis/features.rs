@@ -1,14 +1,5 @@
 //! Throws without coefficients: their features are monitored.
 
-use std::{
-    num::NonZero,
-    sync::{
-        Mutex,
-        atomic::{AtomicU64, Ordering::Relaxed},
-    },
-    thread,
-};
-
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
@@ -21,17 +12,14 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use crate::{
     drive::{Drive, State},
     field::{Machine, Scatter},
-    fleet::normal,
+    fleet::{in_parallel, normal},
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
 fn current_only(seed: u64) -> Drive {
     let mut drive = Drive::new(55_000 + seed, false);
     drive.has_toe_sensor = false;
-    for throw in 0..100 {
-        let verdict = drive.feed(State::SOUND);
-        assert_eq!(verdict.events, [], "seed {seed}, throw {throw}");
-    }
+    drive.stay_healthy(100, State::SOUND);
     assert_eq!(drive.monitor.state(), MachineState::Healthy);
     drive
 }
@@ -143,33 +131,26 @@ fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() 
 
 #[test]
 fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_machine_changed() {
-    let settings = Settings::default();
     for (factor, cause) in [(1.2, Cause::Unattributed), (1.0, Cause::NotMonitored)] {
         let mut machine = Machine::new(56_000, Scatter::USUAL);
-        let mut monitor = MachineMonitor::new("21B");
-        for _ in 0..130 {
-            assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), None, &settings).events, []);
-        }
+        machine.stay_healthy(130);
         let mut named = Vec::new();
         for _ in 0..20 {
             let throw = machine.throw(Vector3::zeros(), None);
             let duration_s = throw.features.duration_s.map(|duration_s| factor * duration_s);
             let rejected = Observation { estimate: None, features: Features { duration_s, ..throw.features }, ..throw };
-            named.extend(monitor.observe(&rejected, &settings).events.into_iter().map(|event| event.cause));
+            named.extend(machine.observe(&rejected).events.into_iter().map(|event| event.cause));
         }
         assert_eq!(named.first(), Some(&cause), "{named:?}");
-        let ended: Vec<_> =
-            (0..20).flat_map(|_| machine.feed(&mut monitor, Vector3::zeros(), None, &settings).events).collect();
-        assert!(!ended.is_empty() && monitor.state() == MachineState::Healthy, "{ended:?}");
+        let ended = machine.events(20, Vector3::zeros());
+        assert!(!ended.is_empty() && machine.monitor.state() == MachineState::Healthy, "{ended:?}");
     }
 }
 
 /// The throws of one direction are rejected, as with a wrong `neutral_mm`, until a fault makes them acceptable.
 #[test]
 fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
-    let settings = Settings::default();
     let mut machine = Machine::new(57_000, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let mut events = Vec::new();
     for at in 0..200 {
         let mut throw = machine.throw(Vector3::zeros(), None);
@@ -179,20 +160,18 @@ fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
             throw.estimate = None;
         }
         throw.features.running_current_a = Some(0.335 * fault * (0.02 * normal(&mut machine.rng)).exp());
-        let verdict = monitor.observe(&throw, &settings);
+        let verdict = machine.observe(&throw);
         events.extend(verdict.events.into_iter().map(|event| (event.cause, event.state)));
     }
     assert!(events.contains(&(Cause::Unattributed, AlarmState::ActiveUnacknowledged)), "{events:?}");
     assert!(!events.contains(&(Cause::Unattributed, AlarmState::ClearedUnacknowledged)), "{events:?}");
-    assert_eq!(monitor.baseline(Direction::NormalToReverse), None, "the fault is the baseline");
+    assert_eq!(machine.monitor.baseline(Direction::NormalToReverse), None, "the fault is the baseline");
 }
 
 /// A weak supply can make the throws unusable for the model, and is what should be named.
 #[test]
 fn a_weak_supply_of_rejected_throws_is_named() {
-    let settings = Settings::default();
     let mut machine = Machine::new(57_100, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let mut feed = |is_weak: bool| {
         let mut throw = machine.throw(Vector3::zeros(), None);
         let volts = if is_weak { 80.0 } else { 110.0 };
@@ -201,7 +180,7 @@ fn a_weak_supply_of_rejected_throws_is_named() {
             throw.estimate = None;
             throw.features.duration_s = throw.features.duration_s.map(|duration_s| 1.3 * duration_s);
         }
-        monitor.observe(&throw, &settings).events
+        machine.observe(&throw).events
     };
     for _ in 0..120 {
         assert_eq!(feed(false), []);
@@ -209,7 +188,7 @@ fn a_weak_supply_of_rejected_throws_is_named() {
     let weak: Vec<_> = (0..12).flat_map(|_| feed(true)).collect();
     assert!(weak.iter().any(|event| event.cause == Cause::Supply), "{weak:?}");
     let mended: Vec<_> = (0..40).flat_map(|_| feed(false)).collect();
-    let ended = |event: &&pointsd::diagnose::AlarmEvent| event.state == AlarmState::ClearedUnacknowledged;
+    let ended = |event: &&AlarmEvent| event.state == AlarmState::ClearedUnacknowledged;
     assert!(mended.iter().filter(ended).any(|event| event.cause == Cause::Supply), "{mended:?}");
 }
 
@@ -225,9 +204,7 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
     for (state, cause) in faults {
         for seed in 0..4 {
             let mut drive = Drive::new(58_000 + seed, false);
-            for throw in 0..100 {
-                assert_eq!(drive.feed(late).events, [], "{cause:?}, throw {throw}");
-            }
+            drive.stay_healthy(100, late);
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
             let events = drive.events(24, state);
@@ -291,30 +268,14 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
 
 /// Complete throws of healthy machines without a toe sensor, from current to alarm: the raised alarms of `lives` machines
 /// with `life` throws each.
-fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64) -> Vec<String> {
-    let (next, raised) = (AtomicU64::new(0), Mutex::new(Vec::new()));
-    let live = || {
-        loop {
-            let seed = next.fetch_add(1, Relaxed);
-            if seed >= lives {
-                return;
-            }
-            let mut drive = Drive::new(610_000 + seed, publishes_volts);
-            (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, rate_hz, Some(115.0));
-            for _ in 0..life {
-                let events = drive.feed(State::SOUND).events;
-                let is_first = |event: &AlarmEvent| event.event_no == 1;
-                let sentence = |event: AlarmEvent| format!("machine {seed}: {}", event.text);
-                raised.lock().unwrap().extend(events.into_iter().filter(is_first).map(sentence));
-            }
-        }
+fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: usize) -> Vec<String> {
+    let live = |seed| {
+        let mut drive = Drive::new(610_000 + seed, publishes_volts);
+        (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, rate_hz, Some(115.0));
+        let raised = drive.events(life, State::SOUND).into_iter().filter(|event| event.event_no == 1);
+        raised.map(|event| format!("machine {seed}: {}", event.text)).collect()
     };
-    thread::scope(|scope| {
-        for _ in 0..thread::available_parallelism().map_or(1, NonZero::get) {
-            scope.spawn(live);
-        }
-    });
-    raised.into_inner().unwrap()
+    in_parallel::<Vec<String>>(lives, live).concat()
 }
 
 /// At 25 Hz the inrush has one sample or none, and in one direction the spring drives: its current passes through zero.
@@ -325,7 +286,7 @@ fn slow_recordings_show_the_start_of_the_motor() {
     for seed in 0..10 {
         let mut drive = Drive::new(620_000 + seed, false);
         (drive.has_toe_sensor, drive.rate_hz) = (false, 25.0);
-        let of_machine: Vec<Observation> = (0..throws).map(|_| drive.observe(State::SOUND)).collect();
+        let of_machine: Vec<Observation> = (0..throws).map(|_| drive.throw(State::SOUND)).collect();
         for (at, durations) in durations.iter_mut().enumerate() {
             let mut own: Vec<f64> =
                 of_machine.iter().skip(at).step_by(2).filter_map(|throw| throw.features.duration_s).collect();

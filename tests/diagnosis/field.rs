@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 pub(crate) use pointsd::evaluate::Scatter;
 use pointsd::{
-    diagnose::{MachineMonitor, Observation, Settings, Verdict},
+    diagnose::{AlarmEvent, MachineMonitor, Observation, Settings, Verdict},
     estimate::Features,
     throw::{Direction, ThrowRef},
 };
@@ -15,7 +15,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::fleet::{Nature, normal};
 
+/// A machine that throws in alternating directions, with its monitor.
 pub(crate) struct Machine {
+    pub(crate) monitor: MachineMonitor,
+    pub(crate) settings: Settings,
     pub(crate) rng: ChaCha8Rng,
     pub(crate) throws: u64,
     scatter: Scatter,
@@ -36,7 +39,16 @@ impl Machine {
         let root = Nature::default().covariance().cholesky().unwrap().l();
         let state = Vector3::from_fn(|i, _| scatter.sd[i] * normal(&mut rng));
         let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
-        Self { rng, throws: 0, scatter, state, centre, root, started_at, interval: SignedDuration::from_mins(72) }
+        let (monitor, settings) = (MachineMonitor::new("21B"), Settings::default());
+        let interval = SignedDuration::from_mins(72);
+        Self { monitor, settings, rng, throws: 0, scatter, state, centre, root, started_at, interval }
+    }
+
+    /// A machine after this number of healthy throws.
+    pub(crate) fn after(throws: usize, seed: u64, scatter: Scatter) -> Self {
+        let mut machine = Self::new(seed, scatter);
+        machine.events(throws, Vector3::zeros());
+        machine
     }
 
     /// The direction of the next throw: 0 or 1.
@@ -64,15 +76,32 @@ impl Machine {
         }
     }
 
-    /// Gives the next throw to a monitor.
-    pub(crate) fn feed(
-        &mut self,
-        monitor: &mut MachineMonitor,
-        shift: Vector3<f64>,
-        temperature_c: Option<f64>,
-        settings: &Settings,
-    ) -> Verdict {
-        monitor.observe(&self.throw(shift, temperature_c), settings)
+    /// Gives the next throw, without a temperature, to the monitor.
+    pub(crate) fn feed(&mut self, shift: Vector3<f64>) -> Verdict {
+        let throw = self.throw(shift, None);
+        self.observe(&throw)
+    }
+
+    /// Gives the next throw to the monitor.
+    pub(crate) fn feed_at(&mut self, shift: Vector3<f64>, celsius: f64) -> Verdict {
+        let throw = self.throw(shift, Some(celsius));
+        self.observe(&throw)
+    }
+
+    /// Gives a throw to the monitor.
+    pub(crate) fn observe(&mut self, throw: &Observation) -> Verdict {
+        self.monitor.observe(throw, &self.settings)
+    }
+
+    /// The events of the next throws.
+    pub(crate) fn events(&mut self, throws: usize, shift: Vector3<f64>) -> Vec<AlarmEvent> {
+        (0..throws).flat_map(|_| self.feed(shift).events).collect()
+    }
+
+    /// Gives healthy throws to the monitor; none may have an event.
+    #[track_caller]
+    pub(crate) fn stay_healthy(&mut self, throws: usize) {
+        assert_eq!(self.events(throws, Vector3::zeros()), []);
     }
 }
 

@@ -1,5 +1,14 @@
 //! Machines at parameter depth: coefficients from a calibrated scatter, with the correlated errors of the estimator.
 
+use std::{
+    num::NonZero,
+    sync::{
+        Mutex,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    thread,
+};
+
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
@@ -45,13 +54,36 @@ pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
 
-/// A machine that throws in alternating directions.
+/// Results of lives with the seeds from 0 on, on all processors; in any order.
+pub(crate) fn in_parallel<T: Send>(lives: u64, live: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let (next, results) = (AtomicU64::new(0), Mutex::new(Vec::new()));
+    let work = || {
+        loop {
+            let seed = next.fetch_add(1, Relaxed);
+            if seed >= lives {
+                return;
+            }
+            let result = live(seed);
+            results.lock().unwrap().push(result);
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, NonZero::get) {
+            scope.spawn(work);
+        }
+    });
+    results.into_inner().unwrap()
+}
+
+/// A machine that throws in alternating directions, with its monitor.
 pub(crate) struct Machine {
-    pub(crate) nature: Nature,
+    pub(crate) monitor: MachineMonitor,
+    pub(crate) settings: Settings,
     pub(crate) rng: ChaCha8Rng,
     pub(crate) throws: u64,
     /// The only direction of the throws; `None`: both in turn.
     pub(crate) only: Option<Direction>,
+    nature: Nature,
     state: Vector3<f64>,
     root: Matrix3<f64>,
     started_at: Timestamp,
@@ -63,7 +95,21 @@ impl Machine {
         let state = Vector3::from_fn(|i, _| nature.scatter[i] * normal(&mut rng));
         let root = nature.covariance().cholesky().unwrap().l();
         let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
-        Self { nature, rng, throws: 0, only: None, state, root, started_at }
+        let (monitor, settings) = (MachineMonitor::new("21B"), Settings::default());
+        Self { monitor, settings, rng, throws: 0, only: None, nature, state, root, started_at }
+    }
+
+    /// A machine whose monitor has learned its full baseline.
+    pub(crate) fn learned(seed: u64, nature: Nature) -> Self {
+        Self::learned_with(seed, nature, Settings::default())
+    }
+
+    /// The same with other settings.
+    pub(crate) fn learned_with(seed: u64, nature: Nature, settings: Settings) -> Self {
+        let mut machine = Self::new(seed, nature);
+        machine.settings = settings;
+        machine.events(2 * machine.settings.baseline_throws, Vector3::zeros());
+        machine
     }
 
     /// The next throw, with `shift` added to the logarithms of b0, a1, a0.
@@ -87,28 +133,31 @@ impl Machine {
         }
     }
 
-    /// A monitor that has learned this machine's full baseline.
-    pub(crate) fn learned(&mut self, settings: &Settings) -> MachineMonitor {
-        let mut monitor = MachineMonitor::new("21B");
-        for _ in 0..2 * settings.baseline_throws {
-            self.feed(&mut monitor, Vector3::zeros(), settings);
-        }
-        monitor
+    /// Gives a throw to the monitor.
+    pub(crate) fn observe(&mut self, throw: &Observation) -> Verdict {
+        self.monitor.observe(throw, &self.settings)
     }
 
-    /// Gives the next throw to a monitor.
-    pub(crate) fn feed(&mut self, monitor: &mut MachineMonitor, shift: Vector3<f64>, settings: &Settings) -> Verdict {
-        monitor.observe(&self.throw(shift), settings)
+    /// Gives the next throw to the monitor.
+    pub(crate) fn feed(&mut self, shift: Vector3<f64>) -> Verdict {
+        let throw = self.throw(shift);
+        self.observe(&throw)
     }
 
     /// The events of the next throws.
-    pub(crate) fn events(
-        &mut self,
-        monitor: &mut MachineMonitor,
-        throws: usize,
-        shift: Vector3<f64>,
-    ) -> Vec<AlarmEvent> {
-        (0..throws).flat_map(|_| self.feed(monitor, shift, &Settings::default()).events).collect()
+    pub(crate) fn events(&mut self, throws: usize, shift: Vector3<f64>) -> Vec<AlarmEvent> {
+        (0..throws).flat_map(|_| self.feed(shift).events).collect()
+    }
+
+    /// Gives healthy throws to the monitor; none may have an event.
+    #[track_caller]
+    pub(crate) fn stay_healthy(&mut self, throws: usize) {
+        assert_eq!(self.events(throws, Vector3::zeros()), []);
+    }
+
+    /// A random number below `limit` from the stream of this machine.
+    pub(crate) fn rng_u(&mut self, limit: u64) -> u64 {
+        self.rng.random_range(0..limit)
     }
 }
 
@@ -121,12 +170,5 @@ pub(crate) fn shift(cause: Cause, pct: f64) -> Vector3<f64> {
         Cause::Stiffness => Vector3::new(0.0, 0.0, log),
         Cause::Inertia => Vector3::repeat(-log),
         _ => Vector3::zeros(),
-    }
-}
-
-impl Machine {
-    /// A random number below `limit` from the stream of this machine.
-    pub(crate) fn rng_u(&mut self, limit: u64) -> u64 {
-        self.rng.random_range(0..limit)
     }
 }

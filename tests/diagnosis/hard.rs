@@ -3,19 +3,19 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{
-        AlarmEvent, AlarmState, Cause, MachineMonitor, Observation, Settings, Severity, TemperatureSource, Verdict,
-    },
+    diagnose::{AlarmEvent, AlarmState, Cause, Observation, Settings, Severity, TemperatureSource, Verdict},
     estimate::Grade,
     throw::Direction,
 };
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::{
+    budget::free,
+    fleet::{Machine, Nature, shift},
+};
 
 /// Natures of healthy machines, and how many of their lives are blind for a critical change.
 #[test]
 fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
-    let settings = Settings::default();
     let times = |factor: f64, phi: f64| {
         let usual = Nature::default();
         Nature { scatter: usual.scatter.map(|sd| factor * sd), phi, ..usual }
@@ -31,14 +31,10 @@ fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
     for (nature, expected) in natures {
         let mut blind = 0;
         for seed in 0..8 {
-            let mut machine = Machine::new(90_000 + seed, nature);
-            let mut monitor = machine.learned(&settings);
-            let mut said = 0;
-            for _ in 0..100 {
-                let verdict = machine.feed(&mut monitor, Vector3::zeros(), &settings);
-                said += verdict.events.iter().filter(|event| event.cause == Cause::NotMonitored).count();
-            }
-            let is_blind = monitor.caveats().iter().any(|caveat| caveat.contains("scatter so much"));
+            let mut machine = Machine::learned(90_000 + seed, nature);
+            let events = machine.events(100, Vector3::zeros());
+            let said = events.iter().filter(|event| event.cause == Cause::NotMonitored).count();
+            let is_blind = machine.monitor.caveats().iter().any(|caveat| caveat.contains("scatter so much"));
             blind += u32::from(is_blind);
             assert_eq!(said, usize::from(is_blind), "{nature:?}, seed {seed}: said once, or never");
         }
@@ -53,11 +49,10 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     for (at, first) in Cause::PHYSICAL.into_iter().enumerate() {
         for second in Cause::PHYSICAL.into_iter().skip(at + 1) {
             for seed in 0..6 {
-                let mut machine = Machine::new(400 + seed, Nature::default());
-                let mut monitor = machine.learned(&settings);
+                let mut machine = Machine::learned(400 + seed, Nature::default());
                 let size = |cause| 4.0 * settings.limit_pct(cause).unwrap();
                 let fault = shift(first, size(first)) + shift(second, size(second));
-                for event in machine.events(&mut monitor, 60, fault) {
+                for event in machine.events(60, fault) {
                     let named = [first, second, Cause::Unattributed].contains(&event.cause);
                     assert!(named || event.severity < Severity::Critical, "{first} and {second}: {}", event.text);
                 }
@@ -75,21 +70,22 @@ fn a_second_fault_is_named_beside_the_first() {
         for second in Cause::PHYSICAL.into_iter().filter(|second| *second != first) {
             let mut right = 0;
             for seed in 0..10 {
-                let mut machine = Machine::new(450 + seed, Nature::default());
-                let mut monitor = machine.learned(&settings);
+                let mut machine = Machine::learned(450 + seed, Nature::default());
                 let sign = |cause| if cause == Cause::Kt { -1.0 } else { 1.0 };
                 let size = |cause| sign(cause) * 3.0 * settings.limit_pct(cause).unwrap();
-                let before = machine.events(&mut monitor, 60, shift(first, size(first)));
+                let before = machine.events(60, shift(first, size(first)));
                 assert!(before.iter().all(|event| event.cause == first), "{first}");
                 let fault = shift(first, size(first)) + shift(second, size(second));
-                let after = machine.events(&mut monitor, 60, fault);
+                let after = machine.events(60, fault);
                 let raised: Vec<_> =
                     after.iter().filter(|event| event.event_no == 1).map(|event| event.cause).collect();
                 lives += 1;
                 right += usize::from(raised.first() == Some(&second));
                 unattributed += usize::from(raised.contains(&Cause::Unattributed));
                 wrong += raised.iter().filter(|cause| ![second, Cause::Unattributed].contains(cause)).count();
-                for drifting in monitor.drifts().iter().filter(|drifting| [first, second].contains(&drifting.cause)) {
+                for drifting in
+                    machine.monitor.drifts().iter().filter(|drifting| [first, second].contains(&drifting.cause))
+                {
                     said += 1;
                     held +=
                         usize::from((drifting.change_pct - size(drifting.cause)).abs() < 2.0 * drifting.change_pct_sd);
@@ -113,8 +109,7 @@ fn the_sizes_of_two_faults_hold() {
             let (mut of_pair, mut held_pair) = (0_u32, 0_u32);
             let lives = [0.0, 0.1, 0.25, 0.5].into_iter().cycle().zip([2.0, 3.0, 4.0].into_iter().cycle());
             for (seed, (leak, limits)) in (460..472).zip(lives) {
-                let mut machine = Machine::new(seed, Nature::default());
-                let mut monitor = machine.learned(&settings);
+                let mut machine = Machine::learned(seed, Nature::default());
                 let size = |cause: Cause| {
                     let sign = if cause == Cause::Kt { -1.0 } else { 1.0 };
                     sign * limits * settings.limit_pct(cause).unwrap()
@@ -123,10 +118,10 @@ fn the_sizes_of_two_faults_hold() {
                     let plain = shift(cause, size(cause));
                     if cause == Cause::Friction { plain + Vector3::repeat(leak * plain.y) } else { plain }
                 };
-                machine.events(&mut monitor, 60, effect(first));
+                machine.events(60, effect(first));
                 for _ in 0..10 {
-                    machine.events(&mut monitor, 10, effect(first) + effect(second));
-                    for now in monitor.drifts().iter().filter(|now| [first, second].contains(&now.cause)) {
+                    machine.events(10, effect(first) + effect(second));
+                    for now in machine.monitor.drifts().iter().filter(|now| [first, second].contains(&now.cause)) {
                         of_pair += 1;
                         held_pair += u32::from((now.change_pct - size(now.cause)).abs() < 2.0 * now.change_pct_sd);
                     }
@@ -145,15 +140,13 @@ fn the_sizes_of_two_faults_hold() {
 /// before the second fault shows the leak.
 #[test]
 fn a_motor_fault_beside_friction_is_named_in_every_sign() {
-    let settings = Settings::default();
     let mut named = 0;
     for (seed, signs) in (0..40).zip([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].into_iter().cycle()) {
-        let mut machine = Machine::new(480 + seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
+        let mut machine = Machine::learned(480 + seed, Nature::default());
         let friction = shift(Cause::Friction, signs[0] * 30.0);
-        let before = machine.events(&mut monitor, 60, friction);
+        let before = machine.events(60, friction);
         assert!(before.iter().all(|event| event.cause == Cause::Friction), "seed {seed}");
-        let after = machine.events(&mut monitor, 120, friction + shift(Cause::Kt, signs[1] * 10.0));
+        let after = machine.events(120, friction + shift(Cause::Kt, signs[1] * 10.0));
         let mut raised = after.iter().filter(|event| event.event_no == 1).map(|event| event.cause);
         named += usize::from(raised.next() == Some(Cause::Kt));
     }
@@ -166,15 +159,14 @@ fn a_motor_fault_beside_friction_is_named_in_every_sign() {
 fn dry_friction_that_leaks_is_friction_of_its_true_size() {
     let mut held = 0;
     for seed in 0..20_u32 {
-        let mut machine = Machine::new(500 + u64::from(seed), Nature::default());
-        let mut monitor = machine.learned(&Settings::default());
+        let mut machine = Machine::learned(500 + u64::from(seed), Nature::default());
         let leak = 0.033 * f64::from(seed);
         let friction = shift(Cause::Friction, 54.0).y;
-        let found = machine.events(&mut monitor, 60, Vector3::new(leak, 1.0 + leak, leak) * friction);
+        let found = machine.events(60, Vector3::new(leak, 1.0 + leak, leak) * friction);
         assert!(found.iter().all(|event| event.cause == Cause::Friction), "leak {leak}: {}", found[0].text);
         let texts: Vec<_> = found.iter().map(|event| &event.text).collect();
         assert!(found.iter().any(|event| event.severity == Severity::Critical), "leak {leak}: {texts:?}");
-        let now = &monitor.drifts()[0];
+        let now = &machine.monitor.drifts()[0];
         println!("leak {leak:.2}: {:.1} ± {:.1} %", now.change_pct, 2.0 * now.change_pct_sd);
         held += u32::from((now.change_pct - 54.0).abs() < 2.0 * now.change_pct_sd);
     }
@@ -186,9 +178,8 @@ fn dry_friction_that_leaks_is_friction_of_its_true_size() {
 fn causes_that_cannot_be_distinguished_are_not_named() {
     let (mut named, mut said) = (0, 0);
     for seed in 0..20 {
-        let mut machine = Machine::new(600 + seed, Nature::default());
-        let mut monitor = machine.learned(&Settings::default());
-        let found = machine.events(&mut monitor, 100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
+        let mut machine = Machine::learned(600 + seed, Nature::default());
+        let found = machine.events(100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
         let unattributed = found.iter().find(|event| event.cause == Cause::Unattributed);
         let both = ["motor and inertia", "inertia and motor"];
         said += u32::from(unattributed.is_some_and(|event| both.iter().any(|both| event.text.contains(both))));
@@ -200,15 +191,13 @@ fn causes_that_cannot_be_distinguished_are_not_named() {
 
 #[test]
 fn a_fault_of_one_direction_names_that_direction() {
-    let settings = Settings::default();
-    let mut machine = Machine::new(31, Nature::default());
-    let mut monitor = machine.learned(&settings);
+    let mut machine = Machine::learned(31, Nature::default());
     let mut events = Vec::new();
     let mut now = Vec::new();
     for throw in 0..40 {
         // The next throw is normal to reverse after an even number of throws.
         let fault = if machine.throws.is_multiple_of(2) { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
-        let verdict = machine.feed(&mut monitor, fault, &settings);
+        let verdict = machine.feed(fault);
         events.extend(verdict.events);
         now = verdict.present.drifts;
         assert!(throw < 30 || !events.is_empty());
@@ -221,30 +210,26 @@ fn a_fault_of_one_direction_names_that_direction() {
 
 #[test]
 fn one_wild_throw_is_no_alarm_and_does_not_poison_the_baseline() {
-    let settings = Settings::default();
     let mut machine = Machine::new(32, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
     for throw in 0..400 {
         let wild = if throw % 23 == 7 { Vector3::new(0.7, -0.5, 0.9) } else { Vector3::zeros() };
-        assert_eq!(machine.feed(&mut monitor, wild, &settings).events, []);
+        assert_eq!(machine.feed(wild).events, []);
     }
-    let found = machine.events(&mut monitor, 20, shift(Cause::Kt, -15.0));
+    let found = machine.events(20, shift(Cause::Kt, -15.0));
     assert_eq!(found[0].cause, Cause::Kt);
 }
 
 #[test]
 fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
-    let settings = Settings::default();
     let mut machine = Machine::new(33, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
     for throw in 0..1_000_u32 {
         let celsius = 10.0 + 8.0 * (f64::from(throw) / 7.0).sin() - 20.0 * (f64::from(throw) / 1_000.0);
         let mut observation = machine.throw(Vector3::new(-0.0015, -0.006, 0.0) * (celsius - 10.0));
         observation.temperature_c = Some(celsius);
-        let verdict = monitor.observe(&observation, &settings);
+        let verdict = machine.observe(&observation);
         assert_eq!(verdict.events, []);
     }
-    let record = monitor.baseline(Direction::NormalToReverse).unwrap();
+    let record = machine.monitor.baseline(Direction::NormalToReverse).unwrap();
     assert_eq!(record.temperature_source, TemperatureSource::Fitted);
     assert!((record.temperature_pct_per_k[0] + 0.15).abs() < 0.05, "{:?}", record.temperature_pct_per_k);
 }
@@ -252,10 +237,9 @@ fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
 #[test]
 fn a_dozen_throws_are_a_usable_baseline() {
     let mut machine = Machine::new(34, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
-    assert_eq!(machine.events(&mut monitor, 26, Vector3::zeros()), []);
-    assert!(!monitor.baseline(Direction::NormalToReverse).unwrap().complete);
-    let found = machine.events(&mut monitor, 40, shift(Cause::Kt, -25.0));
+    machine.stay_healthy(26);
+    assert!(!machine.monitor.baseline(Direction::NormalToReverse).unwrap().complete);
+    let found = machine.events(40, shift(Cause::Kt, -25.0));
     assert_eq!(found[0].cause, Cause::Kt);
 }
 
@@ -264,27 +248,16 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
     /// Throws for each false alarm in the budget.
     const BUDGET_THROWS: f64 = 2_000.0;
     const MACHINES: u64 = 40;
-    const LIFE: u32 = 1_500;
-    let free = Settings {
-        kt_limit_pct: 0.001,
-        friction_limit_pct: 0.001,
-        stiffness_limit_pct: 0.001,
-        inertia_limit_pct: 0.001,
-        false_alarm_years: 1.0,
-        throws_per_day: BUDGET_THROWS / 365.25,
-        ..Settings::default()
-    };
+    const LIFE: usize = 1_500;
     for phi in [0.0, 0.3, 0.6] {
         let mut raised = 0;
         for seed in 0..MACHINES {
-            let mut machine = Machine::new(7_000 + seed, Nature { phi, ..Nature::default() });
-            let mut monitor = machine.learned(&free);
-            for _ in 0..LIFE {
-                let events = machine.feed(&mut monitor, Vector3::zeros(), &free).events;
-                raised += events.iter().filter(|e| e.state == AlarmState::ActiveUnacknowledged).count();
-            }
+            let nature = Nature { phi, ..Nature::default() };
+            let mut machine = Machine::learned_with(7_000 + seed, nature, free(BUDGET_THROWS));
+            let events = machine.events(LIFE, Vector3::zeros());
+            raised += events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged).count();
         }
-        let allowed = MACHINES as f64 * f64::from(LIFE) / BUDGET_THROWS;
+        let allowed = MACHINES as f64 * LIFE as f64 / BUDGET_THROWS;
         let ratio = raised as f64 / allowed;
         assert!((1.0 / 3.0..=3.0).contains(&ratio), "phi {phi}: {raised} alarms, {allowed} in the budget");
     }
@@ -293,14 +266,12 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
 /// The severity follows the direction with the larger drift, as the text does.
 #[test]
 fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
-    let settings = Settings::default();
     for seed in 0..6 {
-        let mut machine = Machine::new(950 + seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
+        let mut machine = Machine::learned(950 + seed, Nature::default());
         let events: Vec<AlarmEvent> = (0..60)
             .flat_map(|at| {
                 let fault = shift(Cause::Friction, if at % 2 == 0 { 60.0 } else { 22.0 });
-                machine.feed(&mut monitor, fault, &settings).events
+                machine.feed(fault).events
             })
             .collect();
         assert!(events.iter().all(|event| event.cause == Cause::Friction), "{seed}: {events:?}");
@@ -322,18 +293,16 @@ fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
 /// Rough throws do not show the inertia, so its size is that of the good ones; without these it is the last known size.
 #[test]
 fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones() {
-    let settings = Settings::default();
     for (seed, of_ten) in [(1, 3), (2, 5), (3, 6), (4, 6), (5, 7)] {
-        let mut machine = Machine::new(900 + seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
+        let mut machine = Machine::learned(900 + seed, Nature::default());
         let mut life = |throws: u32, of_ten: u64, pct: f64| -> Vec<(Verdict, Vec<String>)> {
             (0..throws)
                 .map(|_| {
                     let throw = machine.throw(shift(Cause::Inertia, pct));
                     let is_rough = machine.rng_u(10) < of_ten;
                     let throw = if is_rough { rough(throw, Matrix3::zeros()) } else { throw };
-                    let verdict = monitor.observe(&throw, &settings);
-                    (verdict, monitor.caveats())
+                    let verdict = machine.observe(&throw);
+                    (verdict, machine.monitor.caveats())
                 })
                 .collect()
         };
@@ -365,15 +334,14 @@ fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones(
 fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
     for (friction_pct, error_sd) in [(140.0, 0.06), (60.0, 0.03)] {
         for seed in 0..20_u32 {
-            let mut machine = Machine::new(800 + u64::from(seed), Nature::default());
-            let mut monitor = machine.learned(&Settings::default());
+            let mut machine = Machine::learned(800 + u64::from(seed), Nature::default());
             let part = f64::from(seed) / 10.0 - 0.95;
             let shared = Vector3::new(0.0, -0.3, 1.0) * error_sd;
             let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
             let events: Vec<AlarmEvent> = (0..20)
                 .flat_map(|_| {
                     let rough = rough(machine.throw(fault), 24.0 * shared * shared.transpose());
-                    monitor.observe(&rough, &Settings::default()).events
+                    machine.observe(&rough).events
                 })
                 .collect();
             let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
@@ -419,17 +387,15 @@ fn a_fault_that_makes_every_throw_rough_is_named() {
 /// A toe that waits for the unlocking makes every throw rough: such a machine has a baseline of ratios.
 #[test]
 fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {
-    let settings = Settings::default();
     let shared = 24.0 * Matrix3::from_diagonal(&Vector3::new(0.0, 1e-4, 4e-4));
     for seed in 0..8 {
         for (cause, pct) in [(Cause::Kt, -15.0), (Cause::Friction, 50.0), (Cause::Stiffness, 40.0)] {
             let mut machine = Machine::new(9_700 + seed, Nature::default());
-            let mut monitor = MachineMonitor::new("21B");
             let mut life = |throws: u32, of_ten: u64, fault: Vector3<f64>| -> Vec<AlarmEvent> {
                 let throws = (0..throws).flat_map(|_| {
                     let throw = machine.throw(fault);
                     let throw = if machine.rng_u(10) < of_ten { rough(throw, shared) } else { throw };
-                    monitor.observe(&throw, &settings).events
+                    machine.observe(&throw).events
                 });
                 throws.collect()
             };
@@ -439,10 +405,10 @@ fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {
             let events = life(40, 9, shift(cause, pct));
             assert_eq!(events.first().map(|event| event.cause), Some(cause), "seed {seed}: {events:?}");
             for direction in Direction::BOTH {
-                let baseline = monitor.baseline(direction).unwrap();
+                let baseline = machine.monitor.baseline(direction).unwrap();
                 assert!(baseline.complete && baseline.ratios_only, "{baseline:?}");
             }
-            let caveats = monitor.caveats();
+            let caveats = machine.monitor.caveats();
             assert!(caveats.iter().any(|caveat| caveat.contains("inertia is not monitored")), "{caveats:?}");
             assert!(!caveats.iter().any(|caveat| caveat.contains("all rough")), "one in ten is good: {caveats:?}");
         }

@@ -2,7 +2,7 @@
 //! voltage. A healthy part is never named alone.
 
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel, Settings},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel},
     throw::Throw,
 };
 
@@ -74,12 +74,7 @@ fn cases() -> [(&'static str, bool, State, Truth); 34] {
 
 /// Events in 70 throws of `state` after 120 healthy ones.
 fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
-    let mut drive = Drive::new(seed, volts);
-    for throw in 0..120 {
-        let events = drive.feed(State::SOUND).events;
-        assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
-    }
-    drive.events(70, state)
+    Drive::after(120, seed, volts).events(70, state)
 }
 
 impl Truth {
@@ -165,17 +160,16 @@ fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
 
 #[test]
 fn a_published_voltage_is_not_requested() {
-    let settings = Settings::default();
     for (publishes, seed) in [(true, 320), (false, 320), (true, 321), (false, 321)] {
         let mut drive = Drive::new(seed, publishes);
         let mut texts = Vec::new();
         for throw in 0..160 {
             let current_gain = if throw < 100 { 1.0 } else { 1.1 };
-            let mut observation = drive.observe(State { current_gain, ..State::SOUND });
+            let mut observation = drive.throw(State { current_gain, ..State::SOUND });
             // As of a motor whose inrush does not show the resistance.
             observation.features.resistance_ohm = None;
             observation.features.back_emf_v_s_per_rad = None;
-            texts.extend(drive.monitor.observe(&observation, &settings).events.into_iter().map(|event| event.text));
+            texts.extend(drive.observe(&observation).events.into_iter().map(|event| event.text));
         }
         let asks = texts.iter().any(|text| text.contains("published supply_v would"));
         let is_open = texts.iter().any(|text| text.contains("current sensor"));
@@ -194,10 +188,7 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
     ];
     for seed in 310..313 {
         for (what, state) in wrong {
-            let mut drive = Drive::new(seed, true);
-            for _ in 0..100 {
-                assert_eq!(drive.feed(State::SOUND).events, [], "seed {seed}");
-            }
+            let mut drive = Drive::after(100, seed, true);
             let events = drive.events(200, state);
             let of_sensor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Sensor).collect();
             let parts: Vec<_> = events.iter().filter(|event| Cause::PHYSICAL.contains(&event.cause)).collect();
@@ -209,11 +200,8 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
 #[test]
 fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
     for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {
-        let mut drive = Drive::new(seed, false);
+        let mut drive = Drive::after(60, seed, false);
         let noisy = State { position_noise_mm: noise_mm, ..State::SOUND };
-        for throw in 0..60 {
-            assert_eq!(drive.feed(State::SOUND).events, [], "throw {throw}");
-        }
         // One or two noisy throws are a disturbance.
         for state in [noisy, noisy].into_iter().chain([State::SOUND; 12]) {
             assert_eq!(drive.feed(state).events, [], "{noise_mm} mm");
@@ -259,14 +247,10 @@ fn sizes_hold(seeds: std::ops::Range<u64>) {
         let mut said = Vec::new();
         for seed in seeds.clone() {
             let mut drive = Drive::new(seed, true);
-            for _ in 0..100 {
-                drive.feed(State::SOUND);
-            }
+            drive.events(100, State::SOUND);
             drive.logger = logger;
-            let mut events = (0..40).flat_map(|_| drive.feed(state).events);
-            let Some(event) = events.find(|event| matches!(event.cause, Cause::Sensor | Cause::Supply)) else {
-                continue;
-            };
+            let is_named = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::Supply);
+            let Some(event) = drive.events(40, state).into_iter().find(is_named) else { continue };
             let (pct, sd) = (event.change_pct.unwrap(), event.change_pct_sd.unwrap());
             raised += 1;
             held += u64::from((pct - truth).abs() <= 1.96 * sd);
@@ -301,9 +285,8 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
     ];
     let shifts = [-60.0, -20.0, -7.0, 7.0, 20.0, 40.0, 60.0];
     for ((seed, position_offset_mm), (part, state)) in (9_000..).zip(shifts).zip(parts.into_iter().cycle()) {
-        let mut drive = Drive::new(seed, false);
+        let mut drive = Drive::after(100, seed, false);
         let mut live = |throws: usize, state: State| -> Vec<AlarmEvent> { drive.events(throws, state) };
-        assert_eq!(live(100, State::SOUND), []);
         let raised = live(80, State { position_offset_mm, ..State::SOUND });
         let [event] = &raised[..] else { panic!("{position_offset_mm} mm: {raised:#?}") };
         assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Position)));
@@ -331,9 +314,7 @@ fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
     for (logger, is_stuck) in [(bow, false), (steps, false), (stuck, true)] {
         for seed in 9_900..9_903 {
             let mut drive = Drive::new(seed, true);
-            for _ in 0..100 {
-                drive.feed(State::SOUND);
-            }
+            drive.events(100, State::SOUND);
             drive.logger = logger;
             let events = drive.events(60, State::SOUND);
             assert!(events.iter().all(|event| event.cause != Cause::Supply), "{events:#?}");
@@ -351,10 +332,7 @@ fn a_position_sensor_with_another_gain_and_zero_accuses_no_part() {
         (9_900..).zip([(0.5, 30.0), (0.9, 10.0), (1.1, -15.0), (0.97, 8.0)])
     {
         for volts in [true, false] {
-            let mut drive = Drive::new(seed, volts);
-            for _ in 0..100 {
-                assert_eq!(drive.feed(State::SOUND).events, []);
-            }
+            let mut drive = Drive::after(100, seed, volts);
             let state = State { position_gain, position_offset_mm, ..State::SOUND };
             let events = drive.events(100, state);
             let named =

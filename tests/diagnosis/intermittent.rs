@@ -1,7 +1,7 @@
 //! A fault in every fifth or tenth throw is detected and named, and its alarm clears; healthy machines have none.
 
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmState, Cause, MachineMonitor, Settings};
+use pointsd::diagnose::{AlarmState, Cause, Settings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -14,21 +14,16 @@ const LIVES: u64 = 20;
 
 #[test]
 fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
-    let settings = Settings::default();
     let faults = [(Cause::Friction, 30.0), (Cause::Kt, -10.0), (Cause::Stiffness, 20.0), (Cause::Inertia, 10.0)];
     for (every, within) in [(5, 60), (10, 150)] {
         for (tail, least) in [(None, 20), (Some(3), 10)] {
             for (cause, pct) in faults {
                 let (mut found, mut rates) = (0, Vec::new());
                 for seed in 0..LIVES {
-                    let mut machine = Machine::new(60_000 + seed, Scatter { tail, ..Scatter::USUAL });
-                    let mut monitor = MachineMonitor::new("21B");
-                    for _ in 0..180 {
-                        machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
-                    }
+                    let mut machine = Machine::after(180, 60_000 + seed, Scatter { tail, ..Scatter::USUAL });
                     let first = (1..=within).find_map(|throw| {
                         let fault = if throw % every == 0 { shift(cause, pct) } else { Vector3::zeros() };
-                        machine.feed(&mut monitor, fault, None, &settings).events.into_iter().next()
+                        machine.feed(fault).events.into_iter().next()
                     });
                     found += u32::from(first.as_ref().is_some_and(|event| event.cause == cause));
                     let text = first.filter(|_| tail.is_none()).map(|event| event.text);
@@ -46,17 +41,12 @@ fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
 
 #[test]
 fn of_a_large_fault_fewer_throws_are_enough() {
-    let settings = Settings::default();
     for (tail, least) in [(None, 20), (Some(3), 18)] {
         let found = |seed: &u64| {
-            let mut machine = Machine::new(62_000 + seed, Scatter { tail, ..Scatter::USUAL });
-            let mut monitor = MachineMonitor::new("21B");
-            for _ in 0..150 {
-                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
-            }
+            let mut machine = Machine::after(150, 62_000 + seed, Scatter { tail, ..Scatter::USUAL });
             let first = (1..=80).find_map(|throw| {
                 let fault = if throw % 10 == 0 { shift(Cause::Friction, 100.0) } else { Vector3::zeros() };
-                machine.feed(&mut monitor, fault, None, &settings).events.into_iter().next()
+                machine.feed(fault).events.into_iter().next()
             });
             first.is_some_and(|event| event.cause == Cause::Friction)
         };
@@ -67,14 +57,12 @@ fn of_a_large_fault_fewer_throws_are_enough() {
 
 #[test]
 fn an_intermittent_fault_that_is_mended_clears() {
-    let settings = Settings::default();
     let mut machine = Machine::new(61_000, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let mut states = Vec::new();
     for throw in 0..500 {
         let fault = (200..280).contains(&throw) && throw % 5 == 0;
         let fault = if fault { shift(Cause::Friction, 60.0) } else { Vector3::zeros() };
-        let verdict = machine.feed(&mut monitor, fault, None, &settings);
+        let verdict = machine.feed(fault);
         states.extend(verdict.events.into_iter().filter(|e| e.cause == Cause::Friction).map(|event| event.state));
     }
     assert_eq!(states, [AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged]);
@@ -89,12 +77,11 @@ fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() 
         for seed in 0..LIVES {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let mut machine = Machine::new(63_000 + seed, Scatter::USUAL);
-            let mut monitor = MachineMonitor::new("21B");
             let mut events = Vec::new();
             for throw in 0..330 {
                 let is_faulty = throw >= 150 && rng.random_bool(0.2);
                 let fault = if is_faulty { shift(cause, pct) } else { Vector3::zeros() };
-                events.extend(machine.feed(&mut monitor, fault, None, &settings).events);
+                events.extend(machine.feed(fault).events);
             }
             let active = events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged);
             for event in active.filter(|event| event.cause == cause) {

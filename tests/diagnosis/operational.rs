@@ -16,25 +16,17 @@ use crate::{
     fleet::{Machine, Nature, shift},
 };
 
-fn machine() -> (Machine, MachineMonitor) {
-    let mut machine = Machine::new(21, Nature::default());
-    let monitor = machine.learned(&Settings::default());
-    (machine, monitor)
+fn machine() -> Machine {
+    Machine::learned(21, Nature::default())
 }
 
-fn feed(
-    machine: &mut Machine,
-    monitor: &mut MachineMonitor,
-    throws: usize,
-    change: impl Fn(&mut Observation),
-) -> Vec<AlarmEvent> {
-    (0..throws)
-        .flat_map(|_| {
-            let mut observation = machine.throw(Vector3::zeros());
-            change(&mut observation);
-            monitor.observe(&observation, &Settings::default()).events
-        })
-        .collect()
+fn feed(machine: &mut Machine, throws: usize, change: impl Fn(&mut Observation)) -> Vec<AlarmEvent> {
+    let observe = |_| {
+        let mut throw = machine.throw(Vector3::zeros());
+        change(&mut throw);
+        machine.observe(&throw).events
+    };
+    (0..throws).flat_map(observe).collect()
 }
 
 fn missing(throws: u64) -> Missing<'static> {
@@ -57,8 +49,8 @@ fn summary(events: &[AlarmEvent]) -> Vec<(Cause, Severity, AlarmState)> {
 #[test]
 fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
     use AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
-    let (mut machine, mut monitor) = machine();
-    let failed = feed(&mut machine, &mut monitor, 2, |o| (o.incomplete, o.estimate) = (true, None));
+    let mut machine = machine();
+    let failed = feed(&mut machine, 2, |o| (o.incomplete, o.estimate) = (true, None));
     assert_eq!(
         summary(&failed),
         [
@@ -66,7 +58,7 @@ fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
             (Cause::IncompleteThrow, Severity::Critical, ActiveUnacknowledged)
         ]
     );
-    let well = feed(&mut machine, &mut monitor, 20, |_| {});
+    let well = feed(&mut machine, 20, |_| {});
     assert_eq!(summary(&well), [(Cause::IncompleteThrow, Severity::Critical, ClearedUnacknowledged)]);
 }
 
@@ -103,39 +95,39 @@ fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
 
 #[test]
 fn slow_throws_show_even_where_the_coefficients_do_not() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let slow = |o: &mut Observation| o.features.duration_s = Some(4.3 * 1.3);
-    let events = feed(&mut machine, &mut monitor, 10, slow);
+    let events = feed(&mut machine, 10, slow);
     assert_eq!(summary(&events), [raised(Cause::SlowThrow)]);
     assert!((events[0].change_pct.unwrap() - 30.0).abs() < 1.0);
 }
 
 #[test]
 fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
-    let (mut machine, mut monitor) = machine();
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
-    assert_eq!(monitor.state(), MachineState::NotMonitored);
+    let mut machine = machine();
+    assert_eq!(summary(&feed(&mut machine, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
+    assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
     // One accepted throw among many rejected ones monitors nothing.
     for _ in 0..5 {
-        assert_eq!(feed(&mut machine, &mut monitor, 1, |_| {}), []);
-        assert_eq!(feed(&mut machine, &mut monitor, 12, |o| o.estimate = None), []);
+        assert_eq!(feed(&mut machine, 1, |_| {}), []);
+        assert_eq!(feed(&mut machine, 12, |o| o.estimate = None), []);
     }
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 8, |_| {})), [ended(Cause::NotMonitored)]);
-    assert_eq!(monitor.state(), MachineState::Healthy);
+    assert_eq!(summary(&feed(&mut machine, 8, |_| {})), [ended(Cause::NotMonitored)]);
+    assert_eq!(machine.monitor.state(), MachineState::Healthy);
 }
 
 #[test]
 fn silence_is_noticed_and_a_jumping_clock_is_no_silence() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let mut now = machine.throw(Vector3::zeros()).started_at;
-    assert_eq!(monitor.tick(now, &settings), []);
-    assert_eq!(monitor.tick(now + SignedDuration::from_hours(24 * 3650), &settings), []);
-    assert_eq!(monitor.tick(now - SignedDuration::from_hours(24), &settings), []);
+    assert_eq!(machine.monitor.tick(now, &settings), []);
+    assert_eq!(machine.monitor.tick(now + SignedDuration::from_hours(24 * 3650), &settings), []);
+    assert_eq!(machine.monitor.tick(now - SignedDuration::from_hours(24), &settings), []);
     let mut events = Vec::new();
     for _ in 0..24 * 8 {
         now += SignedDuration::from_hours(1);
-        events.extend(monitor.tick(now, &settings));
+        events.extend(machine.monitor.tick(now, &settings));
     }
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
 }
@@ -159,50 +151,50 @@ fn pass(
 #[test]
 fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let mut now = machine.throw(Vector3::zeros()).started_at;
     let there = |monitor: &mut MachineMonitor, now| monitor.logger(true, now, &Settings::default());
     let away = |monitor: &mut MachineMonitor, now| monitor.logger(false, now, &Settings::default());
     // A logger that was never connected is not missed.
-    assert_eq!(pass(&mut monitor, &mut now, 60, away), []);
+    assert_eq!(pass(&mut machine.monitor, &mut now, 60, away), []);
     // An unstable link and a restart of the logger raise no alarm.
     for minutes in [1, 9, 5] {
-        assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
-        assert_eq!(pass(&mut monitor, &mut now, minutes, away), []);
+        assert_eq!(pass(&mut machine.monitor, &mut now, 1, there), []);
+        assert_eq!(pass(&mut machine.monitor, &mut now, minutes, away), []);
     }
-    assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
+    assert_eq!(pass(&mut machine.monitor, &mut now, 1, there), []);
     let (raised, ended) = (raised(Cause::NotMonitored), ended(Cause::NotMonitored));
     // Half of the delay passes before the daemon stops. The hours of its absence, or of a clock jump, do not count, as
     // loggers have to connect again. Then the alarm is raised once.
-    assert_eq!(pass(&mut monitor, &mut now, 6, away), []);
-    let mut monitor: MachineMonitor = serde_json::from_str(&serde_json::to_string(&monitor).unwrap()).unwrap();
+    assert_eq!(pass(&mut machine.monitor, &mut now, 6, away), []);
+    machine.monitor = serde_json::from_str(&serde_json::to_string(&machine.monitor).unwrap()).unwrap();
     now += SignedDuration::from_hours(30);
-    assert_eq!(pass(&mut monitor, &mut now, 2, away), []);
-    assert_eq!(summary(&pass(&mut monitor, &mut now, 120, away)), [raised]);
-    assert_eq!(monitor.state(), MachineState::NotMonitored);
-    assert_eq!(summary(&pass(&mut monitor, &mut now, 5, there)), [ended]);
+    assert_eq!(pass(&mut machine.monitor, &mut now, 2, away), []);
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 120, away)), [raised]);
+    assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 5, there)), [ended]);
     // The logger sends a throw before its liveliness token.
-    assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 1, |_| {})), [ended]);
-    assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
+    assert_eq!(summary(&feed(&mut machine, 1, |_| {})), [ended]);
+    assert_eq!(pass(&mut machine.monitor, &mut now, 5, there), []);
     // After its return with throws without an estimate the machine is still not monitored.
-    assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
     let many = i64::from(settings.not_monitored_throws);
-    assert_eq!(feed(&mut machine, &mut monitor, many.try_into().unwrap(), |o| o.estimate = None), []);
-    assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
+    assert_eq!(feed(&mut machine, many.try_into().unwrap(), |o| o.estimate = None), []);
+    assert_eq!(pass(&mut machine.monitor, &mut now, 5, there), []);
 }
 
 #[test]
 fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let mut now = machine.throw(Vector3::zeros()).started_at;
     let received = now;
-    pass(&mut monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
-    let gone = pass(&mut monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
+    pass(&mut machine.monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
+    let gone = pass(&mut machine.monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
     assert_eq!(summary(&gone), [raised(Cause::NotMonitored)]);
-    assert_eq!(feed(&mut machine, &mut monitor, 5, |throw| throw.received_at = Some(received)), []);
-    let events = feed(&mut machine, &mut monitor, 1, |throw| throw.received_at = Some(now));
+    assert_eq!(feed(&mut machine, 5, |throw| throw.received_at = Some(received)), []);
+    let events = feed(&mut machine, 1, |throw| throw.received_at = Some(now));
     assert_eq!(summary(&events), [ended(Cause::NotMonitored)]);
 }
 
@@ -242,11 +234,11 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
 #[test]
 fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let at = machine.throw(Vector3::zeros()).started_at;
-    assert_eq!(monitor.gap(missing(0), at, &settings), []);
-    assert_eq!(summary(&monitor.gap(missing(3), at, &settings)), [raised(Cause::DataLoss)]);
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 12, |_| {})), [ended(Cause::DataLoss)]);
+    assert_eq!(machine.monitor.gap(missing(0), at, &settings), []);
+    assert_eq!(summary(&machine.monitor.gap(missing(3), at, &settings)), [raised(Cause::DataLoss)]);
+    assert_eq!(summary(&feed(&mut machine, 12, |_| {})), [ended(Cause::DataLoss)]);
 }
 
 /// Throws that were received before a gap was known may stand before it, and are no sign of its end. An alarm does not end
@@ -254,33 +246,33 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
 #[test]
 fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let known_at = machine.throw(Vector3::zeros()).started_at + SignedDuration::from_hours(24 * 365);
-    let raised = monitor.gap(missing(3), known_at, &settings);
+    let raised = machine.monitor.gap(missing(3), known_at, &settings);
     let at = |seconds| move |o: &mut Observation| o.received_at = Some(known_at + SignedDuration::from_secs(seconds));
-    assert_eq!(feed(&mut machine, &mut monitor, 40, at(-1)), []);
-    assert_eq!(feed(&mut machine, &mut monitor, 11, at(1)), []);
-    let events = feed(&mut machine, &mut monitor, 1, at(1));
+    assert_eq!(feed(&mut machine, 40, at(-1)), []);
+    assert_eq!(feed(&mut machine, 11, at(1)), []);
+    let events = feed(&mut machine, 1, at(1));
     assert_eq!(summary(&events), [ended(Cause::DataLoss)]);
     assert_eq!((events[0].event_at, raised[0].raised_at), (known_at, known_at));
     // The clock of this computer was a year ahead.
-    let lost = monitor.gap(missing(1), known_at, &settings);
+    let lost = machine.monitor.gap(missing(1), known_at, &settings);
     assert_eq!(lost.len(), 1);
     let right = known_at - SignedDuration::from_hours(24 * 300);
-    monitor.tick(right, &settings);
+    machine.monitor.tick(right, &settings);
     let now = |o: &mut Observation| o.received_at = Some(right + SignedDuration::from_secs(1));
-    assert_eq!(feed(&mut machine, &mut monitor, 12, now).len(), 1);
+    assert_eq!(feed(&mut machine, 12, now).len(), 1);
 }
 
 /// The sum of the lost throws is reported as it grows, but not every gap of a link that flaps.
 #[test]
 fn a_growing_loss_is_reported_at_each_power_of_two() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let at = machine.throw(Vector3::zeros()).started_at;
     let mut said = Vec::new();
     for lost in [1, 0, 1, 1, 1, 1, 500, 1] {
-        said.extend(monitor.gap(missing(lost), at, &settings).into_iter().map(|event| event.text));
+        said.extend(machine.monitor.gap(missing(lost), at, &settings).into_iter().map(|event| event.text));
     }
     assert_eq!(said.len(), 4, "{said:?}");
     for (text, sum) in
@@ -294,11 +286,11 @@ fn a_growing_loss_is_reported_at_each_power_of_two() {
 #[test]
 fn refused_messages_are_named_as_the_reason_of_a_gap() {
     let settings = Settings::default();
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let at = machine.throw(Vector3::zeros()).started_at;
     let mut said = |throws, refused| {
         let missing = Missing { throws, refused, reason: "throw_no: -1, must be a whole number from 0" };
-        monitor.gap(missing, at, &settings).into_iter().next().unwrap().text
+        machine.monitor.gap(missing, at, &settings).into_iter().next().unwrap().text
     };
     let all = said(1, 1);
     assert!(all.contains("1 throw is missing because its message was refused (counted at"), "{all}");
@@ -311,77 +303,77 @@ fn refused_messages_are_named_as_the_reason_of_a_gap() {
 fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
     let settings = Settings::default();
     let mut machine = Machine::new(22, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
     for at in 0..3 {
         for value in [f64::NAN, f64::INFINITY, 0.0, -1.0, f64::MIN_POSITIVE] {
             let mut observation = machine.throw(Vector3::zeros());
             observation.estimate.as_mut().unwrap().0[at] = value;
-            monitor.observe(&observation, &settings);
+            machine.observe(&observation);
         }
         for value in [f64::NAN, f64::INFINITY, -1.0, 1e9] {
             let mut observation = machine.throw(Vector3::zeros());
             observation.estimate.as_mut().unwrap().1[(at, at)] = value;
-            monitor.observe(&observation, &settings);
+            machine.observe(&observation);
         }
     }
     for direction in pointsd::throw::Direction::BOTH {
-        assert_eq!(monitor.baseline_progress(direction, &settings).0, 0);
+        assert_eq!(machine.monitor.baseline_progress(direction, &settings).0, 0);
     }
 }
 
 /// With a wrong zero of the position all throws of one direction may be rejected, while the other is healthy.
 #[test]
 fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let back = |o: &mut Observation| {
         o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
         o.rejected = o.estimate.is_none().then_some("misfit");
     };
-    let events = feed(&mut machine, &mut monitor, 60, back);
+    let events = feed(&mut machine, 60, back);
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
     let text = &events[0].text;
     assert!(text.contains("reverse to normal") && text.contains("Check for a load that varies"), "{text}");
-    assert_eq!(monitor.state(), MachineState::NotMonitored);
-    assert_eq!(summary(&feed(&mut machine, &mut monitor, 8, |_| {})), [ended(Cause::NotMonitored)]);
+    assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
+    assert_eq!(summary(&feed(&mut machine, 8, |_| {})), [ended(Cause::NotMonitored)]);
 }
 
 /// Estimates with another `neutral_mm` cannot be compared with the baseline.
 #[test]
 fn another_configuration_of_the_machine_starts_a_new_baseline() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let before = estimate::Settings::default();
     let after = estimate::Settings { neutral_mm: 57.3, ..estimate::Settings::default() };
     let at = machine.throw(Vector3::zeros()).started_at;
     let mut configured =
-        |settings: &estimate::Settings| monitor.configured(Parameters::of(settings), at, &Settings::default());
+        |settings: &estimate::Settings| machine.monitor.configured(Parameters::of(settings), at, &Settings::default());
     assert_eq!(configured(&before), None);
     assert_eq!(configured(&before), None);
     let (command, _) = configured(&after).unwrap();
     assert_eq!(command.why(), Some("the configuration of the machine changed: neutral_mm from 0 to 57.3"));
     assert_eq!(configured(&after), None);
-    assert_eq!(monitor.state(), MachineState::Learning);
+    assert_eq!(machine.monitor.state(), MachineState::Learning);
 }
 
 #[test]
 fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions_a_caveat() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let last = machine.throw(Vector3::zeros());
     let invalid = Irregularity::Invalid { count: 5, reason: "direction \"N\" is unknown" };
-    let event = monitor.irregular(invalid, None, last.started_at, &Settings::default()).unwrap();
+    let event = machine.monitor.irregular(invalid, None, last.started_at, &Settings::default()).unwrap();
     assert_eq!((event.cause, event.severity), (Cause::DataLoss, Severity::Warning));
     assert!(event.text.contains("the last 5 messages") && event.text.contains("\"N\""), "{}", event.text);
 
-    let mut monitor = machine.learned(&Settings::default());
-    let dated = [1, 2, 3]
-        .map(|_| monitor.date(&last.throw, jiff::Timestamp::UNIX_EPOCH, Some(last.started_at), &Settings::default()));
+    let mut machine = self::machine();
+    let dated = [1, 2, 3].map(|_| {
+        machine.monitor.date(&last.throw, jiff::Timestamp::UNIX_EPOCH, Some(last.started_at), &Settings::default())
+    });
     assert!(dated.iter().all(|(at, _)| *at == last.started_at) && dated[1].1.is_none());
     let event = dated[2].1.as_ref().unwrap();
     assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Clock)));
     assert!(event.text.contains("1970-01-01"), "{}", event.text);
 
     let mut named = |throws, contradicted| {
-        feed(&mut machine, &mut monitor, throws, |throw| throw.direction_contradicted = Some(contradicted));
-        monitor.caveats().len()
+        feed(&mut machine, throws, |throw| throw.direction_contradicted = Some(contradicted));
+        machine.monitor.caveats().len()
     };
     assert_eq!([named(4, true), named(1, true), named(1, false)], [0, 1, 0]);
 }
@@ -389,8 +381,8 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
 /// After the loss of a snapshot nothing else would end the alarm, and its fault may still exist.
 #[test]
 fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
-    let (mut machine, mut monitor) = machine();
-    let lost = feed(&mut machine, &mut monitor, 1, |o| (o.incomplete, o.estimate) = (true, None)).remove(0);
+    let mut machine = machine();
+    let lost = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None)).remove(0);
     let mut fresh = MachineMonitor::new("21");
     let adopted = fresh.adopt(lost.clone(), lost.event_at).remove(0);
     assert_eq!((adopted.event_no, adopted.state), (lost.event_no + 1, AlarmState::ClearedUnacknowledged));
@@ -404,17 +396,17 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
 #[test]
 fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     let there = |o: &Observation| o.direction == Some(Direction::NormalToReverse);
-    let (mut first, mut monitor) = machine();
+    let mut first = machine();
     let slow = |o: &mut Observation| {
         if there(o) {
             o.features.duration_s = Some(4.3 * 1.68);
         }
     };
-    let events = feed(&mut first, &mut monitor, 10, slow);
+    let events = feed(&mut first, 10, slow);
     assert_eq!(summary(&events), [(Cause::SlowThrow, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
 
-    let (mut second, mut monitor) = machine();
-    let events = feed(&mut second, &mut monitor, 4, |o| {
+    let mut second = machine();
+    let events = feed(&mut second, 4, |o| {
         if there(o) {
             (o.incomplete, o.estimate) = (true, None);
         }
@@ -426,42 +418,39 @@ fn slow_and_incomplete_throws_of_one_direction_are_counted() {
 /// The present size of a drift is not that of throws of long ago.
 #[test]
 fn without_evaluated_throws_the_present_size_is_unknown() {
-    let (mut machine, mut monitor) = machine();
-    let settings = Settings::default();
-    for _ in 0..30 {
-        machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
-    }
-    assert_eq!(monitor.drifts().len(), 1);
-    feed(&mut machine, &mut monitor, 23, |o| o.estimate = None);
-    assert_eq!(monitor.drifts().len(), 1);
-    feed(&mut machine, &mut monitor, 1, |o| o.estimate = None);
-    assert_eq!(monitor.drifts(), []);
-    assert!(monitor.open_alarms().iter().any(|alarm| alarm.cause == Cause::Friction));
-    machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
-    assert_eq!(monitor.drifts().len(), 1);
+    let mut machine = machine();
+    machine.events(30, shift(Cause::Friction, 45.0));
+    assert_eq!(machine.monitor.drifts().len(), 1);
+    feed(&mut machine, 23, |o| o.estimate = None);
+    assert_eq!(machine.monitor.drifts().len(), 1);
+    feed(&mut machine, 1, |o| o.estimate = None);
+    assert_eq!(machine.monitor.drifts(), []);
+    assert!(machine.monitor.open_alarms().iter().any(|alarm| alarm.cause == Cause::Friction));
+    machine.feed(shift(Cause::Friction, 45.0));
+    assert_eq!(machine.monitor.drifts().len(), 1);
 }
 
 #[test]
 fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let without =
         |o: &mut Observation| (o.features_only, o.estimate, o.features.running_current_a) = (true, None, Some(2.0));
-    let events = feed(&mut machine, &mut monitor, 25, without);
+    let events = feed(&mut machine, 25, without);
     assert_eq!(events[0].channel, Some(SensorChannel::Position));
-    assert_eq!(monitor.state(), MachineState::NotMonitored);
+    assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
     // The sensor was taken away for good.
     let at = machine.throw(Vector3::zeros()).started_at;
     let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "no toe sensor any more".to_owned() };
-    monitor.command(&rebaseline, at, &Settings::default()).unwrap();
-    let events = feed(&mut machine, &mut monitor, 25, without);
+    machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
+    let events = feed(&mut machine, 25, without);
     assert!(events.iter().all(|event| event.cause != Cause::Sensor), "{events:?}");
-    assert_ne!(monitor.state(), MachineState::NotMonitored);
+    assert_ne!(machine.monitor.state(), MachineState::NotMonitored);
 }
 
 /// There is one alarm about sensors, so a second faulty sensor is a new event of it.
 #[test]
 fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
-    let (mut machine, mut monitor) = machine();
+    let mut machine = machine();
     let hot = |o: &mut Observation| o.temperature_c = Some(850.0);
     let both = |o: &mut Observation| {
         hot(o);
@@ -472,27 +461,27 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
         sensor.map(|event| (event.channel, event.state)).collect()
     };
     let (unseen, over) = (AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged);
-    let events = feed(&mut machine, &mut monitor, 20, hot);
+    let events = feed(&mut machine, 20, hot);
     assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), unseen)]);
     let ack = Command::Ack { cause: Cause::Sensor, by: "mia".to_owned() };
-    monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
+    machine.monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
     // One event, although both sensors are faulty in each throw.
-    let events = feed(&mut machine, &mut monitor, 10, both);
+    let events = feed(&mut machine, 10, both);
     assert_eq!(channels(&events), [(Some(SensorChannel::Position), unseen)]);
     assert!(events[0].text.contains("position sensor"), "{}", events[0].text);
     // The position sensor is mended, and the other is still faulty.
-    let events = feed(&mut machine, &mut monitor, 20, hot);
+    let events = feed(&mut machine, 20, hot);
     assert_eq!(channels(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
-    let events = feed(&mut machine, &mut monitor, 20, |_| {});
+    let events = feed(&mut machine, 20, |_| {});
     assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
 /// Rules forget their last throws at the end of a maintenance, and their alarms end with it.
 #[test]
 fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
-    let (mut machine, mut monitor) = machine();
-    feed(&mut machine, &mut monitor, 5, |o| (o.faulty, o.estimate) = (Some(SensorChannel::Position), None));
-    assert_eq!(monitor.state(), MachineState::Warning);
+    let mut machine = machine();
+    feed(&mut machine, 5, |o| (o.faulty, o.estimate) = (Some(SensorChannel::Position), None));
+    assert_eq!(machine.monitor.state(), MachineState::Warning);
     let at = machine.throw(Vector3::zeros()).started_at;
     let start = Command::MaintenanceStart {
         until: at + SignedDuration::from_hours(1),
@@ -500,8 +489,8 @@ fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
         why: "new sensor".to_owned(),
     };
     for command in [start, Command::MaintenanceEnd { by: "mia".to_owned() }] {
-        monitor.command(&command, at, &Settings::default()).unwrap();
+        machine.monitor.command(&command, at, &Settings::default()).unwrap();
     }
-    feed(&mut machine, &mut monitor, 40, |_| {});
-    assert_eq!(monitor.state(), MachineState::Healthy);
+    feed(&mut machine, 40, |_| {});
+    assert_eq!(machine.monitor.state(), MachineState::Healthy);
 }

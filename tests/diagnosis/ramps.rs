@@ -20,14 +20,9 @@ fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
     top * (f64::from(throw) / f64::from(throws)).min(1.0).powi(power)
 }
 
-/// A healthy machine and its monitor with a complete baseline.
-fn known(seed: u64) -> (Machine, pointsd::diagnose::MachineMonitor) {
-    let mut machine = Machine::new(seed, Scatter::USUAL);
-    let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
-    for _ in 0..130 {
-        machine.feed(&mut monitor, Vector3::zeros(), None, &Settings::default());
-    }
-    (machine, monitor)
+/// A healthy machine with a complete baseline.
+fn known(seed: u64) -> Machine {
+    Machine::after(130, seed, Scatter::USUAL)
 }
 
 #[test]
@@ -40,13 +35,13 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
         for (throws, power, seed) in [60, 150, 400].into_iter().flat_map(|throws| {
             [1, 2].into_iter().flat_map(move |power| (0..LIVES).map(move |seed| (throws, power, seed)))
         }) {
-            let (mut machine, mut monitor) = known(50_000 + seed);
+            let mut machine = known(50_000 + seed);
             let size = |throw| ramp(top, throws, power, throw);
             let critical = settings.critical_factor * settings.limit_pct(cause).unwrap();
             let critical_at = (1..=throws).find(|throw| size(*throw).abs() >= critical).unwrap();
             let mut given = false;
             for throw in 1..=throws + AFTER_THE_END {
-                let verdict = machine.feed(&mut monitor, shift(cause, size(throw)), None, &settings);
+                let verdict = machine.feed(shift(cause, size(throw)));
                 let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
                 let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
                 let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
@@ -82,15 +77,14 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
 
 #[test]
 fn a_direction_is_named_when_both_have_six_throws_and_not_before() {
-    let settings = Settings::default();
     let (mut right, mut lives) = (0, 0);
     for (cause, pct) in [(Cause::Friction, 35.0), (Cause::Kt, -12.0), (Cause::Stiffness, 22.0), (Cause::Inertia, 12.0)]
     {
         for (seed, sides) in (0..30).zip([[true, true], [true, false], [false, true]].into_iter().cycle()) {
-            let (mut machine, mut monitor) = known(51_000 + seed);
+            let mut machine = known(51_000 + seed);
             for throw in 0..40 {
                 let fault = if sides[machine.side()] { shift(cause, pct) } else { Vector3::zeros() };
-                let verdict = machine.feed(&mut monitor, fault, None, &settings);
+                let verdict = machine.feed(fault);
                 let Some(now) = verdict.present.drifts.iter().find(|now| now.cause == cause) else { continue };
                 let truth = match sides {
                     [true, true] => None,
@@ -114,7 +108,6 @@ fn a_direction_is_named_when_both_have_six_throws_and_not_before() {
 fn the_size_of_a_step_holds_from_its_first_alarm_on() {
     /// Throws after the first alarm.
     const FOLLOWED: usize = 100;
-    let settings = Settings::default();
     let (mut said, mut held) = ([0_u32; FOLLOWED + 1], [0_u32; FOLLOWED + 1]);
     let parts = [
         (Cause::Friction, [30.0, 45.0, 90.0]),
@@ -130,14 +123,14 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
         })
     });
     for (cause, size, seed, sides) in lives {
-        let (mut machine, mut monitor) = known(seed);
+        let mut machine = known(seed);
         if seed % 2 == 1 {
-            machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+            machine.feed(Vector3::zeros());
         }
         let mut alarmed = None;
         for throw in 0..120 {
             let fault = if sides[machine.side()] { shift(cause, size) } else { Vector3::zeros() };
-            let verdict = machine.feed(&mut monitor, fault, None, &settings);
+            let verdict = machine.feed(fault);
             let active = |event: &&AlarmEvent| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged;
             // The first place is for events, the others for the throws after the first.
             let event = verdict.events.iter().find(active).map(|event| {
@@ -162,16 +155,14 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
 
 #[test]
 fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() {
-    let settings = Settings::default();
     let (mut before, mut named, mut wrong, mut named_at) = (0, 0, 0, Vec::new());
     let lives = 40;
     for seed in 0..lives {
         let mut machine = Machine::new(53_000 + seed, Scatter::USUAL);
-        let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
         let (mut reported, mut alarmed) = (None, None);
         for throw in 1..=400_u32 {
             let size = 0.25 * f64::from(throw);
-            let verdict = machine.feed(&mut monitor, shift(Cause::Friction, size), None, &settings);
+            let verdict = machine.feed(shift(Cause::Friction, size));
             let said = verdict.present.caveats.iter().any(|caveat| caveat.contains("trend"));
             reported = reported.or((said || !verdict.events.is_empty()).then_some(size));
             wrong += verdict.events.iter().filter(|event| event.cause != Cause::Friction).count();
@@ -189,15 +180,13 @@ fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() 
 
 #[test]
 fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
-    let settings = Settings::default();
     for (phi, most) in [(0.5, 2), (0.9, 5)] {
         let (mut trends, mut ever, mut events, lives) = (0, 0, 0, 100);
         for seed in 0..lives {
             let mut machine = Machine::new(54_000 + seed, Scatter { phi, ..Scatter::USUAL });
-            let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
             let (mut said, mut says) = (false, false);
             for _ in 0..130 {
-                let verdict = machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+                let verdict = machine.feed(Vector3::zeros());
                 says = verdict.has_trend;
                 said |= says;
                 events += verdict.events.iter().filter(|event| event.cause.is_drift()).count();
@@ -214,16 +203,11 @@ fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
 #[test]
 fn a_machine_whose_throws_wander_shows_a_large_step() {
     const LIVES: u64 = 40;
-    let settings = Settings::default();
     for (cause, size) in [(Cause::Kt, -20.0), (Cause::Friction, 150.0), (Cause::Stiffness, 40.0)] {
         let named = (0..LIVES).filter(|seed| {
-            let mut machine = Machine::new(54_000 + seed, Scatter { phi: 0.9, ..Scatter::USUAL });
-            let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
-            for _ in 0..130 {
-                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
-            }
+            let mut machine = Machine::after(130, 54_000 + seed, Scatter { phi: 0.9, ..Scatter::USUAL });
             (0..48).any(|_| {
-                let events = machine.feed(&mut monitor, shift(cause, size), None, &settings).events;
+                let events = machine.feed(shift(cause, size)).events;
                 events.iter().any(|event| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged)
             })
         });

@@ -9,7 +9,6 @@ use crate::fleet::{Machine, Nature, shift};
 fn life(restart: bool) -> (Vec<AlarmEvent>, MachineMonitor) {
     let settings = Settings::default();
     let mut machine = Machine::new(11, Nature::default());
-    let mut monitor = MachineMonitor::new("21B");
     let mut events = Vec::new();
     for throw in 0..300_u32 {
         let fault = match throw {
@@ -18,23 +17,23 @@ fn life(restart: bool) -> (Vec<AlarmEvent>, MachineMonitor) {
             _ => Vector3::zeros(),
         };
         let observation = machine.throw(fault);
-        events.extend(monitor.observe(&observation, &settings).events);
+        events.extend(machine.observe(&observation).events);
         let now = observation.started_at;
-        events.extend(monitor.tick(now, &settings));
+        events.extend(machine.monitor.tick(now, &settings));
         if throw == 150 {
             let ack = Command::Ack { cause: Cause::Friction, by: "A. Fitter".to_owned() };
-            events.extend(monitor.command(&ack, now, &settings).unwrap());
+            events.extend(machine.monitor.command(&ack, now, &settings).unwrap());
         }
         if throw == 230 {
-            events.extend(monitor.gap(Missing { throws: 3, ..Missing::default() }, now, &settings));
+            events.extend(machine.monitor.gap(Missing { throws: 3, ..Missing::default() }, now, &settings));
         }
         if restart {
-            let saved = serde_json::to_string(&monitor).unwrap();
+            let saved = serde_json::to_string(&machine.monitor).unwrap();
             assert!(saved.len() < 24_000, "{} bytes after throw {throw}", saved.len());
-            monitor = serde_json::from_str(&saved).unwrap();
+            machine.monitor = serde_json::from_str(&saved).unwrap();
         }
     }
-    (events, monitor)
+    (events, machine.monitor)
 }
 
 #[test]

@@ -7,16 +7,9 @@ use pointsd::{
 
 use crate::drive::{Drive, State};
 
-const HEALTHY: u32 = 120;
-
 /// A drive after a healthy time.
 fn learned(seed: u64) -> Drive {
-    let mut drive = Drive::new(seed, seed.is_multiple_of(2));
-    for throw in 0..HEALTHY {
-        let events = drive.feed(State::SOUND).events;
-        assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
-    }
-    drive
+    Drive::after(120, seed, seed.is_multiple_of(2))
 }
 
 /// Number of lives in which an event of the friction alarm says the direction, and in which it is said exactly once.
@@ -109,9 +102,7 @@ fn the_zero_of_a_hall_sensor_may_drift() {
 fn a_current_at_rest_since_the_first_throw_is_no_alarm_and_is_said() {
     let mut drive = Drive::new(6_310, true);
     let state = State { current_offset_a: 1.0, ..State::SOUND };
-    for throw in 0..120 {
-        assert_eq!(drive.feed(state).events, [], "throw {throw}");
-    }
+    drive.stay_healthy(120, state);
     let caveats = drive.monitor.caveats();
     assert!(caveats.len() == 1 && caveats[0].contains("+1.0 A"), "{caveats:?}");
 }

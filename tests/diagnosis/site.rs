@@ -11,14 +11,14 @@ use crate::{
 
 /// Machines of a site, which throw in turn.
 struct Site {
-    machines: Vec<(Machine, MachineMonitor)>,
+    machines: Vec<Machine>,
     events: Vec<(usize, AlarmEvent)>,
     now: Timestamp,
 }
 
 impl Site {
     fn new(seed: u64, count: u64) -> Self {
-        let machine = |at| (Machine::new(seed + at, Scatter::USUAL), MachineMonitor::new("21B"));
+        let machine = |at| Machine::new(seed + at, Scatter::USUAL);
         Self { machines: (0..count).map(machine).collect(), events: Vec::new(), now: Timestamp::UNIX_EPOCH }
     }
 
@@ -26,14 +26,14 @@ impl Site {
     fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
         for at in 0..self.machines.len() {
             let feels = 0.7 + 0.15 * (at % 5) as f64;
-            let observation = self.machines[at].0.throw(feels * weather + own(at), None);
+            let throw = self.machines[at].throw(feels * weather + own(at), None);
             let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
-            let common = MachineMonitor::common(others.map(|(_, (_, monitor))| monitor), observation.started_at);
-            self.now = observation.started_at;
+            let common = MachineMonitor::common(others.map(|(_, other)| &other.monitor), throw.started_at);
+            self.now = throw.started_at;
             // A restart has no effect.
-            let snapshot = serde_json::to_string(&self.machines[at].1).unwrap();
-            self.machines[at].1 = MachineMonitor::from_snapshot(&snapshot).unwrap();
-            let events = self.machines[at].1.observe_beside(&observation, &common, &Settings::default()).events;
+            let monitor = &mut self.machines[at].monitor;
+            *monitor = MachineMonitor::from_snapshot(&serde_json::to_string(monitor).unwrap()).unwrap();
+            let events = monitor.observe_beside(&throw, &common, &Settings::default()).events;
             self.events.extend(events.into_iter().map(|event| (at, event)));
         }
     }
@@ -110,10 +110,10 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
         let weather = if (140..170).contains(&throw) { shift(Cause::Friction, -25.0) } else { Vector3::zeros() };
         site.throw(weather, |_| Vector3::zeros());
         let now = site.now;
-        let common = MachineMonitor::common(site.machines.iter().map(|(_, monitor)| monitor), now);
+        let common = MachineMonitor::common(site.machines.iter().map(|machine| &machine.monitor), now);
         let news = whole.follow_site(&common, now, &settings);
         if !news.is_empty() && events.is_empty() {
-            wetted = site.machines.iter().map(|(_, monitor)| monitor.clone()).collect();
+            wetted = site.machines.iter().map(|machine| machine.monitor.clone()).collect();
         }
         events.extend(news);
     }
@@ -121,7 +121,7 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     let states = |monitor: &MachineMonitor| monitor.caveats().iter().any(|caveat| caveat.contains("common to most"));
     // Those that threw before the common change was known do not say it yet.
     assert!(wetted.iter().any(states), "{:?}", wetted.iter().map(MachineMonitor::caveats).collect::<Vec<_>>());
-    assert!(!site.machines.iter().any(|(_, monitor)| states(monitor)), "the rails are dry again");
+    assert!(!site.machines.iter().any(|machine| states(&machine.monitor)), "the rails are dry again");
     let said: Vec<_> = events.iter().map(|event| (event.cause, event.state.as_str())).collect();
     assert_eq!(said, [(Cause::Friction, "active_unacknowledged"), (Cause::Friction, "cleared_unacknowledged")]);
     assert!(events[0].text.contains("All machines of north: friction down"), "{}", events[0].text);

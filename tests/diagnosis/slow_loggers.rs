@@ -16,7 +16,7 @@ fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
 
 /// ln(a1/b0) and ln(a0/b0) of a throw with their standard deviations.
 fn ratios(drive: &mut Drive, state: State) -> Option<[(f64, f64); 2]> {
-    let (estimate, covariance) = drive.observe(state).estimate?;
+    let (estimate, covariance) = drive.throw(state).estimate?;
     let relative = |i: usize, j: usize| covariance[(i, j)] / (estimate[i] * estimate[j]);
     let ratio = |i: usize| {
         let sd = (relative(0, 0) + relative(i, i) - 2.0 * relative(0, i)).sqrt();

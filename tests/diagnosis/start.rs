@@ -14,11 +14,7 @@ fn is_about_the_start(event: &AlarmEvent) -> bool {
 
 /// A drive after a healthy time without an event.
 fn learned(seed: u64) -> Drive {
-    let mut drive = Drive::new(59_000 + seed, false);
-    for throw in 0..100 {
-        assert_eq!(drive.feed(State::SOUND).events, [], "seed {seed}, throw {throw}");
-    }
-    drive
+    Drive::after(100, 59_000 + seed, false)
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use jiff::SignedDuration;
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Severity, Verdict},
     throw::Direction,
 };
 
@@ -19,7 +19,6 @@ use crate::{
 fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
     let mut machine = Machine::new(seed, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let onset = 100 + over + held;
     let (mut before, mut after) = (Vec::new(), Vec::new());
     for throw in 0..onset + 24 {
@@ -29,7 +28,7 @@ fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (
         if over == 0 && throw == 101 {
             machine.interval = SignedDuration::from_hours(90 * 24);
         }
-        let verdict = machine.feed(&mut monitor, effect + fault, Some(celsius), &Settings::default());
+        let verdict = machine.feed_at(effect + fault, celsius);
         machine.interval = usual;
         if throw < onset { before.extend(verdict.events) } else { after.push(verdict) }
     }
@@ -53,27 +52,26 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
     }
 }
 
-/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, its monitor, the causes of the
-/// drift alarms with the state of each event, and the last verdict.
-fn winter_to_summer(seed: u64, pct: f64) -> (Machine, MachineMonitor, Vec<(Cause, AlarmState)>, Verdict) {
+/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, the causes of the drift alarms
+/// with the state of each event, and the last verdict.
+fn winter_to_summer(seed: u64, pct: f64) -> (Machine, Vec<(Cause, AlarmState)>, Verdict) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (150, 600), day_k: 2.0 };
     let mut machine = Machine::new(seed, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let (mut events, mut last) = (Vec::new(), Verdict::default());
     for throw in 0..1_100 {
         let (effect, celsius) = climate.effect(throw);
         let fault = if throw < 100 { Vector3::zeros() } else { shift(Cause::Friction, pct) };
-        last = machine.feed(&mut monitor, effect + fault, Some(celsius), &Settings::default());
+        last = machine.feed_at(effect + fault, celsius);
         let drifts = last.events.iter().filter(|event| event.cause.is_drift());
         events.extend(drifts.map(|event| (event.cause, event.state)));
     }
-    (machine, monitor, events, last)
+    (machine, events, last)
 }
 
 #[test]
 fn a_fault_of_winter_lasts_through_the_summer() {
     for seed in 0..10 {
-        let (_, _, events, last) = winter_to_summer(46_000 + seed, 25.0);
+        let (_, events, last) = winter_to_summer(46_000 + seed, 25.0);
         assert_eq!(events, [(Cause::Friction, AlarmState::ActiveUnacknowledged)], "seed {seed}");
         assert_eq!((last.present.state, last.blind), (MachineState::Warning, None), "seed {seed}");
         let now = last.present.drifts[0].change_pct;
@@ -85,7 +83,7 @@ fn a_fault_of_winter_lasts_through_the_summer() {
 fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature() {
     let (mut alarmed, mut blind) = (0, 0);
     for seed in 0..7 {
-        let (mut machine, mut monitor, events, last) = winter_to_summer(47_000 + seed, 7.5);
+        let (mut machine, events, last) = winter_to_summer(47_000 + seed, 7.5);
         if last.blind.is_some() {
             assert_eq!(last.present.state, MachineState::NotMonitored, "seed {seed}");
             blind += 1;
@@ -95,10 +93,8 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
         assert_eq!(last.present.state, MachineState::Healthy, "seed {seed}");
         let summer = Vector3::from(PER_KELVIN) * 19.0;
         let fault = summer + shift(Cause::Friction, 40.0);
-        let named: Vec<Cause> = (0..24)
-            .flat_map(|_| machine.feed(&mut monitor, fault, Some(29.0), &Settings::default()).events)
-            .map(|event| event.cause)
-            .collect();
+        let named: Vec<Cause> =
+            (0..24).flat_map(|_| machine.feed_at(fault, 29.0).events).map(|event| event.cause).collect();
         assert_eq!(named.first(), Some(&Cause::Friction), "seed {seed}: {named:?}");
     }
     // Half of the limit and much scatter can be above the limit for a while.
@@ -113,10 +109,9 @@ fn a_warm_week_after_the_baseline_hides_no_fault() {
     let climate = Climate { season_c: (5.0, 10.0), change: (100, 60), day_k: 3.0 };
     let blind = |seed: &u64| {
         let mut machine = Machine::new(49_000 + seed, Scatter::USUAL);
-        let mut monitor = MachineMonitor::new("21B");
         (0..260).any(|throw| {
             let (effect, celsius) = climate.effect(throw);
-            let verdict = machine.feed(&mut monitor, effect, Some(celsius), &Settings::default());
+            let verdict = machine.feed_at(effect, celsius);
             assert!(verdict.events.iter().all(|event| !event.cause.is_drift()), "seed {seed}: {:?}", verdict.events);
             verdict.blind.is_some()
         })
@@ -144,16 +139,11 @@ fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
 #[test]
 fn a_failed_temperature_sensor_hides_nothing() {
     for failed in [-242.0, -273.0, 850.0, 1e6, f64::NAN] {
-        let settings = Settings::default();
         let mut machine = Machine::new(42_000, Scatter::USUAL);
-        let mut monitor = MachineMonitor::new("21B");
-        let mut throw = |monitor: &mut MachineMonitor, fault, celsius| {
-            machine.feed(monitor, fault, Some(celsius), &settings).events
-        };
         for at in 0..140 {
-            assert_eq!(throw(&mut monitor, Vector3::zeros(), 12.0 + f64::from(at % 20)), []);
+            assert_eq!(machine.feed_at(Vector3::zeros(), 12.0 + f64::from(at % 20)).events, []);
         }
-        let events: Vec<_> = (0..20).flat_map(|_| throw(&mut monitor, shift(Cause::Kt, -15.0), failed)).collect();
+        let events: Vec<_> = (0..20).flat_map(|_| machine.feed_at(shift(Cause::Kt, -15.0), failed).events).collect();
         let drift: Vec<Cause> = events.iter().map(|event| event.cause).filter(|cause| cause.is_drift()).collect();
         assert_eq!(drift.first(), Some(&Cause::Kt), "{failed} °C");
         let sensor = events.iter().find(|event| event.cause == Cause::Sensor);
@@ -167,27 +157,25 @@ fn a_failed_temperature_sensor_hides_nothing() {
 fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
 
-    let settings = Settings::default();
     let mut machine = Machine::new(43_000, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
     let mut sensor = Vec::new();
     let is_raised = |throw: u64| (throw >= 120).then_some(ActiveUnacknowledged);
     for throw in 0_u64..400 {
         let celsius = 8.0 + 6.0 * (throw as f64 / 20.0 * std::f64::consts::TAU).sin();
         let sent = if (120..300).contains(&throw) { 32.0 + 1.8 * celsius } else { celsius };
         let shift = Vector3::from(PER_KELVIN) * (celsius - 8.0);
-        let verdict = machine.feed(&mut monitor, shift, Some(sent), &settings);
+        let verdict = machine.feed_at(shift, sent);
         assert!(verdict.events.iter().all(|event| !event.cause.is_drift()), "throw {throw}: {:?}", verdict.events);
         sensor.extend(verdict.events.into_iter().filter(|event| event.cause == Cause::Sensor).map(|event| event.state));
         assert_eq!(sensor.first().copied(), is_raised(throw.saturating_sub(2)), "throw {throw}");
     }
     assert_eq!(sensor, [ActiveUnacknowledged, ClearedUnacknowledged]);
 
-    let mut monitor = MachineMonitor::new("21B");
+    machine.monitor = MachineMonitor::new("21B");
     let mut last = None;
     for throw in 0..20 {
         let celsius = if throw < 3 { 60.0 } else { 10.0 };
-        let verdict = machine.feed(&mut monitor, Vector3::zeros(), Some(celsius), &settings);
+        let verdict = machine.feed_at(Vector3::zeros(), celsius);
         last = verdict.events.last().map(|event| event.state).or(last);
     }
     assert_eq!(last, Some(ClearedUnacknowledged));
@@ -197,13 +185,10 @@ fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
 /// of the logarithms.
 fn alarms(seed: u64, throws: u64, shift_at: impl Fn(u64) -> Vector3<f64>) -> Vec<(u64, Cause)> {
     let mut machine = Machine::new(seed, Scatter::USUAL);
-    let mut monitor = MachineMonitor::new("21B");
-    for _ in 0..130 {
-        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), None, &Settings::default()).events, []);
-    }
+    machine.stay_healthy(130);
     let mut raised = Vec::new();
     for throw in 0..throws {
-        let events = machine.feed(&mut monitor, shift_at(throw), None, &Settings::default()).events;
+        let events = machine.feed(shift_at(throw)).events;
         raised.extend(events.into_iter().filter(|event| event.event_no == 1).map(|event| (throw, event.cause)));
     }
     raised
@@ -243,27 +228,22 @@ fn a_warm_season_raises_no_alarm_and_a_fault_in_it_does() {
 
 #[test]
 fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
-    let settings = Settings::default();
     // 30 K in 100 days, at twenty and at two throws a day.
     for (minutes, throws) in [(72, 2_000), (720, 200)] {
         for seed in 0..10 {
             let mut machine = Machine::new(48_000 + seed, Scatter::USUAL);
             machine.interval = SignedDuration::from_mins(minutes);
-            let mut monitor = MachineMonitor::new("21B");
-            for _ in 0..130 {
-                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
-            }
+            machine.events(130, Vector3::zeros());
             let cold = |throw: u64| Vector3::from(PER_KELVIN) * -30.0 * (throw as f64 / throws as f64).min(1.0);
-            let mut feed = |shift| machine.feed(&mut monitor, shift, None, &settings);
             let mut stated = false;
             for throw in 0..throws + 100 {
-                let verdict = feed(cold(throw));
+                let verdict = machine.feed(cold(throw));
                 assert_eq!(verdict.events, [], "seed {seed}, throw {throw}");
                 stated |= verdict.present.caveats.iter().any(|caveat| caveat.contains("Publish temperature_c"));
             }
             assert!(stated, "seed {seed}");
             let worn = cold(throws) + shift(Cause::Friction, 35.0);
-            let first = (0..40).flat_map(|_| feed(worn).events).find(|event| event.cause.is_drift());
+            let first = machine.events(40, worn).into_iter().find(|event| event.cause.is_drift());
             assert!(first.as_ref().is_some_and(|event| event.cause == Cause::Friction), "seed {seed}: {first:?}");
         }
     }
@@ -272,7 +252,6 @@ fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
 /// Rain while the baseline fills is no part of the scatter, so later wear shows as on other machines.
 #[test]
 fn rain_in_the_baseline_does_not_hide_later_wear() {
-    let settings = Settings::default();
     // Loss of friction \[%\]; throws of drying; distance of a second spell.
     for (pct, drying, second) in [(-20.0, 0, None), (-12.0, 0, None), (-20.0, 8, None), (-18.0, 3, Some(24))] {
         let (mut named, mut lives) = (0, 0);
@@ -288,15 +267,13 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
                 of(start) + second.map_or(0.0, |later| of(start + later))
             };
             let mut machine = Machine::new(49_000 + seed, Scatter::USUAL);
-            let mut monitor = MachineMonitor::new("21B");
             for throw in 0..160 {
                 let rain = shift(Cause::Friction, pct) * wetness(throw);
-                machine.feed(&mut monitor, rain, None, &settings);
+                machine.feed(rain);
             }
             let worn = shift(Cause::Friction, 30.0);
-            let mut events = (0..24).flat_map(|_| machine.feed(&mut monitor, worn, None, &settings).events);
-            let found = events.find(|event| event.cause.is_drift()).map(|event| event.cause);
-            named += u32::from(found == Some(Cause::Friction));
+            let found = machine.events(24, worn).into_iter().find(|event| event.cause.is_drift());
+            named += u32::from(found.is_some_and(|event| event.cause == Cause::Friction));
             lives += 1;
         }
         println!("rain {pct} %, drying {drying}, second {second:?}: friction named in {named} of {lives}");
@@ -308,26 +285,13 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
 /// baseline does not.
 #[test]
 fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
-    let settings = Settings::default();
-    for (wet, faulty, is_said) in [(0..24, 400..424, false), (0..24, 24..80, true)] {
+    // Throws and change of the friction \[%\], one after the other.
+    for (life, is_said) in [([(400, 0.0), (24, 40.0)], false), ([(24, -25.0), (56, 0.0)], true)] {
         let mut texts = Vec::new();
         for seed in 0..10 {
             let mut machine = Machine::new(51_000 + seed, Scatter::USUAL);
-            let mut monitor = MachineMonitor::new("21B");
-            for throw in 0..faulty.end {
-                let is_wet = is_said && wet.contains(&throw);
-                let is_faulty = !is_said && faulty.contains(&throw);
-                let change = shift(
-                    Cause::Friction,
-                    if is_wet {
-                        -25.0
-                    } else if is_faulty {
-                        40.0
-                    } else {
-                        0.0
-                    },
-                );
-                let events = machine.feed(&mut monitor, change, None, &settings).events;
+            for (throws, pct) in life {
+                let events = machine.events(throws, shift(Cause::Friction, pct));
                 let is_raised = |event: &AlarmEvent| event.cause == Cause::Friction && event.event_no == 1;
                 texts.extend(events.into_iter().filter(is_raised).map(|event| event.text));
             }
@@ -349,19 +313,17 @@ fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3
 /// Rust and dew of a night make the first throws of a day stiff, in the baseline as later.
 #[test]
 fn a_stiff_first_throw_of_each_day_is_no_fault_and_hides_none() {
-    let settings = Settings::default();
     for (per_day, pct) in [(2, 50.0), (6, 30.0), (11, 30.0), (20, 50.0)] {
         for seed in 0..10 {
             let mut machine = Machine::new(80_000 + seed, Scatter::USUAL);
-            let mut monitor = MachineMonitor::new("21B");
             for throw in 0..800 {
                 let change = morning(&mut machine, throw, per_day, pct);
-                let events = machine.feed(&mut monitor, change, None, &settings).events;
+                let events = machine.feed(change).events;
                 assert_eq!(events, [], "{per_day} a day, {pct} %, seed {seed}");
             }
             let worn = (800..840).flat_map(|throw| {
                 let change = morning(&mut machine, throw, per_day, pct) + shift(Cause::Friction, 30.0);
-                machine.feed(&mut monitor, change, None, &settings).events
+                machine.feed(change).events
             });
             let causes: Vec<Cause> = worn.map(|event| event.cause).collect();
             assert_eq!(causes.first(), Some(&Cause::Friction), "{per_day} a day, {pct} %, seed {seed}");
@@ -375,14 +337,12 @@ fn a_stiff_first_throw_of_each_day_is_no_fault_and_hides_none() {
 fn table_of_grease() {
     const LIVES: u64 = 20;
     const THROWS: u64 = 14_600;
-    let settings = Settings::default();
     for (part, per_kelvin, lag_h) in
         [(0.3, 0.03, 0.0), (0.3, 0.03, 3.0), (0.5, 0.04, 0.0), (0.5, 0.04, 3.0), (0.7, 0.05, 0.0), (0.7, 0.05, 3.0)]
     {
         let (mut raised, mut named) = (std::collections::BTreeMap::<&str, u32>::new(), 0);
         for seed in 0..LIVES {
             let mut machine = Machine::new(81_000 + seed, Scatter::USUAL);
-            let mut monitor = MachineMonitor::new("21B");
             let (mut front, mut inside) = (0.0, 0.0);
             for throw in 0..THROWS + 24 {
                 // Twenty throws a day for two years, which begin in another month for each machine.
@@ -395,7 +355,7 @@ fn table_of_grease() {
                 let friction = 1.0 - part + part * (-per_kelvin * (inside - 10.0)).exp();
                 let fault = if throw < THROWS { 0.0 } else { -12.0 };
                 let change = shift(Cause::Friction, 100.0 * (friction - 1.0)) + shift(Cause::Kt, fault);
-                let events = machine.feed(&mut monitor, change, Some(celsius), &settings).events;
+                let events = machine.feed_at(change, celsius).events;
                 let is_new = |event: &&AlarmEvent| event.event_no == 1;
                 if throw < THROWS {
                     events
@@ -418,19 +378,16 @@ fn table_of_grease() {
 #[test]
 #[ignore = "prints a table, in some minutes"]
 fn table_of_spells_in_wandering_baselines() {
-    let settings = Settings::default();
     for (phi, scale, tail) in
         [(0.0, 1.0, None), (0.5, 3.0, None), (0.8, 1.0, None), (0.8, 3.0, None), (0.9, 3.0, None), (0.8, 3.0, Some(3))]
     {
         let scatter = Scatter { sd: Scatter::USUAL.sd.map(|sd| scale * sd), phi, tail };
         let mut ratios = Vec::new();
         for seed in 0..400 {
-            let mut machine = Machine::new(60_000 + seed, scatter);
-            let mut monitor = MachineMonitor::new("21B");
-            for _ in 0..110 {
-                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
-            }
-            let Some(record) = monitor.baseline(Direction::BOTH[0]).filter(|record| record.complete) else { continue };
+            let machine = Machine::after(110, 60_000 + seed, scatter);
+            let Some(record) = machine.monitor.baseline(Direction::BOTH[0]).filter(|record| record.complete) else {
+                continue;
+            };
             ratios.push(record.log_covariance[1][1].sqrt() / scatter.sd[1]);
         }
         ratios.sort_by(f64::total_cmp);

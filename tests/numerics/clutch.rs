@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 use pointsd::estimate::{Identifier, Motor, Rejection, Settings};
 use pointsd::simulate::{Channel, Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
-use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+use super::identify::simulated_in;
 
 /// Current and screw speed \[A, rad/s\] at which the motor turns against the slipping clutch: armature and shaft in
 /// steady state, by fixed-point iteration.
@@ -28,9 +29,6 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
     let electric = machine.supply_v * expected_a - machine.resistance_ohm * expected_a * expected_a;
     assert!((electric / (torque * speed) - 1.0).abs() < 1e-9);
 
-    let sensors = Sensors::default();
-    let mut identifier = Identifier::default();
-    let mut rng = ChaCha12Rng::seed_from_u64(4);
     for direction in Direction::BOTH {
         for part in 1..20 {
             let at_mm = machine.stroke_mm * f64::from(part) / 20.0;
@@ -48,9 +46,8 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 (current_a / expected_a - 1.0).abs() < 0.005,
                 "{direction}, obstacle at {at_mm} mm: {current_a} A, the clutch takes {expected_a} A"
             );
-            let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-            let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
-            let refused = identifier.identify(&throw, &Settings::default()).outcome.unwrap_err();
+            let throw = simulated_in(&conditions, &machine, &Sensors::default(), direction, 4);
+            let refused = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap_err();
             assert!(refused.is_incomplete(), "{direction}, obstacle at {at_mm} mm: {refused}");
         }
     }
@@ -134,13 +131,9 @@ fn a_series_motor_slips_its_clutch_too() {
         let motion = machine.simulate(direction, &conditions, STEP_S).unwrap();
         let current_a = motion.current_a[motion.cut_off];
         assert!(!motion.completed && (1.0..6.0).contains(&current_a), "{current_a} A");
-        let refused = {
-            let sensors = Sensors::default();
-            let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(4)).unwrap().trace;
-            let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
-            let settings = Settings { motor: Motor::Series, ..Settings::default() };
-            Identifier::default().identify(&throw, &settings).outcome.unwrap_err()
-        };
+        let throw = simulated_in(&conditions, &machine, &Sensors::default(), direction, 4);
+        let settings = Settings { motor: Motor::Series, ..Settings::default() };
+        let refused = Identifier::default().identify(&throw, &settings).outcome.unwrap_err();
         assert!(refused.is_incomplete(), "{direction}: {refused}");
     }
 }
@@ -149,10 +142,8 @@ fn a_series_motor_slips_its_clutch_too() {
 fn obstructed(sensors: &Sensors, direction: Direction, at_mm: f64, seed: u64) -> Throw {
     let machine = Parameters { cut_off_mm: 0.05, ..Parameters::default() };
     let conditions = Conditions { obstruction_mm: Some(at_mm), ..Conditions::default() };
-    let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
-    assert!(!motion.completed);
-    let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(seed)).unwrap().trace;
-    Throw { direction: Some(direction), ..Throw::recorded(trace) }
+    assert!(!machine.simulate(direction, &conditions, sensors.step_s()).unwrap().completed);
+    simulated_in(&conditions, &machine, sensors, direction, seed)
 }
 
 #[test]
@@ -178,11 +169,8 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
 #[test]
 fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
-    let sensors = Sensors::default();
-    let identify = |machine: &Parameters, direction, conditions: &Conditions| {
-        let motion = machine.simulate(direction, conditions, sensors.step_s()).unwrap();
-        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(7)).unwrap().trace;
-        let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
+    let identify = |direction, conditions: &Conditions| {
+        let throw = simulated_in(conditions, &Parameters::default(), &Sensors::default(), direction, 7);
         Identifier::default().identify(&throw, &settings)
     };
     let free = Conditions::default();
@@ -194,16 +182,16 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
             };
             // An obstruction: the motor slips its clutch until the controller gives up, or a protection ends it before.
             let blocked = Conditions { obstruction_mm: Some(far_mm), ..free };
-            let whole_s = identify(&Parameters::default(), direction, &free).features.duration_s.unwrap();
+            let whole_s = identify(direction, &free).features.duration_s.unwrap();
             for cut_off_after_s in [None, Some(whole_s + 0.2), Some(whole_s + 1.0)] {
-                let found = identify(&Parameters::default(), direction, &Conditions { cut_off_after_s, ..blocked });
+                let found = identify(direction, &Conditions { cut_off_after_s, ..blocked });
                 let refused = found.outcome.unwrap_err();
                 assert!(refused.is_incomplete(), "{direction}, {at_pct} %, {cut_off_after_s:?}: {refused}");
             }
             // The motor loses its supply in the movement.
             for late_s in [-0.06, -0.03, 0.0] {
                 let lost = Conditions { cut_off_after_s: Some(whole_s * at_pct / 100.0 + late_s), ..free };
-                let found = identify(&Parameters::default(), direction, &lost);
+                let found = identify(direction, &lost);
                 let travel_mm = found.features.travel_mm.unwrap();
                 let is_short = travel_mm < 0.945 * 115.0;
                 assert!(

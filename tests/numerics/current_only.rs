@@ -1,9 +1,10 @@
 //! Throws of machines without a toe sensor.
 
 use pointsd::estimate::{Features, Grade, Identification, Identifier, Settings};
-use pointsd::simulate::{Condition, Conditions, Parameters, Part, Sensors};
+use pointsd::simulate::{Condition, Parameters, Part, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
-use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use super::identify::simulated;
 
 /// A throw recorded with a current sensor only, at 110 V; the logger sends `position` as each toe position.
 fn identify(
@@ -14,9 +15,7 @@ fn identify(
     supply_v: Option<f64>,
 ) -> Identification {
     let sensors = Sensors { sample_rate_hz: rate_hz, ..Sensors::default() };
-    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
-    let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
-    let current = recorded.current_a().to_vec();
+    let current = simulated(machine, &sensors, direction, 4).trace.current_a().to_vec();
     let nothing = vec![position; current.len()];
     let trace = Trace::new(rate_hz, current, nothing).unwrap();
     let throw = Throw { direction: Some(direction), supply_v, ..Throw::recorded(trace) };
@@ -122,10 +121,7 @@ fn a_stall_at_the_end_of_the_stroke_neither_hides_nor_changes_a_fault() {
     let machine = Parameters::default();
     for direction in Direction::BOTH {
         let coefficients = |machine: &Parameters| {
-            let sensors = Sensors::default();
-            let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
-            let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
-            let mut current = recorded.current_a().to_vec();
+            let mut current = simulated(machine, &Sensors::default(), direction, 4).trace.current_a().to_vec();
             with_stall(machine, &mut current, 1000.0);
             let nothing = vec![f64::NAN; current.len()];
             let trace = Trace::new(1000.0, current, nothing).unwrap();

@@ -6,7 +6,7 @@ use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::{settings_of, simulated};
+use super::identify::{settings_of, simulated, simulated_in};
 
 #[derive(Clone)]
 pub(crate) struct Channels {
@@ -303,12 +303,9 @@ fn a_few_missing_samples_do_not_change_the_coefficients() {
 fn faults_of_the_machine_are_distinguished_from_those_of_the_sensors() {
     let machine = Parameters::default();
     let outcome = |conditions: Conditions, stroke_mm: Option<f64>| {
-        let sensors = Sensors::default();
-        let motion = machine.simulate(Direction::NormalToReverse, &conditions, sensors.step_s()).unwrap();
-        let trace =
-            sensors.record(&motion, Direction::NormalToReverse, &mut ChaCha8Rng::seed_from_u64(3)).unwrap().trace;
+        let throw = simulated_in(&conditions, &machine, &Sensors::default(), Direction::NormalToReverse, 3);
         let settings = Settings { stroke_mm, ..settings_of(&machine) };
-        Identifier::default().identify(&Throw::recorded(trace), &settings)
+        Identifier::default().identify(&throw, &settings)
     };
     let obstructed = Conditions { obstruction_mm: Some(60.0), ..Conditions::default() };
     let refused = outcome(obstructed, None).outcome.unwrap_err();
@@ -330,10 +327,8 @@ fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
                 let settings = Settings { stroke_mm, ..settings_of(&machine) };
                 let identify = |obstruction_mm: Option<f64>| {
                     let conditions = Conditions { obstruction_mm, ..Conditions::default() };
-                    let sensors = Sensors::default();
-                    let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
-                    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-                    let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+                    let trace = simulated_in(&conditions, &machine, &Sensors::default(), direction, seed).trace;
+                    let mut rng = ChaCha8Rng::seed_from_u64(seed + 100);
                     let (current, mut position) = (trace.current_a().to_vec(), trace.position_mm().to_vec());
                     for mm in &mut position {
                         *mm += noise_mm * rng.sample::<f64, _>(rand_distr::StandardNormal);

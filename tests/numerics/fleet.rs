@@ -2,23 +2,20 @@
 
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
-    Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
-    Parameters, Part, RailModel, Scatter, Sensors, Shape, Stuck, Waveform, Which,
+    Channel, Climate, Condition, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Parameters, Part,
+    RailModel, Scatter, Sensors, Shape, Stuck, Waveform, Which,
 };
-use pointsd::throw::{Direction, Throw, Trace};
-use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+use pointsd::throw::{Direction, Throw};
 
-use super::identify::assert_near;
+use super::identify::{assert_near, simulated};
 use super::machine::{NO_SCATTER, lumped};
 
-fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trace {
-    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
-    sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace
+fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Throw {
+    simulated(machine, sensors, direction, 3)
 }
 
-fn identify(trace: Trace, anti_alias_hz: Option<f64>, settings: &Settings) -> [f64; 3] {
-    let throw = Throw { anti_alias_hz, ..Throw::recorded(trace) };
-    Identifier::default().identify(&throw, settings).outcome.unwrap().coefficients()
+fn identify(throw: &Throw, settings: &Settings) -> [f64; 3] {
+    Identifier::default().identify(throw, settings).outcome.unwrap().coefficients()
 }
 
 fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
@@ -43,7 +40,7 @@ fn the_size_of_a_fault_is_what_the_estimate_shows() {
     let cases = [lumped(), Parameters::default()].map(|new| faults.map(|fault| (new.clone(), fault)));
     for (new, (part, size_pct, expected)) in cases.into_iter().flatten() {
         let estimate = |machine: &Parameters, direction| {
-            identify(record(machine, &Sensors::perfect(1000.0), direction), None, &Settings::default())
+            identify(&record(machine, &Sensors::perfect(1000.0), direction), &Settings::default())
         };
         let mut condition = Condition::default();
         condition.worsen(part, size_pct);
@@ -91,8 +88,8 @@ fn series_motors_and_rectified_mains_keep_their_physics() {
     ] {
         let known = machine.coefficients().unwrap();
         for direction in Direction::BOTH {
-            let trace = record(&machine, &Sensors::perfect(1000.0), direction);
-            let found = identify(trace, None, &Settings { motor, ..Settings::default() });
+            let throw = record(&machine, &Sensors::perfect(1000.0), direction);
+            let found = identify(&throw, &Settings { motor, ..Settings::default() });
             assert_near(found, &known, 0.01, &format!("{name}, {direction}"));
         }
     }
@@ -105,8 +102,8 @@ fn the_same_filter_in_both_channels_cancels() {
     for (sample_rate_hz, limit) in [(500.0, 0.01), (200.0, 0.012), (100.0, 0.02)] {
         let anti_alias_hz = Some(0.4 * sample_rate_hz);
         let sensors = Sensors { anti_alias_hz, ..Sensors::perfect(sample_rate_hz) };
-        let trace = record(&machine, &sensors, Direction::NormalToReverse);
-        let found = identify(trace, anti_alias_hz, &Settings::default());
+        let throw = record(&machine, &sensors, Direction::NormalToReverse);
+        let found = identify(&throw, &Settings::default());
         assert_near(found, &known, limit, &format!("{sample_rate_hz} Hz"));
     }
 }
@@ -115,14 +112,14 @@ fn the_same_filter_in_both_channels_cancels() {
 fn sensors_change_the_trace_as_configured() {
     let machine = lumped();
     let direction = Direction::ReverseToNormal;
-    let perfect = record(&machine, &Sensors::perfect(1000.0), direction);
+    let perfect = record(&machine, &Sensors::perfect(1000.0), direction).trace;
     assert!((perfect.position_mm()[0] - 115.0).abs() < 1e-9 && perfect.position_mm()[perfect.len() - 1].abs() < 0.6);
     assert!(perfect.current_a().iter().fold(0.0_f64, |most, a| most.max(*a)) > 12.0, "driving current is positive");
 
     let with = |change: fn(&mut Sensors)| {
         let mut sensors = Sensors::perfect(1000.0);
         change(&mut sensors);
-        record(&machine, &sensors, direction)
+        record(&machine, &sensors, direction).trace
     };
     let signed = with(|sensors| sensors.signed_current = true);
     assert!(signed.current_a().iter().zip(perfect.current_a()).all(|(a, b)| (a + b).abs() < 1e-12));
@@ -145,7 +142,7 @@ fn sensors_change_the_trace_as_configured() {
     assert!(stuck.position_mm()[1201..].iter().all(|mm| mm.to_bits() == stuck.position_mm()[1200].to_bits()));
 
     for sample_rate_hz in [25.0, 100.0, 333.0, 20_000.0] {
-        let trace = record(&machine, &Sensors::perfect(sample_rate_hz), direction);
+        let trace = record(&machine, &Sensors::perfect(sample_rate_hz), direction).trace;
         let duration = trace.len() as f64 / sample_rate_hz;
         assert!(
             (duration - perfect.len() as f64 / 1000.0).abs() < 2.0 / sample_rate_hz + 0.002,

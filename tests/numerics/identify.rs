@@ -5,11 +5,22 @@ use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
+/// A throw of a machine as recorded by these sensors; the seed is that of their noise.
 pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
-    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-    Throw { anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) }
+    simulated_in(&Conditions::default(), machine, sensors, direction, seed)
+}
+
+/// A throw in these conditions.
+pub(crate) fn simulated_in(
+    conditions: &Conditions,
+    machine: &Parameters,
+    sensors: &Sensors,
+    direction: Direction,
+    seed: u64,
+) -> Throw {
+    let motion = machine.simulate(direction, conditions, sensors.step_s()).unwrap();
+    let trace = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap().trace;
+    Throw { direction: Some(direction), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) }
 }
 
 pub(crate) fn settings_of(machine: &Parameters) -> Settings {

@@ -5,8 +5,9 @@ use std::f64::consts::PI;
 
 use pointsd::estimate::{Grade, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, STEP_S, Sensors, Waveform};
-use pointsd::throw::{Direction, Throw};
-use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+use pointsd::throw::Direction;
+
+use super::identify::simulated_in;
 
 fn on(supply: Waveform) -> Parameters {
     Parameters { supply, ..Parameters::default() }
@@ -35,10 +36,7 @@ fn the_current_ripples_by_one_ampere_at_twice_the_mains_frequency() {
 fn the_ripple_does_no_harm_where_it_is_sampled() {
     let identify = |machine: &Parameters, direction, sensors: &Sensors, supply_phase_rad| {
         let conditions = Conditions { supply_phase_rad, ..Conditions::default() };
-        let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
-        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace;
-        let throw =
-            Throw { direction: Some(direction), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) };
+        let throw = simulated_in(&conditions, machine, sensors, direction, 3);
         Identifier::default().identify(&throw, &Settings::default()).outcome.map(|found| [found.b0, found.a1, found.a0])
     };
     for (sample_rate_hz, filtered) in
@@ -64,10 +62,7 @@ fn the_ripple_does_no_harm_where_it_is_sampled() {
 fn the_ripple_does_not_bias_the_ratios_at_250_hz() {
     let ratios = |supply: Waveform, rate_hz, direction, supply_phase_rad| {
         let conditions = Conditions { supply_phase_rad, ..Conditions::default() };
-        let sensors = Sensors::perfect(rate_hz);
-        let motion = on(supply).simulate(direction, &conditions, sensors.step_s()).unwrap();
-        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace;
-        let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
+        let throw = simulated_in(&conditions, &on(supply), &Sensors::perfect(rate_hz), direction, 3);
         let found = Identifier::default().identify(&throw, &Settings::default()).outcome?;
         Ok::<_, Rejection>(([found.a1 / found.b0, found.a0 / found.b0], found.grade))
     };

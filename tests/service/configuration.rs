@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::rig::{PATIENCE, Rig, pointsd, pointsim};
+use crate::rig::{PATIENCE, Rig, ends, pointsd, pointsim};
 
 #[test]
 fn a_wrong_configuration_is_named_with_file_line_and_key() {
@@ -26,15 +26,12 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
     ] {
         fs::write(&file, text).unwrap();
         for command in ["check", "run"] {
-            let output = pointsd(&[command, "--config"]).arg(&file).output().unwrap();
-            let error = String::from_utf8(output.stderr).unwrap();
-            assert_eq!(output.status.code(), Some(78), "{command} on {text:?}: {error}");
+            let error = ends(78, pointsd(&[command, "--config"]).arg(&file));
             assert!(error.contains(&format!("{}:{says}", file.display())), "{command} on {text:?}: {error}");
             assert_eq!(error.lines().count(), 1, "{error}");
         }
     }
-    let output = pointsd(&["check", "--config", "/no/such/file.toml"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(78));
+    ends(78, &mut pointsd(&["check", "--config", "/no/such/file.toml"]));
 }
 
 /// The daemon does not change the file, and systemd does not restart it.
@@ -45,9 +42,7 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
     rig.change("CREATE TABLE users (name TEXT)").await;
     let refused = |reason: &str| {
         for command in ["check", "run"] {
-            let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
-            let error = String::from_utf8_lossy(&output.stderr);
-            assert_eq!(output.status.code(), Some(78), "{command}: {error}");
+            let error = ends(78, pointsd(&[command, "--config"]).arg(rig.config()));
             let place = format!("{}:3: store.path: ", rig.config().display());
             assert!(error.contains(reason) && error.contains(&place), "{command}: {error}");
         }
@@ -71,9 +66,7 @@ fn a_database_of_another_user_is_a_wrong_configuration() {
     for (command, exit, says) in
         [("check", 78, "this user cannot write to"), ("run", 74, "its -wal and its -shm belong to")]
     {
-        let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(exit), "{command}: {error}");
+        let error = ends(exit, pointsd(&[command, "--config"]).arg(rig.config()));
         assert!(error.contains(says), "{command}: {error}");
     }
 }
@@ -83,9 +76,7 @@ fn a_wrong_fleet_is_named_too() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("wrong.toml");
     fs::write(&file, "[fleet]\nmachines = 0\n").unwrap();
-    let output = pointsim(&["run", "--config"]).arg(&file).output().unwrap();
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(78), "{error}");
+    let error = ends(78, pointsim(&["run", "--config"]).arg(&file));
     assert!(error.contains(":2: fleet.machines: "), "{error}");
 }
 
@@ -96,9 +87,8 @@ fn a_second_daemon_on_the_same_database_is_refused() {
     let file = folder.path().join("second.toml");
     let text = format!("store.path = {:?}\nzenoh.listen.endpoints = [\"tcp/127.0.0.1:0\"]\n", rig.database());
     fs::write(&file, text).unwrap();
-    let output = pointsd(&["run", "--config"]).arg(&file).output().unwrap();
-    assert_eq!(output.status.code(), Some(69), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("another pointsd works on"));
+    let error = ends(69, pointsd(&["run", "--config"]).arg(&file));
+    assert!(error.contains("another pointsd works on"), "{error}");
 
     // And a port that is taken.
     let text = format!(
@@ -107,8 +97,7 @@ fn a_second_daemon_on_the_same_database_is_refused() {
         daemon.endpoint
     );
     fs::write(&file, text).unwrap();
-    let output = pointsd(&["run", "--config"]).arg(&file).output().unwrap();
-    assert_eq!(output.status.code(), Some(69), "{}", String::from_utf8_lossy(&output.stderr));
+    ends(69, pointsd(&["run", "--config"]).arg(&file));
 }
 
 #[test]

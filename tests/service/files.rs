@@ -12,7 +12,7 @@ use pointsd::throw::Throw;
 use crate::{
     http::small_history,
     operators::daemon_with_alarm,
-    rig::{Rig, pointsd, pointsim, throws},
+    rig::{Rig, ends, pointsd, pointsim, throws},
 };
 
 type Row = std::collections::HashMap<String, String>;
@@ -115,12 +115,12 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
     let (rig, _daemon) = daemon_with_alarm("a", "");
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE severity = 'critical'").await;
     let out = rig.folder().join("report.html");
-    let report =
-        |machine: &str| pointsd(&["report", machine, "--out"]).arg(&out).arg("--config").arg(rig.config()).output();
-    assert_eq!(report("north/99").unwrap().status.code(), Some(66));
+    let report = |exit: i32, machine: &str, config: &Path| {
+        ends(exit, pointsd(&["report", machine, "--out"]).arg(&out).arg("--config").arg(config))
+    };
+    report(66, "north/99", &rig.config());
     assert!(!out.exists());
-    let output = report("north/machine-1").unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    report(0, "north/machine-1", &rig.config());
     let page = fs::read_to_string(&out).unwrap();
     for part in [
         "<style>",
@@ -144,15 +144,10 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
         format!("{config}{certificate}[monitor]\nsite = \"no name!\"\n").replace("[monitor]\nid", "[web]\nno"),
     )
     .unwrap();
-    let report =
-        pointsd(&["report", "north/machine-1", "--out"]).arg(&out).arg("--config").arg(&other).output().unwrap();
-    assert!(report.status.success(), "{}", String::from_utf8_lossy(&report.stderr));
+    report(0, "north/machine-1", &other);
     fs::write(&other, config.replace("[store]", "[diagnosis]\nfriction_limit_pct = 0\n[store]")).unwrap();
-    let report =
-        pointsd(&["report", "north/machine-1", "--out"]).arg(&out).arg("--config").arg(&other).output().unwrap();
-    assert_eq!(report.status.code(), Some(78), "{}", String::from_utf8_lossy(&report.stderr));
-    let backup = pointsd(&["backup", "/no/such/folder/copy.db", "--config"]).arg(&other).output().unwrap();
-    assert_eq!(backup.status.code(), Some(73), "{}", String::from_utf8_lossy(&backup.stderr));
+    report(78, "north/machine-1", &other);
+    ends(73, pointsd(&["backup", "/no/such/folder/copy.db", "--config"]).arg(&other));
 }
 
 #[test]
@@ -174,9 +169,8 @@ async fn a_database_of_another_version_is_named_as_such() {
     fs::write(rig.database(), []).unwrap();
     rig.change(include_str!("../storage/released.sql")).await;
     let refused = |arguments: &[&str], exit: i32, says: &str| {
-        let output = pointsd(arguments).arg("--config").arg(rig.config()).output().unwrap();
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.code() == Some(exit) && error.contains(says), "{arguments:?}: {error}");
+        let error = ends(exit, pointsd(arguments).arg("--config").arg(rig.config()));
+        assert!(error.contains(says), "{arguments:?}: {error}");
     };
     for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"]] {
         refused(command, 65, "of an older version of pointsd: make a copy");

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use pointsd::wire::{Encoding, encode_throw};
 
-use crate::rig::{Rig, pointsd, stub, throws};
+use crate::rig::{Rig, ends, pointsd, stub, throws};
 
 /// Runs the command; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
@@ -112,9 +112,9 @@ fn exported_traces_are_imported_as_the_same_throws() {
     fs::write(&file, lines.join(&b'\n')).unwrap();
     assert_eq!(import(&rig, &[&file], &[]).0, Some(0));
     let traces = rig.folder().join("traces");
-    let output = pointsd(&["export", "--database"]).arg(rig.database()).arg("--traces").arg(&traces).output().unwrap();
     let list = rig.folder().join("throws.csv");
-    fs::write(&list, output.stdout).unwrap();
+    let export = ends(0, pointsd(&["export", "--database"]).arg(rig.database()).arg("--traces").arg(&traces));
+    fs::write(&list, export).unwrap();
     let mut files: Vec<_> = fs::read_dir(traces.join("north/21B")).unwrap().map(|file| file.unwrap().path()).collect();
     files.sort();
     let files: Vec<&Path> = files.iter().map(AsRef::as_ref).collect();

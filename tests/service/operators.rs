@@ -12,7 +12,7 @@ use zenoh::Wait;
 
 use crate::{
     http::KEY,
-    rig::{Daemon, PATIENCE, Rig, listen, next, pointsd, pointsim, stub, throws},
+    rig::{Daemon, PATIENCE, Rig, ends, listen, next, pointsd, pointsim, stub, throws},
 };
 
 pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
@@ -191,8 +191,7 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(code == Some(64) && !said.contains("no alarms"), "{said}");
     let (code, said) = daemon.operate(&["status", "--site", "nosite"]);
     assert!(code == Some(69) && said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
-    let bogus = pointsd(&["status", "--connect", "bogus"]).output().unwrap();
-    assert_eq!(bogus.status.code(), Some(64), "{}", String::from_utf8_lossy(&bogus.stderr));
+    ends(64, &mut pointsd(&["status", "--connect", "bogus"]));
     let session = daemon.client().await;
     let other = session.declare_queryable("points/v1/east/monitor/other/status").await.unwrap();
     let broken = session.declare_queryable("points/v1/east/m1/alarm").await.unwrap();
@@ -318,11 +317,6 @@ pub(crate) fn daemon_with_alarm(id: &str, extra: &str) -> (Rig, Daemon) {
     (rig, daemon)
 }
 
-fn run(arguments: &[&str]) -> (Option<i32>, String) {
-    let output = pointsd(arguments).output().unwrap();
-    (output.status.code(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
-}
-
 /// State of the alarm, and number of operator commands.
 fn state(rig: &Rig) -> (String, usize) {
     let alarms = rig.sql("SELECT state FROM active_alarms WHERE cause = 'kt'");
@@ -335,18 +329,15 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     let (rig_b, b) = daemon_with_alarm("b", "");
     let of_b = rig_b.config().display().to_string();
 
-    let (code, text) = run(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &of_b]);
-    assert_eq!(code, Some(0), "{text}");
+    let text = ends(0, &mut pointsd(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &of_b]));
     assert!(text.starts_with("fleet/b: "), "{text}");
     assert_eq!(state(&rig_b), ("active_acknowledged".to_owned(), 1));
     assert_eq!(state(&rig_a), ("active_unacknowledged".to_owned(), 0));
-    let (code, text) =
-        run(&["rebaseline", "north/machine-1", "--why", "x", "--by", "tester", "--json", "--config", &of_b]);
-    let reply: serde_json::Value = serde_json::from_str(&text).unwrap();
-    assert_eq!((code, reply["monitor"].as_str()), (Some(0), Some("fleet/b")), "{text}");
+    let rebaseline = ["rebaseline", "north/machine-1", "--why", "x", "--by", "tester", "--json", "--config", &of_b];
+    let reply: serde_json::Value = serde_json::from_str(&ends(0, &mut pointsd(&rebaseline))).unwrap();
+    assert_eq!(reply["monitor"], "fleet/b", "{reply}");
     for question in ["status", "alarms"] {
-        let (code, text) = run(&[question, "--config", &of_b]);
-        assert_eq!(code, Some(0), "{text}");
+        let text = ends(0, &mut pointsd(&[question, "--config", &of_b]));
         assert!(text.contains("fleet/") && !text.contains("fleet/a") && !text.contains("monitor/a"), "{text}");
     }
 
@@ -356,15 +347,13 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     let moved = rig_a.listening_like(&rig_b);
     let a = moved.start();
     for arguments in COMMANDS {
-        let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
-        assert_eq!(code, Some(69), "{arguments:?}: {text}");
+        let text = ends(69, pointsd(arguments).args(["--config", &of_b]));
         assert!(text.contains("fleet/a answers there, and the configuration is that of fleet/b"), "{text}");
     }
     assert_eq!(state(&moved), ("active_unacknowledged".to_owned(), 0));
     a.terminate();
     for arguments in COMMANDS {
-        let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
-        assert_eq!(code, Some(69), "{arguments:?}: {text}");
+        let text = ends(69, pointsd(arguments).args(["--config", &of_b]));
         assert!(text.contains("no answer from tcp/127.0.0.1:"), "{text}");
     }
 }
@@ -376,9 +365,7 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     let (rig_b, _b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
     a.until_status("link", |status| status["connected"] == true).await;
     for config in [rig_a.config(), rig_b.config()] {
-        let config = config.display().to_string();
-        let (code, text) = run(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &config]);
-        assert_eq!(code, Some(69), "{text}");
+        let text = ends(69, pointsd(&["ack", "north/machine-1", "kt", "--by", "tester", "--config"]).arg(config));
         assert!(text.contains("several daemons serve north/machine-1") && text.contains("fleet/a"), "{text}");
         assert!(text.contains("fleet/b"), "{text}");
     }
@@ -433,15 +420,14 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
         let flat = text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(flat.contains("shelved until ") && flat.contains("by tester: parts ordered"), "{command}: {text}");
     }
-    let (code, text) =
-        run(&["sql", "--database", &rig.database().display().to_string(), "SELECT 1 AS a; SELECT 2 AS b, 1.0/3 AS c"]);
-    assert_eq!(code, Some(0), "{text}");
+    let sql =
+        |exit: i32, question: &[&str]| ends(exit, pointsd(&["sql", "--database"]).arg(rig.database()).args(question));
+    let text = sql(0, &["SELECT 1 AS a; SELECT 2 AS b, 1.0/3 AS c"]);
     assert_eq!(text.split_whitespace().collect::<Vec<_>>(), ["a", "1", "b", "c", "2", "0.333333"], "{text}");
-    let (code, text) = run(&["sql", "--database", &rig.database().display().to_string()]);
-    assert!(code == Some(0) && text.contains("operator_commands") && text.contains("change_now_pct"), "{text}");
-    let (code, text) =
-        run(&["sql", "--database", &rig.database().display().to_string(), "SELECT b9 FROM health_history"]);
-    assert_eq!((code, text.matches("no such column").count()), (Some(65), 1), "{text}");
+    let text = sql(0, &[]);
+    assert!(text.contains("operator_commands") && text.contains("change_now_pct"), "{text}");
+    let text = sql(65, &["SELECT b9 FROM health_history"]);
+    assert_eq!(text.matches("no such column").count(), 1, "{text}");
 }
 
 /// The daemon counts its machines every few seconds; an alarm counts at once.

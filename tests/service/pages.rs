@@ -13,7 +13,7 @@ use pointsd::{
 use crate::{
     http::{self, WEB, address, check_nesting, exchange, exchange_bytes, get, small_history},
     questions::large,
-    rig::{Rig, pointsd, throws},
+    rig::{Rig, ends, pointsd, throws},
 };
 
 /// Limit of a page or view. The README gives 100 ms for a release build on a computer without other work.
@@ -95,11 +95,9 @@ async fn times_of_pages_and_views() {
         slow.extend((times[TIMES / 2] > LIMIT).then(|| page.to_owned()));
     }
     println!("\n| view | one machine, ms | newest 100 rows, ms |\n|---|---|---|");
-    let database = rig.database().display().to_string();
     let ask = |question: &str| {
         let began = Instant::now();
-        let output = pointsd(&["sql", "--csv", "--database", &database, question]).output().unwrap();
-        assert!(output.status.success(), "{question}: {}", String::from_utf8_lossy(&output.stderr));
+        rig.sql(question);
         began.elapsed()
     };
     let of_program = ask("SELECT 1");
@@ -257,9 +255,7 @@ async fn the_lines_of_the_baseline_are_those_of_its_throws() {
     let file = rig.folder().join("many.ndjson");
     let lines: Vec<_> = made.iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
     fs::write(&file, lines.join(&b'\n')).unwrap();
-    let import =
-        pointsd(&["import", "--machine", "north/21B", "--config"]).arg(rig.config()).arg(&file).output().unwrap();
-    assert!(import.status.success(), "{}", String::from_utf8_lossy(&import.stderr));
+    ends(0, pointsd(&["import", "--machine", "north/21B", "--config"]).arg(rig.config()).arg(&file));
     let daemon = rig.start();
     let address = address(&daemon);
     let levels = || -> Vec<f64> {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::rig::{Rig, pointsd};
+use crate::rig::Rig;
 
 /// Number of throws in the database; set by `POINTSD_ROWS=1000000`.
 const ROWS: u64 = 50_000;
@@ -71,12 +71,9 @@ async fn twelve_questions_are_answered_in_time() {
     large(&rig, MACHINES, rows).await;
     let questions = questions();
     assert_eq!(questions.len(), 12);
-    let database = rig.database().display().to_string();
     let ask = |question: &str| {
         let began = Instant::now();
-        let output = pointsd(&["sql", "--json", "--database", &database, question]).output().unwrap();
-        assert!(output.status.success(), "{question}: {}", String::from_utf8_lossy(&output.stderr));
-        let rows: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+        let rows = rig.sql(question);
         (began.elapsed(), rows)
     };
     let (start, _) = ask("SELECT 1");

@@ -5,7 +5,7 @@ use std::fs;
 use pointsd::wire::{Encoding, encode_throw};
 use zenoh::Session;
 
-use crate::rig::{PATIENCE, Rig, client_of, listen, matched, next, pointsd, throws, until};
+use crate::rig::{PATIENCE, Rig, client_of, ends, listen, matched, next, pointsd, throws, until};
 
 const SITES: [&str; 4] = ["east", "north", "south", "west"];
 
@@ -66,9 +66,7 @@ async fn two_daemons_with_the_same_machines_or_name_are_reported() {
     for rig in &rigs {
         rig.judged(1).await;
     }
-    let output = pointsd(&["status", "--connect", &endpoint]).output().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{text}");
+    let text = ends(1, &mut pointsd(&["status", "--connect", &endpoint]));
     assert!(text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: correct subscribe.key"), "{text}");
 }
 
@@ -92,8 +90,7 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
 
     // The last backup of the daemon that is killed.
     let backup = rigs[2].folder().join("backup.db");
-    let made = pointsd(&["backup", "--config"]).arg(rigs[2].config()).arg(&backup).output().unwrap();
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    ends(0, pointsd(&["backup", "--config"]).arg(rigs[2].config()).arg(&backup));
     daemons.remove(2).kill();
     let (key, alarm) = next(&alarms).await;
     assert_eq!(key, "points/v1/east/box/alarm");

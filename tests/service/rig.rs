@@ -217,9 +217,8 @@ impl Rig {
 
     /// Runs `pointsd sql` and returns the rows.
     pub(crate) fn sql(&self, question: &str) -> Vec<serde_json::Value> {
-        let output = pointsd(&["sql", "--json", question, "--database"]).arg(self.database()).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice(&output.stdout).unwrap()
+        let text = ends(0, pointsd(&["sql", "--json", question, "--database"]).arg(self.database()));
+        serde_json::from_str(&text).unwrap()
     }
 
     /// Waits until a query returns a row.
@@ -329,16 +328,12 @@ impl Daemon {
     /// Runs an operator's command, which ends with this exit code; returns what it printed.
     #[track_caller]
     pub(crate) fn says(&self, exit: i32, arguments: &[&str]) -> String {
-        let (code, text) = self.operate(arguments);
-        assert_eq!(code, Some(exit), "{arguments:?}: {text}");
-        text
+        ends(exit, pointsd(arguments).args(["--connect", &self.endpoint]))
     }
 
     /// Runs an operator's command; returns its exit code and what it printed.
     pub(crate) fn operate(&self, arguments: &[&str]) -> (Option<i32>, String) {
-        let output = pointsd(arguments).args(["--connect", &self.endpoint]).output().unwrap();
-        let text = [output.stdout, output.stderr].concat();
-        (output.status.code(), String::from_utf8(text).unwrap())
+        run(pointsd(arguments).args(["--connect", &self.endpoint]))
     }
 }
 
@@ -422,6 +417,20 @@ pub(crate) fn pointsim(arguments: &[&str]) -> Command {
     let mut command = program("CARGO_BIN_EXE_pointsim", env!("CARGO_BIN_EXE_pointsim"));
     command.args(arguments);
     command
+}
+
+/// Runs a program; returns its exit code and what it printed.
+pub(crate) fn run(command: &mut Command) -> (Option<i32>, String) {
+    let output = command.output().unwrap();
+    (output.status.code(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
+}
+
+/// Runs a program, which ends with this exit code; returns what it printed.
+#[track_caller]
+pub(crate) fn ends(exit: i32, command: &mut Command) -> String {
+    let (code, text) = run(command);
+    assert_eq!(code, Some(exit), "{command:?}: {text}");
+    text
 }
 
 /// Real throws of one simulated machine.

@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{
 use crate::{
     http::{address, get},
     operators::logger,
-    rig::{Daemon, PATIENCE, Program, Rig},
+    rig::{Daemon, PATIENCE, Program, Rig, ends},
 };
 
 const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
@@ -262,8 +262,7 @@ async fn filters_refusals_and_floods() {
 fn a_receiver_with_tls_needs_a_certificate_of_the_authority() {
     let folder = tempfile::tempdir().unwrap();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/make-test-certificates");
-    let made = Command::new(script).arg(folder.path()).arg("router").output().unwrap();
-    assert!(made.status.success(), "{made:?}");
+    ends(0, Command::new(script).arg(folder.path()).arg("router"));
     let file = |name: &str| folder.path().join("router").join(name);
     let chain = vec![CertificateDer::from_pem_file(file("cert.pem")).unwrap()];
     let key = PrivateKeyDer::from_pem_file(file("key.pem")).unwrap();
