@@ -42,22 +42,37 @@ type Departures = [Option<(f32, f32)>; WATCHED.len()];
 /// Changes of the watched features.
 type Changes = [f32; WATCHED.len()];
 
-/// The changes of a direction some weeks ago, as those of a season come slowly.
+/// The changes of a direction some time ago, as those of a season come slowly.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Earlier {
     since: Timestamp,
+    last: Timestamp,
     throws: u32,
     /// At `since`, and at least as long before.
     changes: [Changes; 2],
 }
 
 impl Earlier {
+    fn new(at: Timestamp, present: Changes) -> Self {
+        Self { since: at, last: at, throws: 0, changes: [present, Changes::default()] }
+    }
+
     /// Adds a throw of the direction with these present changes.
     fn follow(&mut self, at: Timestamp, present: Changes) {
         self.throws = self.throws.saturating_add(1);
-        if self.throws >= EARLIER.1 && at.duration_since(self.since) >= EARLIER.0 {
-            *self = Self { since: at, throws: 0, changes: [present, self.changes[0]] };
+        self.last = at;
+        if self.throws >= EARLIER.1 && self.is_past() {
+            *self = Self { changes: [present, self.changes[0]], ..Self::new(at, present) };
         }
+    }
+
+    /// Whether the newer changes are old enough for a comparison.
+    fn is_past(&self) -> bool {
+        self.last.duration_since(self.since) >= EARLIER.0
+    }
+
+    fn changes(&self) -> &Changes {
+        &self.changes[usize::from(!self.is_past())]
     }
 }
 
@@ -72,10 +87,10 @@ pub(super) struct FeatureWatch {
     reported: f64,
     /// Of each direction, if the machine has no temperature.
     #[serde(default)]
-    earlier: [Option<Earlier>; 2],
+    earlier: [Option<Box<Earlier>>; 2],
     /// Change of a current \[%\] that raises no alarm, as it is slow enough for the season's.
-    #[serde(default)]
-    pub(super) season_pct: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) season_pct: Option<f32>,
 }
 
 /// The departure of a feature in the last throws of a direction.
@@ -103,7 +118,9 @@ impl FeatureWatch {
         let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);
         let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
-        self.season_pct = seasonal.map(|level| percent(level.change.size));
+        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
+        let pct = |level: &Departure| percent(level.change.size) as f32;
+        self.season_pct = seasonal.map(pct);
         let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
             let text = text::features(step.name, &changes, LEVEL);
@@ -147,14 +164,14 @@ impl FeatureWatch {
 
     /// Keeps the earlier changes of a side of a machine without a temperature.
     fn follow_season(&mut self, side: usize, celsius: Option<f64>, at: Timestamp) {
+        if celsius.is_some() {
+            self.earlier[side] = None;
+            return;
+        }
         #[expect(clippy::cast_possible_truncation, reason = "far below the scatter")]
         let present: Changes =
             std::array::from_fn(|gauge| self.level(side, gauge).map_or(0.0, |level| level.change.size as f32));
-        let new = || Earlier { since: at, throws: 0, changes: [present, Changes::default()] };
-        self.earlier[side] = celsius.is_none().then(|| self.earlier[side].take().unwrap_or_else(new));
-        if let Some(earlier) = &mut self.earlier[side] {
-            earlier.follow(at, present);
-        }
+        self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
     }
 
     /// The departure of a feature in the direction with the larger one; `None` if it is unknown.
@@ -179,7 +196,7 @@ impl FeatureWatch {
         // An alarm about a change that came at once does not end because it lasts.
         let is_slow = gauge.follows_weather()
             && self.reported == 0.0
-            && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes[1][at]) / size > SLOW_FROM);
+            && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes()[at]) / size > SLOW_FROM);
         let limit = if is_slow { OF_SEASON * limit } else { limit };
         let change = Change { gauge, size, size_sd };
         Some(Departure { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })

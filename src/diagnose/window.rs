@@ -127,7 +127,7 @@ pub(super) struct Window {
     /// Standard deviation of the temperature's effect on the mean; part of the covariance.
     pub(super) temperature_sd: Vector3<f64>,
     /// Covariance of the misfit of the model in rough throws, which repeats; part of the covariance.
-    pub(super) misfit: Matrix3<f64>,
+    pub(super) misfit: Sym3,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
     /// Whether a drift above its limit is more than an outlier that fades over the throws after it.
@@ -144,7 +144,7 @@ impl Window {
     /// The covariance with which T has this limit: lasting errors count up to [`MOST_OF_LASTING_SD`].
     pub(super) fn tested(&self, limit: f64) -> Matrix3<f64> {
         let counts = (MOST_OF_LASTING_SD * MOST_OF_LASTING_SD / limit).min(1.0);
-        self.covariance - (doubt(self.temperature_sd) + self.misfit) * (1.0 - counts)
+        self.covariance - (doubt(self.temperature_sd) + Matrix3::from(self.misfit)) * (1.0 - counts)
     }
 }
 
@@ -264,6 +264,7 @@ impl<'a> Stream<'a> {
         }
         covariance += doubt(temperature);
         let temperature_sd = temperature;
+        let misfit = misfit.into();
         Some(Window { throws, mean, covariance, temperature_sd, misfit, excess: 0.0, confirmed: false, scale })
     }
 

@@ -23,7 +23,7 @@ pub struct Features {
     pub running_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
-    /// Integral of the current's magnitude \[A s\].
+    /// Integral of the current's magnitude \[A s\]; unknown if one sample of the inrush is more than a tenth of it.
     pub charge_as: Option<f64>,
     /// Energy of the motor \[J\]: charge times supply voltage; needs `supply_v`.
     pub energy_j: Option<f64>,

@@ -11,6 +11,9 @@ const START_SHARE: f64 = 0.05;
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
+/// Largest charge of one sample of the inrush, as share of that of the throw, with which the charge is measured: how many samples
+/// of the inrush a slow recording has depends on their moments.
+const SAMPLE_SHARE: f64 = 0.1;
 /// Least share of the peak of a sample that a slow recording has of the inrush.
 const INRUSH_SHARE: f64 = 0.5;
 /// Noise around the foot of the current's rise: in standard deviations, and as share of the peak if the noise is smaller.
@@ -239,6 +242,8 @@ impl<'a> Movement<'a> {
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * self.interval_s;
         let on_s = self.motor_off.map(since_start_s);
         let magnitude = |i: &f64| (i - self.current.mean).abs();
+        let is_measured =
+            |charge_as: f64| !hides_inrush(self.interval_s) || self.peak_a * self.interval_s < SAMPLE_SHARE * charge_as;
         let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
@@ -249,7 +254,9 @@ impl<'a> Movement<'a> {
                 .filter(|running| !running.is_empty())
                 .map(|running| mean(self.current_a[running].iter().map(magnitude))),
             mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
-            charge_as: on_s.map(|on_s| on_s * self.mean_a).filter(|charge_as| charge_as.is_finite()),
+            charge_as: on_s
+                .map(|on_s| on_s * self.mean_a)
+                .filter(|charge_as| charge_as.is_finite() && is_measured(*charge_as)),
             quiet_current_a: (self.current.samples >= MIN_QUIET).then_some(self.current.mean),
             travel_mm: Some(self.travel_mm),
             start_position_mm: Some(self.position.mean),
@@ -417,4 +424,43 @@ pub(super) fn quantum(values: &[f64]) -> f64 {
     }
     let least = least.into_iter().fold(f64::INFINITY, f64::min);
     if least.is_finite() { least } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 3 s of a running current, with a rise of 6 ms and an inrush of 30 A that decays within 0.1 s.
+    fn charge_as(rate_hz: f64, phase: f64, running_a: f64) -> Option<f64> {
+        let current: Vec<f64> = (0..=10_000)
+            .map(|k| (f64::from(k) + phase) / rate_hz - 0.4)
+            .take_while(|t| *t < 4.0)
+            .map(|t| match t {
+                t if (0.0..3.0).contains(&t) => {
+                    running_a + 30.0 * (-t / 0.1).exp() - (running_a + 30.0) * (-t / 0.006).exp()
+                }
+                _ => 0.0,
+            })
+            .collect();
+        let position = vec![0.0; current.len()];
+        let movement = Movement::of(&current, &position, rate_hz.recip(), &mut Vec::new());
+        movement.features().charge_as
+    }
+
+    #[test]
+    fn a_charge_that_depends_on_the_moments_of_the_samples_is_unknown() {
+        let of_phases =
+            |rate_hz: f64, running_a: f64| [0.0, 0.2, 0.4, 0.6, 0.8].map(|phase| charge_as(rate_hz, phase, running_a));
+        for running_a in [1.5, 12.0] {
+            let truth = 3.0 * running_a + 30.0 * 0.1 - (running_a + 30.0) * 0.006;
+            let fine = of_phases(1000.0, running_a);
+            assert!(fine.iter().all(|charge| (charge.unwrap() / truth - 1.0).abs() < 0.02), "{truth}: {fine:?}");
+            let slow = of_phases(25.0, running_a);
+            let is_right = |charge: &Option<f64>| charge.is_none_or(|charge| (charge / truth - 1.0).abs() < 0.1);
+            assert!(
+                slow.iter().all(is_right) && slow.iter().any(Option::is_some) == (running_a > 2.0),
+                "{truth}: {slow:?}"
+            );
+        }
+    }
 }

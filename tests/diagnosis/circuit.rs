@@ -138,18 +138,17 @@ fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
 /// Twice the resistance changes the inrush, and with it the acceleration that b0 describes: the motor is sound.
 #[test]
 fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
-    let settings = Settings::default();
     for (seed, before) in [(60, SOUND), (61, SOUND), (62, OF_RATIOS), (63, OF_RATIOS)] {
         let mut drive = learned(seed, before);
         let mut events = Vec::new();
         for _ in 0..100 {
-            let mut observation = drive.observe(State { ohms: 2.0, ..before });
+            let mut observation = drive.throw(State { ohms: 2.0, ..before });
             if let Some(([b0, a1, a0], covariance)) = observation.estimate {
                 let weaker = Vector3::new(0.925, 1.0, 1.0);
                 let scale = Matrix3::from_diagonal(&weaker);
                 observation.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
             }
-            events.extend(drive.monitor.observe(&observation, &settings).events);
+            events.extend(drive.observe(&observation).events);
         }
         let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
         assert_eq!(causes, [Cause::Supply], "seed {seed}: {events:?}");
@@ -160,16 +159,15 @@ fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
 /// which follows the gain of the current sensor, has not changed.
 #[test]
 fn a_resistance_that_is_wrong_in_one_direction_accuses_no_current_sensor() {
-    let settings = Settings::default();
     for seed in 64..68 {
         let mut drive = learned(seed, OF_RATIOS);
         let mut events = Vec::new();
         for _ in 0..60 {
-            let mut observation = drive.observe(State { stiffness: 1.6, ..OF_RATIOS });
+            let mut observation = drive.throw(State { stiffness: 1.6, ..OF_RATIOS });
             if observation.direction == Some(Direction::ReverseToNormal) {
                 observation.features.resistance_ohm = observation.features.resistance_ohm.map(|ohm| 0.7 * ohm);
             }
-            events.extend(drive.monitor.observe(&observation, &settings).events);
+            events.extend(drive.observe(&observation).events);
         }
         assert!(events.iter().any(|event| event.cause == Cause::Stiffness), "seed {seed}: {events:?}");
         assert!(events.iter().all(|event| event.cause != Cause::Sensor), "seed {seed}: {events:?}");

@@ -354,19 +354,17 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
 /// machine, and not of chance in thousands of throws. A change that it may explain has no alarm.
 #[test]
 fn a_fault_that_makes_every_throw_rough_is_named() {
-    let settings = Settings::default();
     let misfit_sd = Vector3::new(0.0, 0.07, 0.08);
     let shared = 24.0 * Matrix3::from_diagonal(&misfit_sd.component_mul(&misfit_sd));
     // Without healthy rough throws, here all of one direction, the machine has not shown how much the misfit changes the ratios.
     for (every_tenth, pct, is_found) in [(true, 26.0, true), (false, 45.0, true), (false, 12.0, false)] {
         for seed in 0..8 {
-            let mut machine = Machine::new(9_900 + seed, Nature::default());
-            let mut monitor = machine.learned(&settings);
+            let mut machine = Machine::learned(9_900 + seed, Nature::default());
             let mut life = |throws: u32, is_rough: fn(u32) -> bool, fault: Vector3<f64>| -> Vec<AlarmEvent> {
                 let throws = (0..throws).flat_map(|at| {
                     let throw = machine.throw(fault);
                     let throw = if is_rough(at) { rough(throw, shared) } else { throw };
-                    monitor.observe(&throw, &settings).events
+                    machine.observe(&throw).events
                 });
                 throws.collect()
             };

@@ -322,7 +322,7 @@ impl MachineMonitor {
             .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
-            .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct)))
+            .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct.into())))
             .chain(self.drift.shared_changes().map(|(cause, pct)| text::shared(&self.name, cause, pct)))
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
