@@ -349,7 +349,8 @@ impl JudgeLoop {
         });
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
-        report.loggers_ahead = self.judge.fleet.loggers_ahead();
+        report.loggers_ahead = self.judge.fleet.dating.ahead();
+        report.loggers_behind = self.judge.fleet.dating.behind();
         (report.standing, report.without_throw) = (standing, without_throw);
     }
 

@@ -85,6 +85,7 @@ fn the_page_of_the_installation_has_every_problem_of_the_status() {
             copying: true,
             silent: vec!["receive".to_owned()],
             loggers_ahead: 2,
+            loggers_behind: 2,
             refused: vec!["north/x".to_owned()],
             webhook_fails: true,
             webhook_refused: 2,

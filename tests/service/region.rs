@@ -69,7 +69,10 @@ async fn two_daemons_with_the_same_machines_or_name_are_reported() {
     let output = pointsd(&["status", "--connect", &endpoint]).output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: correct subscribe.key"), "{text}");
+    assert!(
+        text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: stop all daemons of one name but one"),
+        "{text}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
