@@ -300,7 +300,7 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
     let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
         let last = rows.last();
         let scatter = trend::scatter_pct(baselines, *direction);
-        let change = last.and_then(|last| last.change_pct);
+        let change = last.and_then(Health::present_change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
             (state::signed(change[at], 1), own)
