@@ -66,6 +66,14 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
+    // The changes from the discarded baseline are history.
+    let health = status["health"].as_array().unwrap().iter();
+    let known = health.map(|row| (row["machine"].as_str().unwrap(), row["b0_pct"].is_number())).collect::<Vec<_>>();
+    assert_eq!(known, [("machine-1", false), ("machine-1", false), ("machine-2", true), ("machine-2", true)]);
+    let count = |view: &str| {
+        rig.sql(&format!("SELECT count(b0_pct) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
+    };
+    assert!(count("machine_health") == 0 && count("health_history") > 0);
     maintenance_is_visible(&rig, &daemon);
     daemon.terminate();
     let rows = rig.sql("SELECT machine, count(*) AS n FROM health_history WHERE quality = 'good' GROUP BY machine");
@@ -191,8 +199,11 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(code == Some(64) && !said.contains("no alarms"), "{said}");
     let (code, said) = daemon.operate(&["status", "--site", "nosite"]);
     assert!(code == Some(69) && said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
-    let bogus = pointsd(&["status", "--connect", "bogus"]).output().unwrap();
-    assert_eq!(bogus.status.code(), Some(64), "{}", String::from_utf8_lossy(&bogus.stderr));
+    for (bogus, says) in [("bogus", "write tcp/HOST:PORT"), ("udp/[::1]:7447", "tcp and tls only"), ("tcp/a", "port")] {
+        let refused = pointsd(&["status", "--connect", bogus]).output().unwrap();
+        let error = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(64) && error.contains(says), "{error}");
+    }
     let session = daemon.client().await;
     let other = session.declare_queryable("points/v1/east/monitor/other/status").await.unwrap();
     let broken = session.declare_queryable("points/v1/east/m1/alarm").await.unwrap();
@@ -358,7 +369,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     for arguments in COMMANDS {
         let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
         assert_eq!(code, Some(69), "{arguments:?}: {text}");
-        assert!(text.contains("fleet/a answers there, and the configuration is that of fleet/b"), "{text}");
+        assert!(text.contains("the daemon there is fleet/a, and the configuration is that of fleet/b"), "{text}");
     }
     assert_eq!(state(&moved), ("active_unacknowledged".to_owned(), 0));
     a.terminate();

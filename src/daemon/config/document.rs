@@ -143,6 +143,9 @@ impl Document {
         {
             problem.push_str("; a text is written in quotes, as \"north\"");
         }
+        if problem.starts_with("invalid type: map") && key.is_some_and(|place| place.path.ends_with(']')) {
+            problem.push_str("; a section has one bracket on each side, as [machines], unless it is one of a list");
+        }
         if problem.contains("socket address") {
             problem.push_str("; write an address with its port, as \"127.0.0.1:7480\"");
         }
