@@ -33,8 +33,11 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
             assert_eq!(error.lines().count(), 1, "{error}");
         }
     }
-    let output = pointsd(&["check", "--config", "/no/such/file.toml"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(78));
+    for (file, says) in [("/no/such/file.toml", "cannot be read"), ("/dev/zero", "more than 4194304 bytes")] {
+        let output = pointsd(&["check", "--config", file]).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(78) && error.contains(says), "{error}");
+    }
 }
 
 /// The daemon does not change the file, and systemd does not restart it.
