@@ -304,7 +304,8 @@ impl Fleet {
         outcome(machine, Some(monitor), at, events)
     }
 
-    /// Applies an operator's command, and confirms it in a sentence or two; `None` if the machine has no monitor.
+    /// Applies an operator's command, and confirms it in a sentence or two; `None` if the machine has no monitor. A retired
+    /// machine has none afterwards.
     pub(super) fn command(
         &mut self,
         machine: &MachineId,
@@ -314,12 +315,16 @@ impl Fleet {
     ) -> Option<Result<(Outcome, String), CommandError>> {
         let monitor = self.monitors.get_mut(machine)?;
         let confirmation = command.confirmation(machine, monitor.learning(settings));
-        let result = monitor.command(command, now, settings);
-        Some(result.map(|events| {
-            let confirmation = confirmation + &command.consequence(&events);
-            let outcome = outcome(machine, Some(monitor), now, events);
-            (Outcome { command: Some(command.clone()), ..outcome }, confirmation)
-        }))
+        let events = match monitor.command(command, now, settings) {
+            Ok(events) => events,
+            Err(error) => return Some(Err(error)),
+        };
+        let confirmation = confirmation + &command.consequence(&events);
+        if matches!(command, Command::Retire { .. }) {
+            self.monitors.remove(machine);
+            self.witnesses.remove(machine);
+        }
+        Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
     }
 }
 

@@ -436,6 +436,11 @@ impl JudgeLoop {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
             return Ok((false, text));
         }
+        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().contains(machine) {
+            let text =
+                format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
+            return Ok((false, text));
+        }
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),

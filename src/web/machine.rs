@@ -403,7 +403,7 @@ fn marks(
         raised.map(|alarm| Mark { at: alarm.event_at, label: format!("{}, {}", alarm.cause, alarm.severity.as_str()) });
     let complete = baselines.iter().filter(|baseline| baseline.complete);
     let complete = complete.map(|baseline| Mark { at: baseline.taken_at, label: "baseline".to_owned() });
-    let shown = ["maintenance_start", "maintenance_end", "rebaseline"];
+    let shown = ["maintenance_start", "maintenance_end", "rebaseline", "retire"];
     let commands = commands.iter().filter(|command| shown.contains(&command.command.as_str()));
     let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
     let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();

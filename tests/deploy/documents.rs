@@ -136,6 +136,6 @@ fn the_commands_on_the_page_of_messages_are_valid() {
         .iter()
         .map(|text| decode_command(text.as_bytes()).unwrap_or_else(|error| panic!("{text}: {error}")).name())
         .collect();
-    let all = ["ack", "shelve", "unshelve", "maintenance_start", "maintenance_end", "rebaseline"];
+    let all = ["ack", "shelve", "unshelve", "maintenance_start", "maintenance_end", "rebaseline", "retire"];
     assert_eq!(names, all.into());
 }

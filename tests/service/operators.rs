@@ -102,6 +102,53 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     assert!(commands[0]["until"].is_string(), "the window has no end: {commands:?}");
 }
 
+/// A machine that was removed from the track is silent for ever, which is no alarm once it is retired.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retired_machine_is_left_out_until_its_next_throw() {
+    let (rig, daemon) = Rig::running();
+    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36"]);
+    daemon.says(0, &["maintenance", "north/machine-1", "--why", "removal", "--by", "tester"]);
+    let session = daemon.client().await;
+    let token = session.liveliness().declare_token("points/v1/north/machine-1/alive").await.unwrap();
+    daemon.until_status("the logger", |status| status["loggers"] == 1).await;
+    let retire = ["retire", "north/machine-1", "--why", "replaced", "--by", "tester"];
+    let said = daemon.says(1, &retire);
+    assert!(said.contains("the logger of north/machine-1 is connected"), "{said}");
+    token.undeclare().await.unwrap();
+    daemon.until_status("no logger", |status| status["loggers"] == 0).await;
+    let said = daemon.says(0, &retire);
+    assert!(said.contains("no longer monitored, retired by tester: replaced") && said.contains("motor"), "{said}");
+    let said = daemon.says(1, &retire);
+    assert!(said.contains("no machine north/machine-1 is known here"), "{said}");
+
+    let is_left_out = |daemon: &Daemon| {
+        let text = daemon.says(0, &["status", "--json"]);
+        let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let machines = status["health"].as_array().unwrap().iter().map(|row| row["machine"].as_str().unwrap());
+        assert_eq!(machines.collect::<Vec<_>>(), ["machine-2"; 2], "{text}");
+        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"learning": 1}), "{text}");
+        daemon.says(0, &["alarms", "--check"]);
+    };
+    is_left_out(&daemon);
+    let count = |view: &str| {
+        rig.sql(&format!("SELECT count(*) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
+    };
+    assert_eq!(["machine_health", "active_alarms", "health_history"].map(count), [0, 0, 50]);
+    let last = &rig.sql("SELECT state, text FROM alarm_events WHERE machine = 'machine-1' ORDER BY event_at DESC")[0];
+    let text = last["text"].as_str().unwrap();
+    assert!(last["state"] == "normal" && text.ends_with("is no longer monitored (tester: replaced)."), "{last}");
+    daemon.terminate();
+
+    let daemon = rig.start();
+    is_left_out(&daemon);
+    let again = daemon.logger("points/v1/north/machine-1/throw").await;
+    again.send([&throws("new boot", 1)[0]]).await;
+    rig.judged(101).await;
+    assert_eq!(count("machine_health"), 1, "a new machine");
+    let text = daemon.says(0, &["status"]);
+    assert!(text.contains("2 machines: ") && text.contains("north/machine-1  learning"), "{text}");
+}
+
 /// A flood of commands cannot displace the record of other commands.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_commands_is_refused_after_the_first_two_hundred() {
