@@ -209,7 +209,7 @@ fn print_machines(
         name.set_constraint(ColumnConstraint::ContentWidth);
     }
     for (machine, rows) in &shown {
-        for row in rows.iter() {
+        for row in *rows {
             let change = |of: usize| row.change_pct.map(|pct| format!("{:+.1} %", pct[of])).unwrap_or_default();
             let rejected = if row.is_rejected() { ", rejected" } else { "" };
             table.add_row([

@@ -126,7 +126,7 @@ async fn a_retired_machine_is_left_out_until_its_next_throw() {
         let status: serde_json::Value = serde_json::from_str(&text).unwrap();
         let machines = status["health"].as_array().unwrap().iter().map(|row| row["machine"].as_str().unwrap());
         assert_eq!(machines.collect::<Vec<_>>(), ["machine-2"; 2], "{text}");
-        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"learning": 1}), "{text}");
+        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"healthy": 1}), "{text}");
         daemon.says(0, &["alarms", "--check"]);
     };
     is_left_out(&daemon);
