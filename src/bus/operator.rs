@@ -52,7 +52,7 @@ pub enum OperatorError {
     },
     /// The daemon that answers is not the daemon of the given configuration.
     #[error(
-        "nothing was sent: {found} answers there, and the configuration is that of {expected}. Is {expected} running?"
+        "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
     )]
     AnotherDaemon {
         /// Name of the daemon that answers.
@@ -77,7 +77,7 @@ pub enum OperatorError {
 /// The replies of all daemons to a query.
 #[derive(Debug, Default)]
 pub struct Answers {
-    /// Keys and payloads.
+    /// Keys and payloads, in the order of the keys.
     pub messages: Vec<(String, Vec<u8>)>,
     /// The errors of daemons that could not answer.
     pub errors: Vec<OperatorError>,
@@ -133,6 +133,8 @@ pub async fn ask(
             }
         }
     }
+    // Daemons reply in any order. Stable, as several messages of a key have an order.
+    answers.messages.sort_by(|(one, _), (other, _)| one.cmp(other));
     Ok(answers)
 }
 
@@ -196,7 +198,7 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     } else if found.is_empty() {
         Err(OperatorError::NoDaemon)
     } else {
-        Err(OperatorError::AnotherDaemon { found: found.join(", "), expected })
+        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected })
     }
 }
 

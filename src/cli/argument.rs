@@ -6,7 +6,7 @@ use strum::VariantArray as _;
 
 use super::{Exit, Failure};
 use crate::{
-    daemon::clock,
+    daemon::{clock, config::check_endpoint},
     diagnose::{Cause, MachineState, Severity},
     estimate::Motor,
     simulate::Part,
@@ -17,6 +17,11 @@ use crate::{
 pub(super) fn machine(text: &str) -> Result<MachineId, String> {
     let (site, machine) = text.split_once('/').ok_or("write SITE/MACHINE, as north/21B")?;
     MachineId::new(site, machine).map_err(|error| error.to_string())
+}
+
+/// An endpoint of zenoh, as `tcp/HOST:7447`.
+pub(super) fn endpoint(text: &str) -> Result<String, &'static str> {
+    check_endpoint(text, false).map(|()| text.to_owned())
 }
 
 /// The cause of an alarm, by its word in messages or on pages.

@@ -1,4 +1,4 @@
-//! The operators' commands that change something: `ack`, `shelve`, `maintenance` and `rebaseline`.
+//! The operators' commands that change something: `ack`, `shelve`, `maintenance`, `rebaseline` and `retire`.
 
 use jiff::SignedDuration;
 
@@ -73,6 +73,22 @@ pub(super) struct Rebaseline {
     why: String,
 }
 
+/// Ends the monitoring of a machine that was removed from the track: its alarms end, and status, pages and
+/// `machine_health` leave it out. Its history stays. Switch its logger off first: a later throw is that of a new machine,
+/// which learns a new baseline.
+///
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd retire north/21B --why 'replaced by 21C' --by 'A. Meyer'")]
+pub(super) struct Retire {
+    #[command(flatten)]
+    sender: Sender,
+    /// Reason for the end.
+    #[arg(long, value_name = "TEXT")]
+    why: String,
+}
+
 pub(super) fn ack(arguments: &Ack) -> Outcome {
     let Ack { sender, cause } = arguments;
     sender.send(&Command::Ack { cause: *cause, by: sender.name()? })
@@ -99,4 +115,9 @@ pub(super) fn maintenance(arguments: &Maintenance) -> Outcome {
 pub(super) fn rebaseline(arguments: &Rebaseline) -> Outcome {
     let Rebaseline { sender, why } = arguments;
     sender.send(&Command::Rebaseline { by: sender.name()?, why: why.clone() })
+}
+
+pub(super) fn retire(arguments: &Retire) -> Outcome {
+    let Retire { sender, why } = arguments;
+    sender.send(&Command::Retire { by: sender.name()?, why: why.clone() })
 }

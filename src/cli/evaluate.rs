@@ -21,7 +21,7 @@ use crate::{
 ///
 /// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
 /// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met,
-/// each named on stderr.
+/// each named on stderr; 73 the file of --out cannot be created.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \
@@ -48,6 +48,7 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let amount = if arguments.quick { Amount::QUICK } else { Amount::FULL };
     let plan = Plan::new(arguments.seed, amount, Settings::default());
+    arguments.out.as_deref().map_or(Ok(()), output::creatable)?;
     let threads = arguments.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let report = plan.report(&live_all(&plan, threads));
     if let Some(path) = &arguments.out {

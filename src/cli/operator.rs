@@ -22,7 +22,7 @@ const CONNECT_TIMEOUT_MS: u32 = 5_000;
 #[derive(Debug, clap::Args)]
 pub(super) struct Connection {
     /// Zenoh endpoint of the daemon or of its router [default without --config: tcp/127.0.0.1:7447].
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = argument::endpoint)]
     connect: Option<String>,
     /// File with endpoint and certificates: the configuration of the daemon, or a file with a [zenoh] section for a
     /// client.

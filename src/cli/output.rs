@@ -142,6 +142,13 @@ pub(super) fn width() -> u16 {
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
+/// Creates the file of a command that works long before it writes it, so that an error shows at once. A file that exists
+/// keeps its content.
+pub(super) fn creatable(path: &Path) -> Result<(), Failure> {
+    let created = fs::OpenOptions::new().append(true).create(true).open(path);
+    created.map(drop).with_context(|| format!("{} cannot be written", path.display())).or_exit(Exit::CannotCreate)
+}
+
 /// Writes a file.
 pub(super) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
     fs::write(path, content)

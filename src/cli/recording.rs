@@ -23,6 +23,10 @@ const EVEN_TOLERANCE: f64 = 0.02;
 /// Longest distance between two samples; more is a gap \[intervals\].
 const LONGEST_STEP: f64 = 5.5;
 
+/// Largest file \[bytes\]: some 5,000 throws in JSON, or ten times the longest trace. A larger one, as a device without an end, is no
+/// recording, and would fill the memory.
+const MAX_BYTES: u64 = 512 << 20;
+
 /// A recorded throw, with the lines of its file for error messages.
 #[derive(Debug)]
 pub(super) struct Recording {
@@ -53,9 +57,12 @@ pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
 pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     if path == Path::new("-") {
-        io::stdin().read_to_end(&mut bytes)?;
+        io::stdin().take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
     } else {
-        bytes = fs::read(path)?;
+        fs::File::open(path)?.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
+    }
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(io::Error::other(format!("it has more than {} MiB: divide it", MAX_BYTES >> 20)));
     }
     if bytes.starts_with("\u{feff}".as_bytes()) {
         bytes.drain(..'\u{feff}'.len_utf8());

@@ -12,7 +12,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt as _, output,
+    Exit, Failure, Outcome, ResultExt as _, database, output,
     run::{load, start_failure},
     runtime,
 };
@@ -34,8 +34,8 @@ const BATCH: u32 = 16;
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database has no throw that can be run again; 66 there is no database; 73 the new
-/// database exists already; 74 a database cannot be used; 78 the configuration is invalid.
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, or is of another version; 66 there is no
+/// database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
@@ -91,7 +91,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })?;
     config.store.path.clone_from(&into);
     runtime::block_on(async {
-        let old = Reader::open(&from).await.or_exit(Exit::Io)?;
+        let old = Reader::open_outside(&from).await.map_err(database::cannot_open)?;
         // Checked before the new database is created, so that an error leaves no file behind.
         let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
         require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;

@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]", value_parser = fault)]
     fault: Vec<FleetFault>,
     /// Zenoh endpoint, instead of the configured ones.
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = argument::endpoint)]
     connect: Option<String>,
 }
 

@@ -72,16 +72,16 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             if arguments.watch && io::stdout().is_terminal() {
                 output::clear()?;
             }
-            let outcome = show(&session, arguments).await;
+            let shown = show(&session, arguments).await;
             if !arguments.watch {
-                break outcome;
+                break shown.and_then(|(result, printed)| output::after(printed, result));
             }
-            match outcome {
+            match shown.and_then(|(_, printed)| printed) {
                 // The reader closed the pipe.
                 Err(failure) if failure.exit == Exit::Ok => break Err(failure),
                 // A daemon that restarts, for example.
                 Err(failure) => eprintln!("{:#}", failure.error),
-                Ok(_) => {}
+                Ok(()) => {}
             }
             tokio::select! {
                 () = tokio::time::sleep(WATCH_INTERVAL) => {}
@@ -93,7 +93,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
+/// Prints the answers of the daemons once. Returns the exit code that they give, and the result of printing them.
+async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
     let ask = |selector| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT);
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
     let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
@@ -106,7 +107,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let (mut alarms, of_alarms) = operator::values::<Alarm>(&events);
     let twice = served_twice(session, &health).await?;
     // A daemon counts its machines every few seconds only; the answers are newer.
-    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
+    let is_well = |report: &StatusReport| report.problems().is_empty() && report.standing.is_well();
     let are_well = of_daemons + of_health + of_alarms + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
@@ -116,8 +117,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
             let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
             values.filter_map(Result::ok).collect::<Vec<_>>()
         });
-        let printed = output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}));
-        return output::after(printed, result);
+        return Ok((result, output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))));
     }
     let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
     let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
@@ -148,8 +148,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
         caveats.iter().try_for_each(output::line)
     };
-    // With --watch a closed pipe ends the command.
-    if arguments.watch { print().map(|()| result) } else { output::after(print(), result) }
+    Ok((result, print()))
 }
 
 /// A sentence about each machine that several daemons serve: both publish its alarms, and no command reaches it.
@@ -160,8 +159,16 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
         let daemons = bus::serving(session, machine).await.map_err(operator::failure)?;
-        sentences
-            .push(format!("{machine} is served by {}: correct subscribe.key of all but one", daemons.join(" and ")));
+        let names: BTreeSet<&String> = daemons.iter().collect();
+        sentences.push(if names.len() == daemons.len() {
+            format!("{machine} is served by {}: correct subscribe.key of all but one", daemons.join(" and "))
+        } else {
+            format!(
+                "{machine} is served by {}: stop all daemons of one name but one, or correct their monitor.id and \
+                 subscribe.key",
+                daemons.join(" and ")
+            )
+        });
     }
     if twice.len() > MAX_ASKED {
         sentences.push(format!("{} more machines are served by several daemons", twice.len() - MAX_ASKED));
@@ -202,13 +209,12 @@ fn print_machines(
         name.set_constraint(ColumnConstraint::ContentWidth);
     }
     for (machine, rows) in &shown {
-        for (at, row) in rows.iter().enumerate() {
-            let first = |text: String| if at == 0 { text } else { String::new() };
+        for row in *rows {
             let change = |of: usize| row.change_pct.map(|pct| format!("{:+.1} %", pct[of])).unwrap_or_default();
             let rejected = if row.is_rejected() { ", rejected" } else { "" };
             table.add_row([
-                first(machine.to_string()),
-                first(state_of(rows).as_str().replace('_', " ")),
+                machine.to_string(),
+                state_of(rows).as_str().replace('_', " "),
                 target(row.direction).to_owned(),
                 change(0),
                 change(1),

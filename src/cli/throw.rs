@@ -11,9 +11,9 @@ use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
 use super::{Exit, Failure, Outcome, ResultExt, argument, output};
-use crate::daemon::config::overlay;
+use crate::daemon::config::{Document, overlay};
 use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Recording, Sensors};
-use crate::throw::Direction;
+use crate::throw::{Direction, OutOfRange};
 
 /// The command line of `pointsim throw`.
 #[derive(Debug, clap::Args)]
@@ -24,8 +24,8 @@ use crate::throw::Direction;
   pointsim throw --out slow.csv --set sensors.sample_rate_hz=100 --set sensors.anti_alias_hz=40
   pointsim throw --out other.csv --set machine.stroke_mm=150 --set machine.rails.slide_friction=0.1
 
-Exit codes: 0 written; 64 wrong command line; 66 the configuration file cannot be read; 73 the CSV file cannot be
-created; 78 a machine or sensor value is out of its range.")]
+Exit codes: 0 written; 64 wrong command line; 73 the CSV file cannot be created; 78 the configuration file cannot be
+read, or a machine or sensor value is out of its range.")]
 pub(super) struct Arguments {
     /// The CSV file to write: `time_s,current_a,position_mm`; - for standard output, with the coefficients on standard
     /// error.
@@ -85,9 +85,16 @@ struct Truth {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let Settings { machine, sensors } = settings(arguments)?;
+    let document = arguments.config.as_deref().map(Document::read).transpose().or_exit(Exit::Config)?;
+    let Settings { machine, sensors } = settings(arguments, document.as_ref())?;
+    let wrong = |section: &str, error: OutOfRange| match &document {
+        Some(document) if arguments.changes.is_empty() => {
+            document.in_section(section, Err(error)).or_exit(Exit::Config)
+        }
+        _ => Err(error.within(section)).or_exit(Exit::Config),
+    };
     let condition = condition(&arguments.faults).or_exit(Exit::Usage)?;
-    machine.check().map_err(|error| error.within("machine")).or_exit(Exit::Config)?;
+    machine.check().or_else(|error| wrong("machine", error))?;
     let worn = machine.in_condition(&condition).context("the worn machine").or_exit(Exit::Config)?;
     let direction = arguments.direction;
     let conditions = Conditions {
@@ -95,7 +102,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         obstruction_mm: arguments.obstruction_mm,
         ..Conditions::default()
     };
-    sensors.check().map_err(|error| error.within("sensors")).or_exit(Exit::Config)?;
+    sensors.check().or_else(|error| wrong("sensors", error))?;
     let motion = worn.simulate(direction, &conditions, sensors.step_s()).map_err(|error| {
         let from_command_line = ["obstruction_mm", "temperature_c"].contains(&error.key.as_str());
         let exit = if from_command_line { Exit::Usage } else { Exit::Config };
@@ -157,23 +164,24 @@ fn text(truth: &Truth, file: &Path) -> String {
     )
 }
 
-fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
+fn settings(arguments: &Arguments, document: Option<&Document>) -> Result<Settings, Failure> {
     let machine = if arguments.series { Parameters::series() } else { Parameters::default() };
     let start = Settings { machine, sensors: Sensors::default() };
     let mut table = toml::Table::try_from(start).or_exit(Exit::Software)?;
-    if let Some(path) = &arguments.config {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("{} cannot be read", path.display()))
-            .or_exit(Exit::NoInput)?;
-        let file = text.parse().with_context(|| path.display().to_string()).or_exit(Exit::Config)?;
-        overlay(&mut table, &file);
+    if let Some(document) = document {
+        overlay(&mut table, &document.deserialize().or_exit(Exit::Config)?);
     }
     for change in &arguments.changes {
         apply(&mut table, change).or_exit(Exit::Usage)?;
     }
     // The error has several lines.
     let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
-    table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config)
+    let settings = table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config);
+    // Of an error in the file, the file alone has the line.
+    match document.map(Document::deserialize::<Settings>) {
+        Some(Err(error)) if settings.is_err() => Err(Failure::new(Exit::Config, error)),
+        _ => settings,
+    }
 }
 
 /// Applies `a.b.c=value`; a value that is not valid TOML is a text.

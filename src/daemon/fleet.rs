@@ -1,13 +1,13 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, HashSet, VecDeque},
+    collections::{BTreeMap, BTreeSet, HashSet},
     time::Duration,
 };
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 
-use super::status::Standing;
+use super::{dating::Dating, status::Standing};
 use crate::{
     diagnose::{
         AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing,
@@ -48,13 +48,9 @@ pub(super) struct Fleet {
     to_store: HashSet<MachineId>,
     /// Ticks in this hour.
     ticks: u64,
-    /// The machines whose throws were judged last, at most [`WITNESSES`], and whether the last throw of each is dated more
-    /// than a day after its reception.
-    ahead: VecDeque<(MachineId, bool)>,
+    /// The clocks of the last loggers.
+    pub(super) dating: Dating,
 }
-
-/// Largest number of machines whose clocks show whether that of this computer is right.
-const WITNESSES: usize = 32;
 
 impl Fleet {
     /// Restores monitors from the database. A snapshot that cannot be read, as after a return to an earlier version, is
@@ -173,25 +169,13 @@ impl Fleet {
     /// without a time server: it is then behind those of most loggers. Before the first throw of another logger it is not
     /// trusted either, unless there is no other.
     fn trusted(&mut self, stored: &StoredThrow) -> Option<Timestamp> {
-        let is_ahead = stored.started_at.duration_since(stored.received_at) > SignedDuration::from_hours(24);
-        self.ahead.retain(|(machine, _)| *machine != stored.machine);
-        let others = self.ahead.len();
-        let others_ahead = self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count();
-        self.ahead.push_front((stored.machine.clone(), is_ahead));
-        self.ahead.truncate(WITNESSES);
         let has_other = |machine: &MachineId| *machine != stored.machine && machine.machine.as_str() != ALL_MACHINES;
         let is_alone = || {
             let mut loggers = self.monitors.iter().filter(|(_, monitor)| !monitor.has_no_logger());
             !loggers.any(|(machine, _)| has_other(machine))
         };
-        let is_trusted = !is_ahead || if others == 0 { is_alone() } else { 2 * others_ahead < others };
-        is_trusted.then_some(stored.received_at)
-    }
-
-    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
-    pub(super) fn loggers_ahead(&self) -> usize {
-        let ahead = self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count();
-        if 2 * ahead > self.ahead.len() { ahead } else { 0 }
+        let confirmed = self.dating.note(&stored.machine, stored.started_at, stored.received_at);
+        confirmed.unwrap_or_else(is_alone).then_some(stored.received_at)
     }
 
     /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their
@@ -320,7 +304,8 @@ impl Fleet {
         outcome(machine, Some(monitor), at, events)
     }
 
-    /// Applies an operator's command, and confirms it in a sentence or two; `None` if the machine has no monitor.
+    /// Applies an operator's command, and confirms it in a sentence or two; `None` if the machine has no monitor. A retired
+    /// machine has none afterwards.
     pub(super) fn command(
         &mut self,
         machine: &MachineId,
@@ -330,12 +315,16 @@ impl Fleet {
     ) -> Option<Result<(Outcome, String), CommandError>> {
         let monitor = self.monitors.get_mut(machine)?;
         let confirmation = command.confirmation(machine, monitor.learning(settings));
-        let result = monitor.command(command, now, settings);
-        Some(result.map(|events| {
-            let confirmation = confirmation + &command.consequence(&events);
-            let outcome = outcome(machine, Some(monitor), now, events);
-            (Outcome { command: Some(command.clone()), ..outcome }, confirmation)
-        }))
+        let events = match monitor.command(command, now, settings) {
+            Ok(events) => events,
+            Err(error) => return Some(Err(error)),
+        };
+        let confirmation = confirmation + &command.consequence(&events);
+        if matches!(command, Command::Retire { .. }) {
+            self.monitors.remove(machine);
+            self.witnesses.remove(machine);
+        }
+        Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
     }
 }
 

@@ -349,7 +349,8 @@ impl JudgeLoop {
         });
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
-        report.loggers_ahead = self.judge.fleet.loggers_ahead();
+        report.loggers_ahead = self.judge.fleet.dating.ahead();
+        report.loggers_behind = self.judge.fleet.dating.behind();
         (report.standing, report.without_throw) = (standing, without_throw);
     }
 
@@ -433,6 +434,11 @@ impl JudgeLoop {
         let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
         if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
+            return Ok((false, text));
+        }
+        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().contains(machine) {
+            let text =
+                format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
         }
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {

@@ -12,6 +12,7 @@ mod backlog;
 mod budget;
 pub(crate) mod clock;
 pub mod config;
+mod dating;
 mod fleet;
 mod heartbeat;
 mod identify;

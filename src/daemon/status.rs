@@ -92,6 +92,10 @@ pub struct StatusReport {
     /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
     #[serde(default)]
     pub loggers_ahead: usize,
+    /// Number of the last loggers that date their throws a day or more before this computer, all by the same time, if
+    /// these are most; else 0.
+    #[serde(default)]
+    pub loggers_behind: usize,
     /// Messages received.
     pub received: u64,
     /// Messages dropped because the queue was full.
@@ -224,15 +228,28 @@ impl StatusSources {
 }
 
 impl StatusReport {
-    /// Whether the daemon has no problem with disk, clock, loops, webhook, or lost or refused messages.
-    pub fn is_well(&self) -> bool {
-        self.disk == DiskLevel::Ample
-            && self.silent.is_empty()
-            && self.refused.is_empty()
-            && self.loggers_ahead == 0
-            && !self.webhook_fails
-            && self.webhook_refused == 0
-            && self.dropped + self.lost == 0
+    /// Problems of the daemon itself: disk, loops, clock, webhook, lost or refused messages. The pages show the same
+    /// sentences.
+    pub fn problems(&self) -> Vec<String> {
+        let mut problems = Vec::new();
+        let mut add = |is_so: bool, problem: &str| problems.extend(is_so.then(|| problem.to_owned()));
+        add(self.disk == DiskLevel::Low, "DISK LOW: old traces are dropped, free some space");
+        add(self.disk == DiskLevel::Full, "DISK FULL: nothing can be stored, free some space");
+        add(self.disk == DiskLevel::Failing, "DATABASE FAILING: writes do not succeed");
+        add(self.copying, "COPYING THE DATABASE: a program keeps reading an old state, and writes wait");
+        add(!self.silent.is_empty(), &format!("HANGING: {}", self.silent.join(", ")));
+        add(self.loggers_ahead > 0, "CLOCK BEHIND: most loggers date their throws a day or more after this computer");
+        add(
+            self.loggers_behind > 0,
+            "CLOCK AHEAD: most loggers date their throws a day or more before this computer, all by the same time",
+        );
+        add(!self.refused.is_empty(), &format!("EVERY MESSAGE REFUSED: {}", self.refused.join("; ")));
+        add(self.webhook_fails, "WEBHOOK FAILS: alarms wait for its receiver");
+        let refused = counted(self.webhook_refused, "alarm event");
+        add(self.webhook_refused > 0, &format!("WEBHOOK REFUSED {refused}: not sent again, look in the log"));
+        let lost = self.dropped + self.lost;
+        add(lost > 0, &format!("{} LOST: received and not stored", counted(lost, "message")));
+        problems
     }
 
     /// One line of text, problems first.
@@ -242,37 +259,9 @@ impl StatusReport {
 
     /// The parts of [`Self::line`]: each problem, then the counts.
     pub fn parts(&self) -> Vec<String> {
-        let mut parts = Vec::new();
-        match self.disk {
-            DiskLevel::Ample => {}
-            DiskLevel::Low => parts.push("DISK LOW: old traces are dropped".to_owned()),
-            DiskLevel::Full => parts.push("DISK FULL: nothing can be stored, free some space".to_owned()),
-            DiskLevel::Failing => parts.push("DATABASE FAILING: writes do not succeed".to_owned()),
-        }
-        if self.copying {
-            parts.push("COPYING THE DATABASE: a program keeps reading an old state, and writes wait".to_owned());
-        }
-        if !self.silent.is_empty() {
-            parts.push(format!("HANGING: {}", self.silent.join(", ")));
-        }
+        let mut parts = self.problems();
         if !self.connected {
             parts.push("not connected".to_owned());
-        }
-        if self.loggers_ahead > 0 {
-            parts.push("CLOCK BEHIND: most loggers date their throws a day or more after this computer".to_owned());
-        }
-        if !self.refused.is_empty() {
-            parts.push(format!("EVERY MESSAGE REFUSED: {}", self.refused.join("; ")));
-        }
-        if self.webhook_fails {
-            parts.push("WEBHOOK FAILS: alarms wait for its receiver".to_owned());
-        }
-        if self.webhook_refused > 0 {
-            let events = counted(self.webhook_refused, "alarm event");
-            parts.push(format!("WEBHOOK REFUSED {events}: not sent again, look in the log"));
-        }
-        if self.dropped + self.lost > 0 {
-            parts.push(format!("{} messages LOST", self.dropped + self.lost));
         }
         let states: Vec<String> =
             [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]

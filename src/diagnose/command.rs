@@ -46,6 +46,14 @@ pub enum Command {
         /// Reason given by the operator.
         why: String,
     },
+    /// Take the machine out of the monitoring for good, as it was removed from the track: its alarms end, and its monitor is
+    /// given up. A later throw is that of a new machine.
+    Retire {
+        /// Name of the operator.
+        by: String,
+        /// Reason given by the operator.
+        why: String,
+    },
     /// Take the machine out of service: its throws are not diagnosed and not added to a baseline. During a maintenance
     /// it replaces end, operator and reason.
     MaintenanceStart {
@@ -143,6 +151,7 @@ impl Command {
             | Self::Shelve { by, .. }
             | Self::Unshelve { by, .. }
             | Self::Rebaseline { by, .. }
+            | Self::Retire { by, .. }
             | Self::MaintenanceStart { by, .. }
             | Self::MaintenanceEnd { by } => by,
         }
@@ -151,7 +160,10 @@ impl Command {
     /// Reason given by the operator.
     pub fn why(&self) -> Option<&str> {
         match self {
-            Self::Shelve { why, .. } | Self::Rebaseline { why, .. } | Self::MaintenanceStart { why, .. } => Some(why),
+            Self::Shelve { why, .. }
+            | Self::Rebaseline { why, .. }
+            | Self::Retire { why, .. }
+            | Self::MaintenanceStart { why, .. } => Some(why),
             Self::Ack { .. } | Self::Unshelve { .. } | Self::MaintenanceEnd { .. } => None,
         }
     }
@@ -168,6 +180,7 @@ impl Command {
             Self::Rebaseline { .. } if !named(false).is_empty() => {
                 format!(". This ends the alarms {}; a fault that still exists is learned as normal", named(false))
             }
+            Self::Retire { .. } if !named(false).is_empty() => format!(". This ends the alarms {}", named(false)),
             Self::MaintenanceEnd { .. } if !named(true).is_empty() => {
                 format!(". Alarms from before: {}; the next throws show whether they are over", named(true))
             }
@@ -197,6 +210,9 @@ impl Command {
                     )
                 });
                 format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}{discarded}")
+            }
+            Self::Retire { by, why } => {
+                format!("{machine} is no longer monitored, retired by {by}: {why}. Its history stays")
             }
             Self::MaintenanceStart { until, by, why } => {
                 format!("{machine} is in maintenance until {} by {by}: {why}", utc(until))

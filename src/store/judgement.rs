@@ -282,8 +282,13 @@ impl Outcome {
         }
         if let Some(command) = &self.command {
             add_command(connection, machine_row, command, at_us).await?;
-            if matches!(command, Command::Rebaseline { .. }) {
-                sqlx::query(sql::RESTART_BASELINES).bind(machine_row).execute(&mut *connection).await?;
+            let effect = match command {
+                Command::Rebaseline { .. } => Some(sql::RESTART_BASELINES),
+                Command::Retire { .. } => Some(sql::RETIRE),
+                _ => None,
+            };
+            if let Some(effect) = effect {
+                sqlx::query(effect).bind(machine_row).bind(at_us).execute(&mut *connection).await?;
             }
         }
         for event in &self.events {

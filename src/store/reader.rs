@@ -268,12 +268,18 @@ impl Reader {
         Ok(at_us.map(timestamp))
     }
 
-    /// The latest health of each selected machine and direction, with the state of the machine now.
+    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from its
+    /// present baseline.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
-        self.external(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
+        let query = sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine);
+        let mut rows: Vec<Health> = self.external(query).await?;
+        for health in &mut rows {
+            health.change_pct = health.present_change_pct();
+        }
+        Ok(rows)
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.

@@ -97,7 +97,10 @@ const ORPHANS: [&str; 13] = [
     "DELETE FROM latest",
     "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
      SELECT machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
-     FROM estimate JOIN throw USING (machine_row, throw_row) GROUP BY machine_row, estimate.direction",
+     FROM estimate JOIN throw USING (machine_row, throw_row) \
+     WHERE machine_row IN (SELECT machine_row FROM monitor) \
+     OR machine_row NOT IN (SELECT machine_row FROM command WHERE command = 'retire') \
+     GROUP BY machine_row, estimate.direction",
 ];
 
 /// Result of the recovery.

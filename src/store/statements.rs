@@ -172,6 +172,15 @@ macro_rules! all_machines {
 /// Machine name of the alarms about all machines of a site.
 pub(crate) const ALL_MACHINES: &str = all_machines!();
 
+/// Whether the machine of a row was retired by an operator: it has no monitor until its next throw is judged. `monitor` is
+/// joined to the row.
+macro_rules! is_retired {
+    () => {
+        "(monitor.machine_row IS NULL AND EXISTS (SELECT 1 FROM command \
+          WHERE command.machine_row = machine.machine_row AND command.command = 'retire'))"
+    };
+}
+
 /// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
 /// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.
 macro_rules! matching {
@@ -188,7 +197,9 @@ macro_rules! matching {
             AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
             AND machine <> '",
             all_machines!(),
-            "' AND NOT (site = ?4 AND machine = ?5))"
+            "' AND NOT (site = ?4 AND machine = ?5) AND NOT ",
+            is_retired!(),
+            ")"
         )
     };
 }
@@ -324,7 +335,9 @@ statements! {
     SET_MONITOR = set_monitor!("VALUES (?1, ?2, ?3, ?4, ?5, ?6)");
     MONITORS = "SELECT site, machine, snapshot, state FROM machine CROSS JOIN monitor USING (machine_row) \
         WHERE (site, machine) > (?1, ?2) ORDER BY site, machine LIMIT ?3";
-    MACHINES = "SELECT site, machine FROM machine ORDER BY site, machine";
+    MACHINES = concat!("SELECT site, machine FROM machine \
+        LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row \
+        WHERE NOT ", is_retired!(), " ORDER BY site, machine");
 
     // Alarms.
     ADD_ALARM = "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state) \
@@ -552,6 +565,10 @@ statements! {
     // The latest throws of a machine show the progress of its baselines, which begin anew.
     RESTART_BASELINES = "UPDATE estimate SET baseline_throws = 0, throws_since_baseline = 0 \
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
+
+    // A retired machine keeps its history, and is no machine of the present any more. Its gaps are not reported.
+    RETIRE = "DELETE FROM monitor WHERE machine_row = ?1; DELETE FROM latest WHERE machine_row = ?1; \
+        UPDATE gap SET told_at_us = ?2 WHERE told_at_us IS NULL AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1)";
 
     // Retention.
     LAST_RECEIVED = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";

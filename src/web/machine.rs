@@ -303,7 +303,7 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
     let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
         let last = rows.last();
         let scatter = trend::scatter_pct(baselines, *direction);
-        let change = last.and_then(|last| last.change_pct);
+        let change = last.and_then(Health::present_change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
             (state::signed(change[at], 1), own)
@@ -406,7 +406,7 @@ fn marks(
         raised.map(|alarm| Mark { at: alarm.event_at, label: format!("{}, {}", alarm.cause, alarm.severity.as_str()) });
     let complete = baselines.iter().filter(|baseline| baseline.complete);
     let complete = complete.map(|baseline| Mark { at: baseline.taken_at, label: "baseline".to_owned() });
-    let shown = ["maintenance_start", "maintenance_end", "rebaseline"];
+    let shown = ["maintenance_start", "maintenance_end", "rebaseline", "retire"];
     let commands = commands.iter().filter(|command| shown.contains(&command.command.as_str()));
     let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
     let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();

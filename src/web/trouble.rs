@@ -8,7 +8,7 @@ use super::{
     overview::{Overview, Web},
     page,
 };
-use crate::{daemon::View, store::DiskLevel, throw::counted};
+use crate::{daemon::View, store::DiskLevel};
 
 /// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
@@ -37,53 +37,13 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 /// Problems known without the database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
     let report = view.sources.report();
-    let mut trouble = Vec::new();
-    match report.disk {
-        DiskLevel::Ample => {}
-        DiskLevel::Low => {
-            trouble.push("The disk is nearly full: traces of judged throws are removed. Free some space.".to_owned());
-        }
-        DiskLevel::Full => trouble
-            .push("The disk is full: nothing can be stored, and this page is old. Free some space now.".to_owned()),
-        DiskLevel::Failing => {
-            trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned());
-        }
-    }
-    if report.copying {
-        trouble.push(
-            "The database is being copied, as a program keeps reading an old state of it: this page is old.".to_owned(),
-        );
-    }
-    if !report.silent.is_empty() {
-        trouble.push(format!("Parts of the daemon hang ({}): this page may be old.", report.silent.join(", ")));
+    let mut trouble = report.problems();
+    let is_stored = matches!(report.disk, DiskLevel::Ample | DiskLevel::Low) && !report.copying;
+    if !is_stored || !report.silent.is_empty() {
+        trouble.push("New throws wait: this page may be old.".to_owned());
     }
     if report.loggers == 0 {
         trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
-    }
-    if report.loggers_ahead > 0 {
-        trouble.push(
-            "The clock of this computer is behind: most loggers date their throws a day or more later.".to_owned(),
-        );
-    }
-    if !report.refused.is_empty() {
-        trouble.push(format!(
-            "Every message so far was refused, so the machine is not monitored: {}.",
-            report.refused.join("; ")
-        ));
-    }
-    if report.webhook_fails {
-        trouble.push("The receiver of the webhook does not accept alarms: they wait, and are sent again.".to_owned());
-    }
-    if report.webhook_refused > 0 {
-        let events = counted(report.webhook_refused, "alarm event");
-        trouble.push(format!(
-            "The receiver of the webhook refused {events} since the start: they are not sent again, only the list of \
-             alarms here and the log have them."
-        ));
-    }
-    if report.dropped + report.lost > 0 {
-        let lost = page::count(report.dropped + report.lost);
-        trouble.push(format!("{lost} messages received since the start could not be stored."));
     }
     trouble
 }

@@ -115,6 +115,11 @@ impl Health {
         }
     }
 
+    /// Changes of the coefficients from the present baseline \[%\]; `None` if a new baseline began after the throw.
+    pub fn present_change_pct(&self) -> Option<[f64; 3]> {
+        self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
+    }
+
     /// Whether the throw has an estimate.
     pub fn is_evaluated(&self) -> bool {
         self.a1_per_b0.is_some() || self.coefficients.is_some()

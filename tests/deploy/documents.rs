@@ -85,6 +85,7 @@ fn the_page_of_the_installation_has_every_problem_of_the_status() {
             copying: true,
             silent: vec!["receive".to_owned()],
             loggers_ahead: 2,
+            loggers_behind: 2,
             refused: vec!["north/x".to_owned()],
             webhook_fails: true,
             webhook_refused: 2,
@@ -135,6 +136,6 @@ fn the_commands_on_the_page_of_messages_are_valid() {
         .iter()
         .map(|text| decode_command(text.as_bytes()).unwrap_or_else(|error| panic!("{text}: {error}")).name())
         .collect();
-    let all = ["ack", "shelve", "unshelve", "maintenance_start", "maintenance_end", "rebaseline"];
+    let all = ["ack", "shelve", "unshelve", "maintenance_start", "maintenance_end", "rebaseline", "retire"];
     assert_eq!(names, all.into());
 }

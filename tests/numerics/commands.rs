@@ -93,7 +93,7 @@ fn wrong_values_are_refused_with_their_name() {
         ("--set", "machine.motor=steam", 78, "machine.motor"),
         ("--set", "machine.gear_stiffness_nm=1e300", 78, "must be finite"),
         ("--set", "sensors.current.bits=12", 78, "sensors.current.full_scale"),
-        ("--config", "/nowhere.toml", 66, "/nowhere.toml"),
+        ("--config", "/nowhere.toml", 78, "/nowhere.toml"),
     ] {
         let output = pointsim(&["throw", "--out", text(&file), option, value]);
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -102,6 +102,18 @@ fn wrong_values_are_refused_with_their_name() {
         assert_eq!(error.trim_end().lines().count(), 1, "{option} {value}: {error}");
     }
     assert!(!file.exists(), "a file was written with invalid settings");
+    let config = directory.path().join("pointsim.toml");
+    for (content, word) in [
+        ("[machine]\nlead_mm = -3", ":2: machine.lead_mm: is -3, must be above 0"),
+        ("[sensors]\nbits = 12", ":2: sensors.bits: unknown field"),
+        ("[machine]\n\nlead_mm", ":3: "),
+    ] {
+        std::fs::write(&config, content).unwrap();
+        let output = pointsim(&["throw", "--out", text(&file), "--config", text(&config)]);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(78), "{content}: {error}");
+        assert!(error.contains(&format!("{}{word}", text(&config))), "{content}: {error}");
+    }
 }
 
 #[test]

@@ -116,6 +116,9 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
     }
     let absent = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv"]).output().unwrap();
     assert_eq!(absent.status.code(), Some(66));
+    let endless = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/dev/zero"]).output().unwrap();
+    assert_eq!(endless.status.code(), Some(66));
+    assert!(String::from_utf8_lossy(&endless.stderr).contains("more than 512 MiB"), "{endless:?}");
     let wrong =
         Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv", "--lead-mm", "0"]).output();
     assert_eq!(wrong.unwrap().status.code(), Some(64));

@@ -138,7 +138,7 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
         "{text}"
     );
     let page = get(&address(&daemon), "/").body;
-    assert!(page.contains("not monitored: north/21B (the field schema is missing)"), "{page}");
+    assert!(page.contains("EVERY MESSAGE REFUSED: north/21B (the field schema is missing)"), "{page}");
     publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;

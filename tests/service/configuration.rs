@@ -31,7 +31,10 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
             assert_eq!(error.lines().count(), 1, "{error}");
         }
     }
-    ends(78, &mut pointsd(&["check", "--config", "/no/such/file.toml"]));
+    for (file, says) in [("/no/such/file.toml", "cannot be read"), ("/dev/zero", "more than 4194304 bytes")] {
+        let error = ends(78, &mut pointsd(&["check", "--config", file]));
+        assert!(error.contains(says), "{error}");
+    }
 }
 
 /// The daemon does not change the file, and systemd does not restart it.

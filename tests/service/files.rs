@@ -172,7 +172,7 @@ async fn a_database_of_another_version_is_named_as_such() {
         let error = ends(exit, pointsd(arguments).arg("--config").arg(rig.config()));
         assert!(error.contains(says), "{arguments:?}: {error}");
     };
-    for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"]] {
+    for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"], &["replay"]] {
         refused(command, 65, "of an older version of pointsd: make a copy");
     }
     rig.change("PRAGMA user_version = 9999").await;

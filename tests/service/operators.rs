@@ -66,6 +66,14 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
+    // The changes from the discarded baseline are history.
+    let health = status["health"].as_array().unwrap().iter();
+    let known = health.map(|row| (row["machine"].as_str().unwrap(), row["b0_pct"].is_number())).collect::<Vec<_>>();
+    assert_eq!(known, [("machine-1", false), ("machine-1", false), ("machine-2", true), ("machine-2", true)]);
+    let count = |view: &str| {
+        rig.sql(&format!("SELECT count(b0_pct) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
+    };
+    assert!(count("machine_health") == 0 && count("health_history") > 0);
     maintenance_is_visible(&rig, &daemon);
     daemon.terminate();
     let rows = rig.sql("SELECT machine, count(*) AS n FROM health_history WHERE quality = 'good' GROUP BY machine");
@@ -92,6 +100,53 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     assert_eq!(rows[0]["state"], "maintenance");
     let commands = rig.sql("SELECT until FROM operator_commands WHERE command = 'maintenance_start'");
     assert!(commands[0]["until"].is_string(), "the window has no end: {commands:?}");
+}
+
+/// A machine that was removed from the track is silent for ever, which is no alarm once it is retired.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retired_machine_is_left_out_until_its_next_throw() {
+    let (rig, daemon) = Rig::running();
+    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36"]);
+    daemon.says(0, &["maintenance", "north/machine-1", "--why", "removal", "--by", "tester"]);
+    let session = daemon.client().await;
+    let token = session.liveliness().declare_token("points/v1/north/machine-1/alive").await.unwrap();
+    daemon.until_status("the logger", |status| status["loggers"] == 1).await;
+    let retire = ["retire", "north/machine-1", "--why", "replaced", "--by", "tester"];
+    let said = daemon.says(1, &retire);
+    assert!(said.contains("the logger of north/machine-1 is connected"), "{said}");
+    token.undeclare().await.unwrap();
+    daemon.until_status("no logger", |status| status["loggers"] == 0).await;
+    let said = daemon.says(0, &retire);
+    assert!(said.contains("no longer monitored, retired by tester: replaced") && said.contains("motor"), "{said}");
+    let said = daemon.says(1, &retire);
+    assert!(said.contains("no machine north/machine-1 is known here"), "{said}");
+
+    let is_left_out = |daemon: &Daemon| {
+        let text = daemon.says(0, &["status", "--json"]);
+        let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let machines = status["health"].as_array().unwrap().iter().map(|row| row["machine"].as_str().unwrap());
+        assert_eq!(machines.collect::<Vec<_>>(), ["machine-2"; 2], "{text}");
+        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"healthy": 1}), "{text}");
+        daemon.says(0, &["alarms", "--check"]);
+    };
+    is_left_out(&daemon);
+    let count = |view: &str| {
+        rig.sql(&format!("SELECT count(*) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
+    };
+    assert_eq!(["machine_health", "active_alarms", "health_history"].map(count), [0, 0, 50]);
+    let last = &rig.sql("SELECT state, text FROM alarm_events WHERE machine = 'machine-1' ORDER BY event_at DESC")[0];
+    let text = last["text"].as_str().unwrap();
+    assert!(last["state"] == "normal" && text.ends_with("is no longer monitored (tester: replaced)."), "{last}");
+    daemon.terminate();
+
+    let daemon = rig.start();
+    is_left_out(&daemon);
+    let again = daemon.logger("points/v1/north/machine-1/throw").await;
+    again.send([&throws("new boot", 1)[0]]).await;
+    rig.judged(101).await;
+    assert_eq!(count("machine_health"), 1, "a new machine");
+    let text = daemon.says(0, &["status"]);
+    assert!(text.contains("2 machines: ") && text.contains("north/machine-1  learning"), "{text}");
 }
 
 /// A flood of commands cannot displace the record of other commands.
@@ -191,7 +246,10 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(code == Some(64) && !said.contains("no alarms"), "{said}");
     let (code, said) = daemon.operate(&["status", "--site", "nosite"]);
     assert!(code == Some(69) && said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
-    ends(64, &mut pointsd(&["status", "--connect", "bogus"]));
+    for (bogus, says) in [("bogus", "write tcp/HOST:PORT"), ("udp/[::1]:7447", "tcp and tls only"), ("tcp/a", "port")] {
+        let error = ends(64, &mut pointsd(&["status", "--connect", bogus]));
+        assert!(error.contains(says), "{error}");
+    }
     let session = daemon.client().await;
     let other = session.declare_queryable("points/v1/east/monitor/other/status").await.unwrap();
     let broken = session.declare_queryable("points/v1/east/m1/alarm").await.unwrap();
@@ -348,7 +406,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     let a = moved.start();
     for arguments in COMMANDS {
         let text = ends(69, pointsd(arguments).args(["--config", &of_b]));
-        assert!(text.contains("fleet/a answers there, and the configuration is that of fleet/b"), "{text}");
+        assert!(text.contains("the daemon there is fleet/a, and the configuration is that of fleet/b"), "{text}");
     }
     assert_eq!(state(&moved), ("active_unacknowledged".to_owned(), 0));
     a.terminate();

@@ -67,7 +67,10 @@ async fn two_daemons_with_the_same_machines_or_name_are_reported() {
         rig.judged(1).await;
     }
     let text = ends(1, &mut pointsd(&["status", "--connect", &endpoint]));
-    assert!(text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: correct subscribe.key"), "{text}");
+    assert!(
+        text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: stop all daemons of one name but one"),
+        "{text}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

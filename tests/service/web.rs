@@ -264,7 +264,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
     // The other loops beat again at once. Before the page is read the write may fail, and the next one starts.
     let is_told = (0..3).any(|_| {
         until(503, "these loops of the daemon hang: write\n", &mut a_minute_passes);
-        get(&address, "/").body.contains("Parts of the daemon hang (write)")
+        get(&address, "/").body.contains("HANGING: write")
     });
     assert!(is_told, "no page shows it");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();

@@ -3,6 +3,7 @@
 use std::{
     fmt::Write as _,
     fs,
+    io::Read as _,
     ops::Range,
     path::{Path, PathBuf},
 };
@@ -64,11 +65,13 @@ impl Document {
     /// When the file cannot be read, or is not text or not TOML.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let failed = |problem: String| ConfigError { file: file.to_owned(), line: None, key: None, problem };
-        let size = fs::metadata(file).map_err(|error| failed(format!("cannot be read: {error}")))?.len();
-        if size > MAX_BYTES {
-            return Err(failed(format!("has {size} bytes; a configuration has at most {MAX_BYTES}")));
+        let mut text = String::new();
+        fs::File::open(file)
+            .and_then(|file| file.take(MAX_BYTES + 1).read_to_string(&mut text))
+            .map_err(|error| failed(format!("cannot be read: {error}")))?;
+        if text.len() as u64 > MAX_BYTES {
+            return Err(failed(format!("has more than {MAX_BYTES} bytes, and is no configuration")));
         }
-        let text = fs::read_to_string(file).map_err(|error| failed(format!("cannot be read: {error}")))?;
         Self::parse(file, text)
     }
 
@@ -142,6 +145,9 @@ impl Document {
             .any(|of_text| problem.contains(of_text))
         {
             problem.push_str("; a text is written in quotes, as \"north\"");
+        }
+        if problem.starts_with("invalid type: map") && key.is_some_and(|place| place.path.ends_with(']')) {
+            problem.push_str("; a section has one bracket on each side, as [machines], unless it is one of a list");
         }
         if problem.contains("socket address") {
             problem.push_str("; write an address with its port, as \"127.0.0.1:7480\"");

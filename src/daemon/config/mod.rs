@@ -18,7 +18,7 @@ pub use machines::{MachineEntry, Machines};
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
-pub(crate) use zenoh::overlay;
+pub(crate) use zenoh::{check_endpoint, overlay};
 
 use crate::{
     bus::intersect,
@@ -198,9 +198,13 @@ impl Config {
         let served =
             |machine: &MachineId| intersect(&key.key_expression(Kind::Throw), &machine_key(machine, Kind::Throw));
         let other = self.machine_entries.iter().map(MachineEntry::id).filter(|machine| !served(machine));
-        other
-            .map(|id| format!("[[machine]] {id}: has no effect, as subscribe.key does not include this machine"))
-            .collect()
+        let other =
+            other.map(|id| format!("[[machine]] {id}: has no effect, as subscribe.key does not include this machine"));
+        let web = (self.web.listen.is_none() && self.web != Web::default())
+            .then(|| "[web]: has no effect without web.listen".to_owned());
+        let webhook = (self.webhook.url.is_none() && self.webhook != Webhook::default())
+            .then(|| "[webhook]: has no effect without webhook.url".to_owned());
+        other.chain(web).chain(webhook).collect()
     }
 
     /// The zenoh section as text, to detect changes.

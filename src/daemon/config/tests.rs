@@ -74,6 +74,10 @@ fn an_error_names_line_and_key() {
         ("[subscribe]\nkey = \"elsewhere/**\"", "pointsd.toml:2: subscribe.key: "),
         ("[diagnosis]\nmodel_error = 7", "pointsd.toml:2: diagnosis.model_error: "),
         ("[machines]\nlead_mm = 0", "pointsd.toml:2: machines.lead_mm: is 0, must be 0.5 to 500 mm"),
+        (
+            "[[machines]]\nlead_mm = 5",
+            "pointsd.toml:1: machines[0]: invalid type: map, expected a number; a section has one bracket on each side",
+        ),
         ("[machines]\nmotor = \"steam\"", "pointsd.toml:2: machines.motor: unknown variant `steam`"),
         ("[[machine]]\nsite = \"a b\"\nmachine = \"1\"", "pointsd.toml:2: machine[0].site: "),
         ("[[machine]]\nsite = \"a\"", "pointsd.toml:1: machine[0]: missing field `machine`"),
@@ -166,6 +170,16 @@ fn settings_of_a_machine_that_is_not_served_are_warned_about() {
     .unwrap();
     let warnings = config.warnings();
     assert!(matches!(&warnings[..], [one] if one.starts_with("[[machine]] south/1: ")), "{warnings:?}");
+}
+
+#[test]
+fn a_section_that_is_off_is_warned_about() {
+    let off = load("[web]\ntoken = \"0123456789abcdef\"\n[webhook]\nseverity = \"critical\"").unwrap();
+    let without = |key| format!("[{key}]: has no effect without {key}");
+    let warnings = off.warnings();
+    assert!(warnings.len() == 2 && warnings[0].starts_with(&without("web")), "{warnings:?}");
+    assert!(warnings[1].starts_with(&without("webhook")), "{warnings:?}");
+    assert_eq!(load(&shipped()).unwrap().warnings(), [""; 0]);
 }
 
 #[test]

@@ -132,7 +132,7 @@ fn texts<'a>(key: &str, value: &'a Value) -> Vec<(String, &'a str)> {
 }
 
 /// Checks an endpoint as `tcp/HOST:PORT`, with parameters after `?` or `#`.
-fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<(), &'static str> {
+pub(crate) fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<(), &'static str> {
     let (protocol, rest) = endpoint.split_once('/').ok_or("write tcp/HOST:PORT or tls/HOST:PORT")?;
     if !matches!(protocol, "tcp" | "tls") {
         return Err("this program has the protocols tcp and tls only");

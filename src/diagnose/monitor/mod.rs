@@ -241,6 +241,14 @@ impl MachineMonitor {
                 self.boots = Boots::default();
                 self.rebaseline(by, why, actor, now);
             }
+            Command::Retire { by, why } => {
+                // Maintenance would show the ended alarms as out of service.
+                self.alarms.out_of_service = false;
+                let open: Vec<Cause> = self.alarms.events().map(|event| event.cause).collect();
+                for cause in open {
+                    self.alarms.close(cause, text::retired(&self.name, by, why), actor, now);
+                }
+            }
             // In maintenance already: the new window replaces the old one, as a second shelving does.
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));

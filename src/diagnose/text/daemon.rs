@@ -43,6 +43,11 @@ pub(crate) fn rebaselined(name: &str, by: &str, why: &str) -> String {
     format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
 }
 
+/// Text of the end of the alarms of a machine that is no longer monitored.
+pub(crate) fn retired(name: &str, by: &str, why: &str) -> String {
+    format!("Machine {name} is no longer monitored ({by}: {why}).")
+}
+
 pub(crate) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
 }

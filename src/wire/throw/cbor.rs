@@ -148,17 +148,30 @@ fn set<T>(
     Ok(())
 }
 
+/// A type in words; minicbor names the encoding, as `u8`.
+fn named(value: Type) -> String {
+    let words = match value {
+        Type::U8 | Type::U16 | Type::U32 | Type::U64 => "a whole number",
+        Type::I8 | Type::I16 | Type::I32 | Type::I64 | Type::Int => "a negative number",
+        Type::F16 | Type::F32 | Type::F64 => "a floating-point number",
+        Type::String | Type::StringIndef => "a text",
+        Type::Array | Type::ArrayIndef => "an array",
+        other => return other.to_string(),
+    };
+    words.to_owned()
+}
+
 fn text(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<String> {
     match decoder.datatype()? {
         Type::String | Type::StringIndef => joined_text(decoder),
-        other => Err(wrong(field, format!("{other}, must be a text"))),
+        other => Err(wrong(field, format!("{}, must be a text", named(other)))),
     }
 }
 
 fn count(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Count> {
     match decoder.datatype()? {
         Type::U8 | Type::U16 | Type::U32 | Type::U64 => Ok(Count(decoder.u64()?)),
-        other => Err(wrong(field, format!("{other}, must be a whole number from 0"))),
+        other => Err(wrong(field, format!("{}, must be a whole number from 0", named(other)))),
     }
 }
 
@@ -180,7 +193,7 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
             skip(decoder, 1)?;
             Ok(f64::NAN)
         }
-        other => Err(wrong(field, format!("{other}, must be a number"))),
+        other => Err(wrong(field, format!("{}, must be a number", named(other)))),
     }
 }
 
@@ -188,7 +201,7 @@ fn channel(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Channel> {
     match decoder.datatype()? {
         Type::Tag => typed_array(decoder, field),
         Type::Array | Type::ArrayIndef => plain_array(decoder, field),
-        other => Err(wrong(field, format!("{other}, must be an array or a typed array"))),
+        other => Err(wrong(field, format!("{}, must be an array or a typed array", named(other)))),
     }
     .map(Channel)
 }

@@ -1,0 +1,129 @@
+//! The clock of this computer, compared with the clocks of the loggers.
+//!
+//! A throw is dated by its logger and received by this computer. One that is received before its date shows that a clock
+//! is wrong. An old one shows nothing by itself, as it may come from a backlog or a recording. But a logger whose throws
+//! stay equally old, while they are received minutes apart, publishes each at once: then its clock is behind this
+//! computer, or this computer is ahead. If most loggers are behind by the same time, this computer is ahead.
+
+use std::collections::VecDeque;
+
+use jiff::{SignedDuration, Timestamp};
+
+use crate::throw::MachineId;
+
+/// Largest number of compared loggers.
+const LOGGERS: usize = 32;
+/// Smallest difference that is no wrong time zone.
+const DAY: SignedDuration = SignedDuration::from_hours(24);
+/// Least time between two throws whose ages are compared: throws of a backlog arrive faster.
+const APART: SignedDuration = SignedDuration::from_mins(1);
+/// Change of the age, as part of the time between two throws, below which they were published at once: simulated machines
+/// live faster than real time.
+const STEADY: i32 = 10;
+/// Largest difference between loggers that are behind by the same time.
+const SAME: SignedDuration = SignedDuration::from_hours(1);
+
+/// The machines whose throws were judged last, the newest first, with the clocks of their loggers.
+#[derive(Debug, Default)]
+pub(super) struct Dating(VecDeque<Logger>);
+
+#[derive(Debug)]
+struct Logger {
+    machine: MachineId,
+    /// Whether its last throw is dated more than a day after its reception.
+    is_ahead: bool,
+    /// Time of reception of an earlier throw, and its age then.
+    received_at: Timestamp,
+    age: SignedDuration,
+    /// Age of its throws, if they are published at once and a day old or more.
+    behind: Option<SignedDuration>,
+}
+
+impl Dating {
+    /// Compares the time of a throw with its reception. Returns whether the clock of this computer is right as far as this
+    /// throw shows; `None` if the throw is dated ahead, and no other logger is known to compare with.
+    pub(super) fn note(&mut self, machine: &MachineId, started_at: Timestamp, received_at: Timestamp) -> Option<bool> {
+        let before = self.0.iter().position(|logger| logger.machine == *machine).and_then(|at| self.0.remove(at));
+        let (others, others_ahead) = (self.0.len(), self.0.iter().filter(|logger| logger.is_ahead).count());
+        let age = received_at.duration_since(started_at);
+        let is_ahead = age < -DAY;
+        let new = Logger { machine: machine.clone(), is_ahead, received_at, age, behind: None };
+        self.0.push_front(match before {
+            Some(before) => {
+                let apart = received_at.duration_since(before.received_at);
+                if apart.abs() < APART {
+                    Logger { is_ahead, ..before }
+                } else {
+                    let is_steady = (age - before.age).abs() * STEADY <= apart;
+                    Logger { behind: (is_steady && age >= DAY).then_some(age), ..new }
+                }
+            }
+            None => new,
+        });
+        self.0.truncate(LOGGERS);
+        if is_ahead { (others > 0).then_some(2 * others_ahead < others) } else { Some(true) }
+    }
+
+    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
+    pub(super) fn ahead(&self) -> usize {
+        self.if_most(self.0.iter().filter(|logger| logger.is_ahead).count())
+    }
+
+    /// Number of the last loggers that date their throws a day or more before this computer, all by the same time, if
+    /// these are most and at least two; else 0. One alone may be wrong itself.
+    pub(super) fn behind(&self) -> usize {
+        let mut behind: Vec<SignedDuration> = self.0.iter().filter_map(|logger| logger.behind).collect();
+        behind.sort_unstable();
+        let Some(median) = behind.get(behind.len() / 2).copied() else { return 0 };
+        let same = behind.iter().filter(|age| (**age - median).abs() <= SAME).count();
+        if same > 1 { self.if_most(same) } else { 0 }
+    }
+
+    fn if_most(&self, count: usize) -> usize {
+        if 2 * count > self.0.len() { count } else { 0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The numbers of loggers ahead and behind after throws of three loggers, each from its start and its reception
+    /// \[s\].
+    fn loggers(throws: impl IntoIterator<Item = [(i64, i64); 3]>) -> (usize, usize) {
+        let mut dating = Dating::default();
+        let at = |seconds: i64| Timestamp::from_second(1_800_000_000 + seconds).unwrap();
+        for throws in throws {
+            for (name, (started, received)) in ["a", "b", "c"].into_iter().zip(throws) {
+                dating.note(&MachineId::new("north", name).unwrap(), at(started), at(received));
+            }
+        }
+        (dating.ahead(), dating.behind())
+    }
+
+    #[test]
+    fn a_computer_that_is_ahead_is_found_from_live_throws() {
+        const AHEAD: i64 = 3 * 86_400;
+        let throw = |at: i64| [at, at + 40, at + 900].map(|at| (at, at + AHEAD + 7));
+        assert_eq!(loggers([throw(0)]), (0, 0), "one old throw of each may be from a backlog");
+        assert_eq!(loggers([throw(0), throw(600)]), (0, 3));
+        assert_eq!(loggers([throw(0), throw(20), throw(600)]), (0, 3), "there and back");
+        let correct = |at: i64| [at; 3].map(|at| (at, at + 7));
+        assert_eq!(loggers([throw(0), throw(600), correct(1_200), correct(1_800)]), (0, 0), "the clock was corrected");
+        let behind = |at: i64| [at; 3].map(|at| (at, at - AHEAD));
+        assert_eq!(loggers([behind(0), behind(600)]), (3, 0));
+    }
+
+    #[test]
+    fn old_throws_and_loggers_that_are_wrong_themselves_show_nothing() {
+        const OLD: i64 = 100 * 86_400;
+        let backlog = |at: i64| [(at - OLD, at / 600); 3];
+        assert_eq!(loggers((0..50).map(|at| backlog(600 * at))), (0, 0), "one throw in a second");
+        let slow = |at: i64| [(at - OLD, at / 3); 3];
+        assert_eq!(loggers((0..50).map(|at| slow(600 * at))), (0, 0), "three times as fast as they were made");
+        let wrong = |at: i64| [OLD, 2 * OLD, 0].map(|age| (at - age, at));
+        assert_eq!(loggers([wrong(0), wrong(600)]), (0, 0), "each by another time");
+        let one = |at: i64| [OLD, 0, 0].map(|age| (at - age, at));
+        assert_eq!(loggers([one(0), one(600)]), (0, 0), "one alone");
+    }
+}
