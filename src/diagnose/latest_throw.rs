@@ -15,8 +15,8 @@ use super::{
 use crate::throw::Direction;
 
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
-/// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves, and by 2 to 5 % on an independent drive.
-const SIZE_SHARE: f64 = 0.03;
+/// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
+const SIZE_SHARE: f64 = 0.01;
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
 

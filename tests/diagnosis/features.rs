@@ -126,7 +126,7 @@ fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() 
             let faulty: Vec<AlarmEvent> = (500..540).flat_map(|throw| life(throw, fault)).collect();
             assert!(!faulty.is_empty(), "{is_published}, {days}, seed {seed}");
             assert_eq!(faulty.iter().find(|event| event.state != AlarmState::ActiveUnacknowledged), None, "it lasts");
-            assert!(is_published || seed % 6 == 0 || caveats > 0, "seed {seed}: the slow change is stated");
+            assert!(is_published || days > 1 || seed % 6 == 0 || caveats > 0, "seed {seed}: the slow change is stated");
         }
     }
 }
