@@ -130,7 +130,19 @@ impl Gauges {
         let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
         let is_idle = idle > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
-        is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle || is_inrush_as_before })
+        let is_doubtful = is_motor || is_idle || is_inrush_as_before || self.falls_in_one_direction(longer);
+        is_measured.then_some(Circuit { level, size, is_doubtful })
+    }
+
+    /// Whether a resistance with this level is lower in one direction only. A contact of one direction may be bad, but the
+    /// winding is that of both; where a stiff spring takes the drive through its play, a resistance is computed too low.
+    fn falls_in_one_direction(&self, level: Level) -> bool {
+        let departures = self.departures(Gauge::Resistance, WINDOWS[1]).unwrap_or_default();
+        let has_stayed = |side: usize| {
+            let own: Vec<f64> = departures.iter().filter(|(of, ..)| *of == side).map(|(_, value, _)| *value).collect();
+            !own.is_empty() && own.iter().sum::<f64>() / own.len() as f64 > ALIKE * level.value
+        };
+        level.value < 0.0 && (has_stayed(0) || has_stayed(1))
     }
 }
 

@@ -182,7 +182,7 @@ impl Gauges {
 
     /// Side, departure from normal, and standard deviation of one throw, of the last `throws` that show a gauge, newest first;
     /// `None` if hardly any do, or its normal value is unknown.
-    fn departures(&self, gauge: Gauge, throws: usize) -> Option<Vec<(usize, f64, f64)>> {
+    pub(super) fn departures(&self, gauge: Gauge, throws: usize) -> Option<Vec<(usize, f64, f64)>> {
         let departure = |shown: &Shown| {
             let (centre, sd) = self.sides[shown.side()].of(gauge)?;
             Some((shown.side(), f64::from(shown.value(gauge)? - centre), f64::from(sd)))
@@ -268,6 +268,28 @@ mod tests {
                 push(18.0);
             }
             assert_eq!(gauges.circuit(true).is_some_and(|circuit| circuit.size > 1.0), is_judged, "{scatter}");
+        }
+    }
+
+    #[test]
+    fn a_resistance_that_falls_in_one_direction_is_that_of_no_winding() {
+        for falls_in_both in [true, false] {
+            let mut gauges = Gauges::default();
+            let mut push = |direction: Direction, ohm: f64, peak_a: f64| {
+                let back_emf_v_s_per_rad = Some(4.0);
+                let peak_current_a = Some(peak_a);
+                let features = features(36.0, 7.0, Some(ohm));
+                gauges.push(direction, &Features { back_emf_v_s_per_rad, peak_current_a, ..features }, None, false);
+            };
+            for _ in 0..LEARNED.1 {
+                Direction::BOTH.map(|direction| push(direction, 0.9, 30.0));
+            }
+            for _ in 0..WINDOWS[1] {
+                push(NORMAL, if falls_in_both { 0.5 } else { 0.9 }, 45.0);
+                push(Direction::ReverseToNormal, 0.5, 45.0);
+            }
+            let circuit = gauges.circuit(true).unwrap();
+            assert!(circuit.size > 1.0 && circuit.is_doubtful != falls_in_both, "{falls_in_both}: {circuit:?}");
         }
     }
 
