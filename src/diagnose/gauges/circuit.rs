@@ -122,9 +122,11 @@ impl Gauges {
         let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
         // The inrush, V/R at most, follows the resistance, and not an error of the position, from which the resistance is computed.
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
+        let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
+        let by_air = if longer.value > 0.0 { to } else { -from };
         let is_inrush_as_before = volts.zip(inrush).is_some_and(|(volts, inrush)| {
             let lower = (volts.value - inrush.value) * longer.value.signum();
-            lower < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
+            lower - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
         });
         // An elastic drive turns otherwise than the toe.
         let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
