@@ -279,10 +279,12 @@ mod tests {
                 let back_emf_v_s_per_rad = Some(4.0);
                 let peak_current_a = Some(peak_a);
                 let features = features(36.0, 7.0, Some(ohm));
-                gauges.push(direction, &Features { back_emf_v_s_per_rad, peak_current_a, ..features }, None, false);
+                gauges.push(direction, &Features { peak_current_a, back_emf_v_s_per_rad, ..features }, None, false);
             };
             for _ in 0..LEARNED.1 {
-                Direction::BOTH.map(|direction| push(direction, 0.9, 30.0));
+                for direction in Direction::BOTH {
+                    push(direction, 0.9, 30.0);
+                }
             }
             for _ in 0..WINDOWS[1] {
                 push(NORMAL, if falls_in_both { 0.5 } else { 0.9 }, 45.0);
