@@ -14,6 +14,7 @@ use super::{
     robust::median,
     step::Step,
     text,
+    weather::SLOW_FROM,
 };
 use crate::{estimate::Features, throw::Direction};
 
@@ -32,8 +33,6 @@ const LARGER: f64 = 1.5;
 /// Factor on the limit of a slow change of a current without a temperature: a season of 20 K up and down changes it by
 /// 0.16, and the baseline may be at one end of it.
 const OF_SEASON: f64 = 2.0;
-/// Part of a slow change that existed earlier.
-const SLOW_FROM: f64 = 1.0 / 3.0;
 /// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
 const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 

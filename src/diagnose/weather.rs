@@ -25,7 +25,7 @@ const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Part of a slow change that existed a week ago: a season takes months.
-const SLOW_FROM: f64 = 1.0 / 3.0;
+pub(super) const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
 
 impl DriftAlarms {

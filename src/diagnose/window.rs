@@ -235,10 +235,10 @@ impl<'a> Stream<'a> {
             }
             clipped_mean(&mut values[..throws], sd[i])
         });
-        let mut temperature = Vector3::zeros();
+        let mut temperature_sd = Vector3::zeros();
         for side in 0..2 {
             if last.iter().any(|(at, _)| *at == side) {
-                temperature += baselines[side]?.temperature.effect_sd(distance[side] / n);
+                temperature_sd += baselines[side]?.temperature.effect_sd(distance[side] / n);
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
@@ -262,8 +262,7 @@ impl<'a> Stream<'a> {
             covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
             misfit = ratios * misfit * ratios.transpose();
         }
-        covariance += doubt(temperature);
-        let temperature_sd = temperature;
+        covariance += doubt(temperature_sd);
         let misfit = misfit.into();
         Some(Window { throws, mean, covariance, temperature_sd, misfit, excess: 0.0, confirmed: false, scale })
     }

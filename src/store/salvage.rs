@@ -11,7 +11,7 @@ use std::{
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
-use super::{error::is_full, graft::graft};
+use super::{error::is_full, graft::graft, statements::is_retired};
 
 /// Keys in one statement.
 const RANGE: i64 = 1024;
@@ -95,12 +95,14 @@ const ORPHANS: [&str; 13] = [
     "DELETE FROM estimate WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
     "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
     "DELETE FROM latest",
-    "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
-     SELECT machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
-     FROM estimate JOIN throw USING (machine_row, throw_row) \
-     WHERE machine_row IN (SELECT machine_row FROM monitor) \
-     OR machine_row NOT IN (SELECT machine_row FROM command WHERE command = 'retire') \
-     GROUP BY machine_row, estimate.direction",
+    concat!(
+        "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
+         SELECT machine.machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
+         FROM estimate JOIN throw USING (machine_row, throw_row) JOIN machine USING (machine_row) \
+         LEFT JOIN monitor USING (machine_row) WHERE NOT ",
+        is_retired!(),
+        " GROUP BY machine.machine_row, estimate.direction"
+    ),
 ];
 
 /// Result of the recovery.

@@ -180,6 +180,7 @@ macro_rules! is_retired {
           WHERE command.machine_row = machine.machine_row AND command.command = 'retire'))"
     };
 }
+pub(super) use is_retired;
 
 /// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
 /// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.

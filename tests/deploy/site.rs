@@ -151,17 +151,21 @@ pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
 
 /// Waits until the publisher has a subscriber.
 pub(crate) async fn until_heard(publisher: &Publisher) {
-    until("the cabinet's subscription reaches the logger", async || {
-        publisher.matching_status().await.unwrap().matching()
+    tokio::time::timeout(PATIENCE, async {
+        let matching = publisher.matching_listener().await.unwrap();
+        while !publisher.matching_status().await.unwrap().matching() {
+            let _ = matching.recv_async().await;
+        }
     })
-    .await;
+    .await
+    .expect("the cabinet's subscription reaches the logger");
 }
 
-/// Waits for something that must happen.
+/// Asks until something has happened that must happen, and of which no event tells.
 pub(crate) async fn until(what: &str, mut happens: impl AsyncFnMut() -> bool) {
     let wait = async {
         while !happens().await {
-            tokio::time::sleep(Duration::from_millis(5)).await;
+            tokio::task::yield_now().await;
         }
     };
     tokio::time::timeout(PATIENCE, wait).await.unwrap_or_else(|_| panic!("not in time: {what}"));

@@ -290,6 +290,22 @@ fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
     Observation { estimate, grade: Grade::Rough, ratios_only: true, ..throw }
 }
 
+/// The events of throws of which some are rough, with an error `shared` by these.
+fn some_rough(
+    machine: &mut Machine,
+    throws: u32,
+    fault: Vector3<f64>,
+    shared: Matrix3<f64>,
+    is_rough: impl Fn(&mut Machine, u32) -> bool,
+) -> Vec<AlarmEvent> {
+    let events = (0..throws).flat_map(|at| {
+        let throw = machine.throw(fault);
+        let throw = if is_rough(machine, at) { rough(throw, shared) } else { throw };
+        machine.observe(&throw).events
+    });
+    events.collect()
+}
+
 /// Rough throws do not show the inertia, so its size is that of the good ones; without these it is the last known size.
 #[test]
 fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones() {
@@ -360,17 +376,10 @@ fn a_fault_that_makes_every_throw_rough_is_named() {
     for (every_tenth, pct, is_found) in [(true, 26.0, true), (false, 45.0, true), (false, 12.0, false)] {
         for seed in 0..8 {
             let mut machine = Machine::learned(9_900 + seed, Nature::default());
-            let mut life = |throws: u32, is_rough: fn(u32) -> bool, fault: Vector3<f64>| -> Vec<AlarmEvent> {
-                let throws = (0..throws).flat_map(|at| {
-                    let throw = machine.throw(fault);
-                    let throw = if is_rough(at) { rough(throw, shared) } else { throw };
-                    machine.observe(&throw).events
-                });
-                throws.collect()
-            };
-            let healthy = life(120, if every_tenth { |at| at % 10 == 3 } else { |_| false }, Vector3::zeros());
+            let is_rough = |_: &mut Machine, at: u32| every_tenth && at % 10 == 3;
+            let healthy = some_rough(&mut machine, 120, Vector3::zeros(), shared, is_rough);
             assert_eq!(healthy, [], "{every_tenth}, seed {seed}: healthy");
-            let events = life(80, |_| true, shift(Cause::Stiffness, pct));
+            let events = some_rough(&mut machine, 80, shift(Cause::Stiffness, pct), shared, |_, _| true);
             // While the misfit may change the ratios by as much as it states, they leave more than one explanation.
             let is_right = |event: &AlarmEvent| {
                 let is_named = event.cause == Cause::Stiffness;
@@ -389,13 +398,8 @@ fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {
     for seed in 0..8 {
         for (cause, pct) in [(Cause::Kt, -15.0), (Cause::Friction, 50.0), (Cause::Stiffness, 40.0)] {
             let mut machine = Machine::new(9_700 + seed, Nature::default());
-            let mut life = |throws: u32, of_ten: u64, fault: Vector3<f64>| -> Vec<AlarmEvent> {
-                let throws = (0..throws).flat_map(|_| {
-                    let throw = machine.throw(fault);
-                    let throw = if machine.rng_u(10) < of_ten { rough(throw, shared) } else { throw };
-                    machine.observe(&throw).events
-                });
-                throws.collect()
+            let mut life = |throws: u32, of_ten: u64, fault: Vector3<f64>| {
+                some_rough(&mut machine, throws, fault, shared, |machine, _| machine.rng_u(10) < of_ten)
             };
             // After the baseline one throw in ten has all coefficients.
             assert_eq!(life(130, 10, Vector3::zeros()), [], "seed {seed}: healthy");

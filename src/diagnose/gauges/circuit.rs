@@ -2,7 +2,7 @@
 
 use super::{
     gauge::{Gauge, heat},
-    levels::{Gauges, Level},
+    levels::{Gauges, Level, by_side, mean},
 };
 use crate::diagnose::threshold::WINDOWS;
 
@@ -140,11 +140,8 @@ impl Gauges {
     /// winding is that of both; where a stiff spring takes the drive through its play, a resistance is computed too low.
     fn falls_in_one_direction(&self, level: Level) -> bool {
         let departures = self.departures(Gauge::Resistance, WINDOWS[1]).unwrap_or_default();
-        let has_stayed = |side: usize| {
-            let own: Vec<f64> = departures.iter().filter(|(of, ..)| *of == side).map(|(_, value, _)| *value).collect();
-            !own.is_empty() && own.iter().sum::<f64>() / own.len() as f64 > ALIKE * level.value
-        };
-        level.value < 0.0 && (has_stayed(0) || has_stayed(1))
+        // A direction without departures has no mean above anything.
+        level.value < 0.0 && by_side(&departures).iter().any(|own| mean(own) > ALIKE * level.value)
     }
 }
 

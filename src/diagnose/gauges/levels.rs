@@ -158,7 +158,6 @@ impl Gauges {
         let departures = self.departures(gauge, throws)?;
         let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
         let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
-        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
         // The median has the whole size of a change as soon as most of the throws show it.
         let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
@@ -172,11 +171,7 @@ impl Gauges {
     pub(in crate::diagnose) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let (level, departures) = (self.level(gauge, throws)?, self.departures(gauge, throws)?);
         // The directions may change otherwise.
-        let of = |side: usize| {
-            let own = departures.iter().filter(|(of, ..)| *of == side);
-            own.map(|(_, value, _)| *value).collect::<Vec<_>>()
-        };
-        let sd = sd_of_mean(gauge, moving_range_sd(&[of(0), of(1)]), departures.len() as f64);
+        let sd = sd_of_mean(gauge, moving_range_sd(&by_side(&departures)), departures.len() as f64);
         Some(Level { sd: level.sd.max(sd), ..level })
     }
 
@@ -207,6 +202,16 @@ impl Gauges {
     pub(in crate::diagnose) fn forget_recent(&mut self) {
         self.recent.clear();
     }
+}
+
+/// The values of departures by their side.
+pub(super) fn by_side(departures: &[(usize, f64, f64)]) -> [Vec<f64>; 2] {
+    [0, 1].map(|side| departures.iter().filter(|(of, ..)| *of == side).map(|(_, value, _)| *value).collect())
+}
+
+/// The mean; NaN without values.
+pub(super) fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
 }
 
 #[cfg(test)]
