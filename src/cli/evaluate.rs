@@ -124,9 +124,16 @@ fn tables(report: &Report) -> String {
 }
 
 fn healthy_table(report: &Report) -> Table {
-    let mut table = output::plain_table(["depth", "fleet", "throws", "false alarms", "paper", "CUSUM"]);
+    let mut table =
+        output::plain_table(["depth", "fleet", "throws", "false alarms", "not monitored", "paper", "CUSUM"]);
     for healthy in &report.healthy {
-        let counts = [healthy.throws, healthy.false_alarms, healthy.paper_false_alarms, healthy.cusum_false_alarms];
+        let counts = [
+            healthy.throws,
+            healthy.false_alarms,
+            healthy.not_monitored,
+            healthy.paper_false_alarms,
+            healthy.cusum_false_alarms,
+        ];
         let texts = [healthy.depth.as_ref(), healthy.fleet.unwrap_or("usual")].map(str::to_owned);
         table.add_row([texts.to_vec(), counts.map(|n| n.to_string()).to_vec()].concat());
     }

@@ -217,21 +217,37 @@ impl Scatter {
         share.component_mul(&Vector3::from(self.lag1))
     }
 
-    /// The highest plausible lag-1 correlations of throws: two standard deviations above the estimates.
-    pub(super) fn highest_lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
-        let natural = Matrix3::from(self.natural).diagonal();
+    /// The highest plausible lag-1 correlations of the natural scatter: two standard deviations above the estimates.
+    pub(super) fn highest_lag1(&self) -> Vector3<f64> {
+        let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
         let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
         Vector3::from_fn(|i, _| {
-            let share = natural[i] / (natural[i] + sensor[(i, i)]).max(1e-12);
+            let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(1e-12);
             let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
-            share * (self.lag1[i].atanh() + 2.0 * sd).tanh().min(LAG1_RANGE.1)
+            (self.lag1[i].atanh() + 2.0 * sd).tanh().min(LAG1_RANGE.1)
         })
     }
 
-    /// Covariance of the innovation of a throw whose estimate has the covariance `sensor`.
-    pub(super) fn of_innovation(&self, sensor: &Matrix3<f64>) -> Matrix3<f64> {
-        let fresh = self.lag1_of_one(sensor).map(|rho| (1.0 - rho * rho).sqrt());
-        (Matrix3::from(self.natural) + sensor).component_mul(&(fresh * fresh.transpose()))
+    /// Covariance of the sum of `count` innovations x - phi x before, whose estimates have the covariance `sensor`; `gaps` of
+    /// them are left out between. An error of an estimate is in two innovations, with opposite signs.
+    pub(super) fn of_innovations(
+        &self,
+        count: usize,
+        gaps: usize,
+        phi: &Vector3<f64>,
+        sensor: &Matrix3<f64>,
+    ) -> Matrix3<f64> {
+        let (count, ends) = (count as f64, 1.0 + gaps as f64);
+        let fresh = phi.map(|phi| (count * (1.0 - phi * phi)).sqrt());
+        let errors = phi.map(|phi| (count * (1.0 - phi).powi(2) + 2.0 * ends * phi.max(0.0)).sqrt());
+        Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose()))
+            + sensor.component_mul(&(errors * errors.transpose()))
+    }
+
+    /// Covariance of the change between consecutive throws whose estimates have the covariance `sensor`.
+    pub(super) fn of_change(&self, sensor: &Matrix3<f64>) -> Matrix3<f64> {
+        let fresh = Vector3::from(self.lag1).map(|lag1| (1.0 - lag1.max(0.0)).sqrt());
+        2.0 * (Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose())) + sensor)
     }
 
     /// Ratio of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), to

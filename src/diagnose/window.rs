@@ -23,8 +23,13 @@ use crate::estimate::Estimate;
 const MOST_OF_ONE: f64 = 0.4;
 /// The same with heavy tails: four throws show a step.
 const MOST_OF_ONE_WILD: f64 = 0.08;
-/// Least T of the innovations beside an outlier: 0.1 % of healthy ones have more (chi-square, three degrees of freedom).
-const CONFIRMED: f64 = 16.3;
+/// Least T of the innovations beside an outlier along the drift: 0.1 % of healthy ones have more, and the sign of the drift.
+const CONFIRMED: f64 = 9.5;
+/// Last throws in which a change that fades shows.
+const FADES_WITHIN: usize = WINDOWS[2];
+/// Standard deviations of a change between two throws from which a drift fades, and which one of them has at most: two show
+/// it, and an outlier between throws with a drift does not.
+const FADING_SD: f64 = 3.0;
 /// Number of stored throws of each direction: the longest window.
 const KEPT: usize = WINDOWS[3];
 /// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
@@ -308,8 +313,9 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// T of the innovations of `window` without the largest of them, with heavy tails without the two largest, at the highest
-    /// plausible serial correlation. An outlier that fades over the next throws has a level too, but only a drift keeps it.
+    /// T along the mean of `window` of its innovations without the largest of them, with heavy tails without the two largest,
+    /// at the highest plausible serial correlation of the machine. An outlier that fades over the next throws has a level too,
+    /// but only a drift keeps it.
     fn confirmation(
         &self,
         window: &Window,
@@ -320,19 +326,44 @@ impl<'a> Stream<'a> {
         // A misfit that repeats is in no innovation, except for its part in one throw.
         let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / Estimate::LONGEST_WINDOW);
         let sensor = self.mean_sensor(window.throws) - repeated;
-        let rho = scatter.highest_lag1_of_one(&sensor);
-        let inverse = scatter.of_innovation(&sensor).try_inverse()?;
+        // The correlation of the machine alone: beside a large outlier the errors of the estimates are small.
+        let phi = scatter.highest_lag1();
+        let outliers = if wild { 2 } else { 1 };
+        let inverse = scatter.of_innovations(1, 0, &phi, &sensor).try_inverse()?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
         let mut innovations = Vec::with_capacity(KEPT);
         let mut throw = self.residual(0, window, baselines)?;
         for at in 1..=window.throws {
             let before = self.residual(at, window, baselines).unwrap_or_default();
-            innovations.push(throw - rho.component_mul(&before));
+            innovations.push(throw - phi.component_mul(&before));
             throw = before;
         }
         innovations.sort_by(|a, b| square(a).total_cmp(&square(b)));
-        innovations.truncate(window.throws - if wild { 2 } else { 1 });
-        Some(square(&innovations.iter().sum()) / innovations.len() as f64)
+        innovations.truncate(window.throws - outliers);
+        let inverse = scatter.of_innovations(innovations.len(), outliers, &phi, &sensor).try_inverse()?;
+        let sum: Vector3<f64> = innovations.iter().sum();
+        let along = inverse * window.mean;
+        Some(along.dot(&sum).max(0.0).powi(2) / along.dot(&window.mean))
+    }
+
+    /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: the regression of its changes
+    /// between the throws of a direction on its size before them.
+    fn fades(&self, window: &Window, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> bool {
+        let covariance = scatter.of_change(&self.mean_sensor(window.throws));
+        let Some(inverse) = covariance.try_inverse() else { return false };
+        let along = inverse * window.mean;
+        let along = along / along.dot(&window.mean).sqrt();
+        let mut before: [Option<f64>; 2] = [None; 2];
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for at in (0..FADES_WITHIN.min(self.len())).rev() {
+            let Some(residual) = self.residual(at, window, baselines) else { continue };
+            let size = along.dot(&residual);
+            if let Some(before) = before[self.0[at].0].replace(size) {
+                sum += (size - before).clamp(-FADING_SD, FADING_SD) * before;
+                squares += before * before;
+            }
+        }
+        sum < -FADING_SD * f64::sqrt(squares)
     }
 
     /// Residual of a throw with the common scale of `window`; `None` without this throw or its baseline.
@@ -399,8 +430,9 @@ impl<'a> Stream<'a> {
             }
         }
         let mut best = best?;
-        best.confirmed =
-            best.excess > 1.0 && self.confirmation(&best, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED);
+        best.confirmed = best.excess > 1.0
+            && self.confirmation(&best, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED)
+            && !self.fades(&best, scatter, baselines);
         Some(best)
     }
 

@@ -12,7 +12,7 @@ use super::{
     timeline::Timeline,
     trace::TraceMachine,
 };
-use crate::diagnose::{AlarmState, Command, MachineMonitor, Observation, Settings};
+use crate::diagnose::{AlarmState, Cause, Command, MachineMonitor, Observation, Settings};
 
 /// Source of the throws of a life.
 #[derive(Debug)]
@@ -49,7 +49,10 @@ pub(super) struct Rules<'a> {
 #[derive(Debug, Default)]
 pub(super) struct Calls {
     pub(super) monitor: Vec<Call>,
+    /// Alarms of the monitor, without the next.
     pub(super) raised: usize,
+    /// Alarms that the machine is not monitored, as its scatter hides a fault.
+    pub(super) not_monitored: usize,
     /// First throw at which the monitor stated that its baseline has a trend.
     pub(super) trend: Option<usize>,
     /// Whether the sizes and forecasts of the monitor were true.
@@ -59,9 +62,10 @@ pub(super) struct Calls {
 }
 
 impl Calls {
-    /// Number of alarms of the three rules.
-    pub(super) fn alarms(&self) -> [usize; 3] {
-        [self.raised, self.paper.len(), self.cusum.len()]
+    /// Number of alarms of the monitor, of its alarms that the machine is not monitored, and of alarms of the paper's rule and
+    /// the CUSUM.
+    pub(super) fn alarms(&self) -> [usize; 4] {
+        [self.raised, self.not_monitored, self.paper.len(), self.cusum.len()]
     }
 }
 
@@ -85,7 +89,9 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Ca
             // Fails only without this alarm, and it is open.
             let _ = monitor.command(&command, observation.started_at, rules.settings);
         }
-        calls.raised += events.iter().filter(|event| event.event_no == 1).count();
+        for event in events.iter().filter(|event| event.event_no == 1) {
+            *if event.cause == Cause::NotMonitored { &mut calls.not_monitored } else { &mut calls.raised } += 1;
+        }
         calls.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
         paper.observe(at, &observation);
         cusum.observe(at, &observation);

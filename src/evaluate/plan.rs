@@ -90,9 +90,9 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// Number of alarms of the monitor, the paper's rule and the CUSUM.
-    Healthy([usize; 3]),
-    /// The judgements of the same three, whether the monitor named a healthy part at critical severity, and its
+    /// See [`super::life::Calls::alarms`].
+    Healthy([usize; 4]),
+    /// The judgements of the monitor, the paper's rule and the CUSUM, whether the monitor named a healthy part at critical severity, and its
     /// statements about size and forecast.
     Row([Judgement; 3], bool, Coverage),
     Budget {
@@ -181,14 +181,14 @@ impl Plan {
         Report { seed: self.seed, healthy, rows: rows.collect(), budget }
     }
 
-    fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 3] {
+    fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 4] {
         let life = Timeline::healthy(2 * self.baseline + throws);
         let random = stream(self.seed, domain::HEALTHY, depth as usize, machine);
         let mut source = source(depth, Situation::Plain, Noise::Default, random, &life);
         live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
     }
 
-    fn fleet(&self, fleet: usize, machine: usize, throws: usize) -> [usize; 3] {
+    fn fleet(&self, fleet: usize, machine: usize, throws: usize) -> [usize; 4] {
         let mut random = stream(self.seed, domain::WEATHER, fleet, machine);
         let life = FLEETS[fleet].life(2 * self.baseline + throws, &mut random);
         let random = stream(self.seed, domain::FLEET, fleet, machine);
@@ -275,7 +275,7 @@ fn add(
     depth: Depth,
     fleet: Option<&'static str>,
     throws: usize,
-    [monitor, paper, cusum]: [usize; 3],
+    [monitor, not_monitored, paper, cusum]: [usize; 4],
 ) {
     let at = healthy.iter().position(|healthy| (healthy.depth, healthy.fleet) == (depth, fleet)).unwrap_or_else(|| {
         healthy.push(Healthy::none(depth, fleet));
@@ -283,6 +283,7 @@ fn add(
     });
     healthy[at].throws += throws;
     healthy[at].false_alarms += monitor;
+    healthy[at].not_monitored += not_monitored;
     healthy[at].paper_false_alarms += paper;
     healthy[at].cusum_false_alarms += cusum;
 }

@@ -35,8 +35,10 @@ pub struct Healthy {
     pub depth: Depth,
     /// Monitored throws, after the baseline.
     pub throws: usize,
-    /// Alarms of the monitor, of any kind.
+    /// Alarms of the monitor about a part, a sensor, the supply or the operation.
     pub false_alarms: usize,
+    /// Alarms of the monitor that a machine is not monitored, as its scatter hides a fault at the critical limit.
+    pub not_monitored: usize,
     /// Alarms of the paper's rule.
     pub paper_false_alarms: usize,
     /// Alarms of the CUSUM.
@@ -117,7 +119,15 @@ pub struct Tally {
 impl Healthy {
     /// Results without any throws.
     pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
-        Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0, fleet }
+        Self {
+            depth,
+            throws: 0,
+            false_alarms: 0,
+            not_monitored: 0,
+            paper_false_alarms: 0,
+            cusum_false_alarms: 0,
+            fleet,
+        }
     }
 }
 
@@ -240,8 +250,11 @@ impl Budget {
 impl Report {
     /// The goals that the run did not meet, as sentences.
     pub fn shortfalls(&self) -> Vec<String> {
-        let healthy = self.healthy.iter().filter(|healthy| healthy.fleet.is_none() && healthy.false_alarms > 0);
-        let healthy = healthy.map(|h| format!("{} false alarms in {} healthy throws", h.false_alarms, h.throws));
+        let usual = self.healthy.iter().filter(|healthy| healthy.fleet.is_none());
+        let alarms = usual.map(|healthy| (healthy.false_alarms + healthy.not_monitored, healthy.throws));
+        let healthy = alarms
+            .filter(|(alarms, _)| *alarms > 0)
+            .map(|(alarms, throws)| format!("{alarms} false alarms in {throws} healthy throws"));
         let rows = self.rows.iter().flat_map(|row| {
             let name = format!(
                 "{} {} {} % ({}, {} noise)",

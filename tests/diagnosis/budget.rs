@@ -2,11 +2,11 @@
 //! heavy tails, three times the usual size.
 
 use nalgebra::Vector3;
-use pointsd::diagnose::Settings;
+use pointsd::diagnose::{Cause, Settings};
 
 use crate::{
     field::{Machine, Scatter},
-    fleet::in_parallel,
+    fleet::{in_parallel, shift},
 };
 
 /// Number of lives in a row.
@@ -77,4 +77,21 @@ fn heavy_tails_correlation_and_three_times_the_scatter_stay_within_the_budget() 
         budget += THROWS * settings.false_alarms_per_throw();
     }
     assert!(alarms as f64 <= budget, "{alarms} alarms, {budget:.1} in the budget");
+}
+
+/// With heavy tails and strong correlation one large deviation fades over the next throws, as no drift does.
+#[test]
+fn a_large_deviation_that_fades_is_no_drift() {
+    let scatter = Scatter { phi: 0.8, ..Scatter::USUAL };
+    for (cause, pct) in [(Cause::Kt, 30.0), (Cause::Friction, 100.0), (Cause::Stiffness, -40.0)] {
+        let (size, mut alarmed) = (shift(cause, pct), Vec::new());
+        for seed in 0..10 {
+            let mut machine = Machine::after(200, 60_000 + seed, scatter);
+            alarmed.extend((0..60).flat_map(|at| machine.feed(size * 0.9_f64.powi(at)).events));
+            let lasting = machine.events(40, size);
+            assert!(lasting.iter().any(|event| event.cause == cause), "{cause} {pct} %, seed {seed}: {lasting:?}");
+        }
+        // The scatter itself may add to what is left: one alarm, with its end.
+        assert!(alarmed.len() <= 2, "{alarmed:?}");
+    }
 }
