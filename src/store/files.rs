@@ -122,10 +122,7 @@ impl DatabaseFiles {
     pub(super) fn switch(&self, copy: &Path) -> Result<(), StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
-        let error = |action: &'static str| {
-            let path = copy.to_owned();
-            move |source: io::Error| StoreError::File { action, path, source }
-        };
+        let error = |action| StoreError::file(action, copy);
         File::open(copy).and_then(|file| file.sync_all()).map_err(error("sync"))?;
         let link = beside(&self.path, "-link");
         remove_one(&link)?;
@@ -187,14 +184,13 @@ impl DatabaseFiles {
     /// Gives a complete and closed copy the configured path.
     pub(super) fn adopt(&self, copy: &Path) -> Result<(), StoreError> {
         rename(copy, &self.path)?;
-        let path = self.path.clone();
-        self.sync_folder().map_err(|source| StoreError::File { action: "sync the folder of", path, source })
+        self.sync_folder().map_err(StoreError::file("sync the folder of", &self.path))
     }
 
     /// Writes a summary of the saved rows next to a database that was set aside, for people and for the alarm.
     pub(super) fn describe_set_aside(file: &Path, text: &str) -> Result<(), StoreError> {
         let path = beside(file, SAVED);
-        std::fs::write(&path, text).map_err(|source| StoreError::File { action: "write", path, source })
+        std::fs::write(&path, text).map_err(StoreError::file("write", &path))
     }
 
     /// The summary of the saved rows of a database that was set aside.
@@ -233,12 +229,7 @@ impl DatabaseFiles {
 
 /// Renames a file if it exists.
 fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
-    match std::fs::rename(from, to) {
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            Err(StoreError::File { action: "rename", path: from.to_owned(), source })
-        }
-        _ => Ok(()),
-    }
+    unless_missing(std::fs::rename(from, to)).map_err(StoreError::file("rename", from))
 }
 
 /// Removes a database with its log.
@@ -247,10 +238,9 @@ fn remove(file: &Path) -> Result<(), StoreError> {
 }
 
 fn remove_one(path: &Path) -> Result<(), StoreError> {
-    match std::fs::remove_file(path) {
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            Err(StoreError::File { action: "remove", path: path.to_owned(), source })
-        }
-        _ => Ok(()),
-    }
+    unless_missing(std::fs::remove_file(path)).map_err(StoreError::file("remove", path))
+}
+
+fn unless_missing(done: io::Result<()>) -> io::Result<()> {
+    done.or_else(|error| if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) })
 }

@@ -56,7 +56,7 @@ pub use reader::Reader;
 pub use retention::Dropped;
 pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
 pub use salvage::Salvaged;
-pub use settings::{Settings, Synchronous};
+pub use settings::Settings;
 pub use spool::Spooled;
 pub(crate) use statements::ALL_MACHINES;
 pub use statistics::Statistics;

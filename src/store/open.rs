@@ -24,7 +24,7 @@ use super::{
     error::{StoreError, is_corrupt, is_full, is_interrupted},
     files::DatabaseFiles,
     salvage::{PARTS, Salvaged, salvage},
-    settings::{MIB, Settings, Synchronous},
+    settings::{MIB, Settings},
     statements as sql,
 };
 
@@ -81,10 +81,7 @@ pub struct Report {
 /// Options of the writing connection. Only a new database gets the auto-vacuum mode: SQLite writes it to the header at
 /// each opening, and a broken or too new file must not be changed.
 pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
-    let synchronous = match settings.synchronous {
-        Synchronous::Full => SqliteSynchronous::Full,
-        Synchronous::Normal => SqliteSynchronous::Normal,
-    };
+    let synchronous = if settings.durable { SqliteSynchronous::Full } else { SqliteSynchronous::Normal };
     let options = SqliteConnectOptions::new();
     let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
     options
@@ -213,7 +210,7 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         return Ok(());
     }
     if is_text(path) {
-        return Err(StoreError::Text { path: path.to_owned() });
+        return Err(StoreError::Foreign(format!("{} is a text file, not a database", path.display())));
     }
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
@@ -222,14 +219,24 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     // An error of the close does not change the result.
     let _ = connection.close().await;
     match table {
-        Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
+        Ok(Some(table)) => {
+            let path = path.display();
+            Err(StoreError::Foreign(format!("{path} is the database of another program (it has the table {table})")))
+        }
         _ => refuse_newer(path, needed.unwrap_or(0)),
     }
 }
 
 pub(super) fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
     let known = newest_known();
-    if needed > known { Err(StoreError::TooNew { path: path.to_owned(), needed, known }) } else { Ok(()) }
+    if needed <= known {
+        return Ok(());
+    }
+    Err(StoreError::Schema(format!(
+        "the database {} was changed by a newer version of pointsd (schema {needed}), and this version (schema {known}) \
+         cannot read it: install the newer version again, or restore the backup from before the upgrade",
+        path.display()
+    )))
 }
 
 /// Oldest schema version that may use the database: see [`migrator`].
@@ -268,7 +275,9 @@ impl Trouble {
             Self::Broken(why) => StoreError::open(&path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(&path)(source),
-            Self::Migration(source) => StoreError::Migrate { path, source: Box::new(source) },
+            Self::Migration(error) => {
+                StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display()))
+            }
             Self::TooNew(error) => error,
         }
     }

@@ -58,7 +58,14 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
     open::refuse_newer(path, needed)?;
     // Without any migration it is no database of pointsd.
     let is_older = !applied.is_empty() && !applied.contains(&open::newest_known());
-    if is_older { Err(StoreError::Older { path: path.to_owned() }) } else { Ok(()) }
+    if !is_older {
+        return Ok(());
+    }
+    Err(StoreError::Schema(format!(
+        "the database {} is of an older version of pointsd: make a copy, name it in store.path of a configuration, and \
+         start `pointsd run` with it once, which brings it up to date",
+        path.display()
+    )))
 }
 
 /// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
@@ -150,12 +157,12 @@ impl Backup {
     /// Copies one consistent state, checks the copy, and renames it to `to` when it is complete. Returns its size
     /// \[bytes\].
     pub(crate) async fn run(&self) -> Result<u64, StoreError> {
-        let file = |action, source| StoreError::File { action, path: self.partial.clone(), source };
+        let file = |action| StoreError::file(action, &self.partial);
         if self.partial.exists() {
-            std::fs::remove_file(&self.partial).map_err(|source| file("remove", source))?;
+            std::fs::remove_file(&self.partial).map_err(file("remove"))?;
         }
         // SQLite does not say which of the two files it cannot open. It accepts an empty file as the copy.
-        std::fs::File::create_new(&self.partial).map_err(|source| file("create", source))?;
+        std::fs::File::create_new(&self.partial).map_err(file("create"))?;
         let outcome = self.copy().await;
         if let Err(error) = outcome {
             // Ignored: the first error is reported.
@@ -167,7 +174,7 @@ impl Backup {
             .and_then(|copy| copy.sync_all())
             .and_then(|()| std::fs::rename(&self.partial, &self.to))
             .and_then(|()| DatabaseFiles::new(&self.to).sync_folder())
-            .map_err(|source| file("complete", source))?;
+            .map_err(file("complete"))?;
         Ok(size)
     }
 
