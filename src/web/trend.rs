@@ -248,16 +248,16 @@ fn marked(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> Panel {
 }
 
 /// A curve over the time of a throw.
-pub(super) struct Curve<'a> {
+pub(super) struct Curve {
     pub(super) name: &'static str,
     pub(super) rate_hz: f64,
-    pub(super) values: &'a [f64],
+    pub(super) values: Vec<f64>,
 }
 
 /// A chart of curves over the time of a throw.
-pub(super) fn over_time(title: &str, unit: &str, curves: &[Curve<'_>], says: String) -> Picture {
-    let panel = curves.iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
-        panel.line(curve.name, drawn(curve.rate_hz, curve.values))
+pub(super) fn over_time(title: &str, unit: &str, curves: impl IntoIterator<Item = Curve>, says: String) -> Picture {
+    let panel = curves.into_iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
+        panel.line(curve.name, drawn(curve.rate_hz, &curve.values))
     });
     Picture::new(panel, says)
 }
