@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     daemon::{
-        DATABASE, Daemon, LockError, StartError, TaskEnded,
+        DATABASE, Daemon, LockError, StartError,
         config::{Config, Document},
     },
     store::StoreError,
@@ -92,7 +92,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
                 Requested::Stop => break None,
                 Requested::Reload => reload(&daemon, arguments.config.as_deref()),
             },
-            TaskEnded(task) = daemon.ended() => break Some(task),
+            task = daemon.ended() => break Some(task),
         }
     };
     let stopped = daemon.stop().await;

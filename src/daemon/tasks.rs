@@ -7,10 +7,6 @@ use tokio::{
     time,
 };
 
-/// The name of a task that ended unexpectedly.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TaskEnded(pub &'static str);
-
 /// Tasks with their names; running tasks are aborted when this is dropped.
 #[derive(Default)]
 pub(super) struct Tasks {
@@ -26,14 +22,14 @@ impl Tasks {
         self.names.insert(handle.id(), name);
     }
 
-    /// Waits until a task ends or panics.
-    pub(super) async fn next_end(&mut self) -> TaskEnded {
+    /// Waits until a task ends or panics; returns its name.
+    pub(super) async fn next_end(&mut self) -> &'static str {
         let id = match self.running.join_next_with_id().await {
             Some(Ok((id, ()))) => id,
             Some(Err(error)) => error.id(),
-            None => return TaskEnded("every task"),
+            None => return "every task",
         };
-        TaskEnded(self.names.remove(&id).unwrap_or("a task"))
+        self.names.remove(&id).unwrap_or("a task")
     }
 
     /// Waits at most `limit` until the task `name` has ended; returns whether it has.
