@@ -47,6 +47,9 @@ pub enum StoreError {
     /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and creates a new one")]
     Broken,
+    /// The answer to a query cannot be written.
+    #[error("cannot write the answer: {0}")]
+    Answer(#[source] std::io::Error),
     /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,

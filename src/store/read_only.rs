@@ -1,6 +1,9 @@
 //! Access from outside the daemon: SQL queries, and backups while it runs.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use futures_util::TryStreamExt;
 use sqlx::{
@@ -68,40 +71,40 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
     )))
 }
 
-/// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
-/// `columns` is called with the names before the rows of each statement, also without rows.
-///
-/// # Errors
-/// When the database cannot be opened, or the SQL is invalid or would write; or the error of `columns` or `row`.
-pub async fn ask<E: From<StoreError>>(
-    path: &Path,
-    question: &str,
-    mut columns: impl FnMut(&[String]) -> Result<(), E>,
-    mut row: impl FnMut(Vec<Value>) -> Result<(), E>,
-) -> Result<(), E> {
+/// The receiver of an answer, row by row.
+pub(crate) trait Answer {
+    /// The names of the columns, before the rows of each statement, also without rows.
+    fn columns(&mut self, names: &[String]) -> io::Result<()>;
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
+    fn end(&mut self) -> io::Result<()>;
+}
+
+/// Queries the database at `path`, read-only. An error of `answer` ends the query.
+pub(crate) async fn ask(path: &Path, question: &str, answer: &mut dyn Answer) -> Result<(), StoreError> {
     let mut connection = connect(path).await?;
     // VACUUM INTO writes another file also on a read-only connection, and with `query_only` still creates it.
     if question.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
         let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
-        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())).into());
+        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())));
     }
     let question = AssertSqlSafe(question.to_owned()).into_sql_str();
     let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
-    columns(&names(statement.columns()))?;
-    let mut answers = connection.fetch_many(sqlx::raw_sql(question));
+    answer.columns(&names(statement.columns())).map_err(StoreError::Answer)?;
+    let mut found = connection.fetch_many(sqlx::raw_sql(question));
     let mut is_next_statement = false;
-    while let Some(found) = answers.try_next().await.map_err(StoreError::read)? {
-        let Either::Right(found) = found else {
+    while let Some(next) = found.try_next().await.map_err(StoreError::read)? {
+        let Either::Right(row) = next else {
             is_next_statement = true;
             continue;
         };
         if std::mem::take(&mut is_next_statement) {
-            columns(&names(found.columns()))?;
+            answer.columns(&names(row.columns())).map_err(StoreError::Answer)?;
         }
-        row((0..found.len()).map(|at| value(&found, at)).collect::<sqlx::Result<_>>().map_err(StoreError::read)?)?;
+        let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
+        answer.row(values.map_err(StoreError::read)?).map_err(StoreError::Answer)?;
     }
-    Ok(())
+    answer.end().map_err(StoreError::Answer)
 }
 
 /// Whether a part of a query begins with VACUUM. A statement begins at the start, or after a semicolon or a comment.
