@@ -87,12 +87,14 @@ impl DatabaseFiles {
 
     /// Renames foreign files at the path of the database.
     pub(super) fn rename_foreign_files(&self) -> Result<(), StoreError> {
-        let file = self.file();
         // Files that exist at the same time have different inodes, so the names differ.
-        let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());
-        for suffix in SUFFIXES {
-            rename(&beside(&file, suffix), &beside(&self.path, &format!("-replaced-{inode}{suffix}")))?;
-        }
+        let inode = std::fs::metadata(self.file()).map_or(0, |file| file.ino());
+        self.rename_to(&beside(&self.path, &format!("-replaced-{inode}")))
+    }
+
+    fn rename_to(&self, to: &Path) -> Result<(), StoreError> {
+        let file = self.file();
+        SUFFIXES.iter().try_for_each(|suffix| rename(&beside(&file, suffix), &beside(to, suffix)))?;
         if self.path.is_symlink() { remove_one(&self.path) } else { Ok(()) }
     }
 
@@ -165,14 +167,8 @@ impl DatabaseFiles {
 
     /// Renames the database with its log.
     pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        let (file, to) = (self.file(), self.aside(now));
-        for suffix in SUFFIXES {
-            rename(&beside(&file, suffix), &beside(&to, suffix))?;
-        }
-        if self.path.is_symlink() {
-            remove_one(&self.path)?;
-        }
-        Ok(to)
+        let to = self.aside(now);
+        self.rename_to(&to).map(|()| to)
     }
 
     /// Path of the copy of the readable rows of a broken database. Removes an older copy at this path.

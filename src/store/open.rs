@@ -263,8 +263,7 @@ fn is_text(path: &Path) -> bool {
 enum Trouble {
     Broken(String),
     Access(sqlx::Error),
-    Migration(MigrateError),
-    TooNew(StoreError),
+    Schema(StoreError),
 }
 
 impl Trouble {
@@ -275,10 +274,7 @@ impl Trouble {
             Self::Broken(why) => StoreError::open(&path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(&path)(source),
-            Self::Migration(error) => {
-                StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display()))
-            }
-            Self::TooNew(error) => error,
+            Self::Schema(error) => error,
         }
     }
 }
@@ -289,12 +285,12 @@ impl From<sqlx::Error> for Trouble {
     }
 }
 
-impl From<MigrateError> for Trouble {
-    fn from(error: MigrateError) -> Self {
-        match error {
-            MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
-            error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => Self::Broken(error.to_string()),
-            error => Self::Migration(error),
+fn not_migrated(path: &Path, error: MigrateError) -> Trouble {
+    match error {
+        MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
+        error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => Trouble::Broken(error.to_string()),
+        error => {
+            Trouble::Schema(StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display())))
         }
     }
 }
@@ -323,7 +319,7 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
 }
 
 async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, Trouble> {
-    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::TooNew)?;
+    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::Schema)?;
     let before = applied(&mut *connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
@@ -337,7 +333,7 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh:
             Found::Unclean
         }
     };
-    migrator().run(&mut *connection).await?;
+    migrator().run(&mut *connection).await.map_err(|error| not_migrated(path, error))?;
     sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
     // Into the database itself, so that a loss of the log shows. With a reader of an old state it may stay in the log.
     if let Err(error) = sqlx::query("PRAGMA wal_checkpoint").execute(&mut *connection).await {
