@@ -321,9 +321,8 @@ impl Attribution {
 
     /// The part that is named together with `cause`.
     pub(super) fn beside(&self, cause: Cause) -> Option<Cause> {
-        let (Naming::Both(a, b)
-        | Naming::Another { new: a, known: b }
-        | Naming::Beside { known: a, first: b, .. }) = &self.naming
+        let (Naming::Both(a, b) | Naming::Another { new: a, known: b } | Naming::Beside { known: a, first: b, .. }) =
+            &self.naming
         else {
             return None;
         };

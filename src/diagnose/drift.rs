@@ -43,23 +43,32 @@ pub(super) struct FrictionChange {
     pub(super) lasts: bool,
 }
 
+/// Relation of the name of a drift to the active alarms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ToAlarms {
+    /// Its cause has no alarm.
+    New,
+    /// Its cause has an active alarm.
+    Alarmed,
+    /// It is one part alone, while another part has an active alarm.
+    Contradicts,
+}
+
 /// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
     /// T of the strongest window over its limit.
     pub(super) excess: f64,
     /// Whether a baseline is still incomplete.
-    provisional: bool,
+    pub(super) provisional: bool,
     /// The attribution, if a drift is detected.
     pub(super) attribution: Option<Attribution>,
     /// The window with the most significant drift.
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
-    /// Whether its cause has an active alarm.
-    is_alarmed: bool,
-    /// Whether it is named as one part alone, while another part has an active alarm.
-    contradicts_alarm: bool,
+    /// Relation of its name to the active alarms.
+    relation: ToAlarms,
     /// Whether a direction has a baseline, but too few throws for a level.
     is_half_seen: bool,
     /// Present level of each direction.
@@ -86,9 +95,12 @@ impl Drift {
         let attribution = strongest
             .filter(|_| excess > 1.0)
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
-        let is_alarmed = attribution.as_ref().is_some_and(|attribution| known.causes.contains(&attribution.cause()));
-        let is_one = attribution.as_ref().is_some_and(|attribution| matches!(attribution.naming, Naming::One(_)));
-        let contradicts_alarm = is_one && !is_alarmed && known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
+        let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
+        let relation = match &attribution {
+            Some(attribution) if known.causes.contains(&attribution.cause()) => ToAlarms::Alarmed,
+            Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
+            _ => ToAlarms::New,
+        };
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
         Self {
             excess,
@@ -96,8 +108,7 @@ impl Drift {
             attribution,
             strongest,
             testimony,
-            is_alarmed,
-            contradicts_alarm,
+            relation,
             is_half_seen,
             levels,
             last_few,
@@ -154,7 +165,9 @@ impl Drift {
             Some(_) if self.matters() && !self.strongest.is_some_and(|window| window.confirmed) => Claim::Counts,
             Some(_) if self.matters() => Claim::Named,
             // The name is not stable yet, also if throws in between had one.
-            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,
+            _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
+                Claim::Counts
+            }
             _ => Claim::None,
         };
         Reading {
@@ -170,7 +183,7 @@ impl Drift {
                 0
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
                 // Windows with throws before and after a second fault may look like a third part.
-                (Naming::One(_), _) if self.contradicts_alarm => TOO_CLOSE_PATIENCE,
+                (Naming::One(_), _) if self.relation == ToAlarms::Contradicts => TOO_CLOSE_PATIENCE,
                 (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
                 (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
                 (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,

@@ -212,9 +212,11 @@ impl Operation {
         streak(&mut own.very_slow, longer_pct > settings.slow_throw_critical_pct);
         let (slow, very_slow) = (own.slow, own.very_slow);
         streak(&mut self.fast_enough, longer_pct < settings.slow_throw_pct * (1.0 - settings.deadband_pct / 100.0));
+        let is_of_one = self.sides[1 - direction.side()].slow == 0;
+        let direction = is_of_one.then_some(direction);
         let event = |severity| {
             let event = step.event(Cause::SlowThrow, severity, text::slow(step.name, direction, longer_pct));
-            AlarmEvent { change_pct: Some(longer_pct), direction: Some(direction), ..event }
+            AlarmEvent { change_pct: Some(longer_pct), direction, ..event }
         };
         if very_slow >= SLOW_IN_A_ROW {
             let event = event(Severity::Critical);

@@ -109,8 +109,11 @@ impl Thermometer {
             let since = self.doubt.as_ref().map_or(at, |doubt| doubt.since);
             let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
             let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
-            if (celsius - last).abs() > weather_k {
-                let doubted = self.doubt.as_ref().and_then(|doubt| doubt.last);
+            let doubted = self.doubt.as_ref().and_then(|doubt| doubt.last);
+            // A sensor in another unit has plausible readings too, which follow the rejected ones.
+            let is_like_doubted =
+                doubted.is_some_and(|(doubted, _)| (celsius - doubted).abs() < (celsius - last).abs());
+            if (celsius - last).abs() > weather_k || is_like_doubted {
                 let like = doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= AT_ONCE_K);
                 let count = like.map_or(1, |(_, count)| count.saturating_add(1));
                 if count < SETTLED_READINGS || self.accepted > SETTLED_READINGS {
@@ -159,6 +162,22 @@ mod tests {
             assert_eq!(stuck, is_found.then(|| Disbelief::Stuck(12.0, later(400))));
             assert_eq!(read(701, 12.5), None);
         }
+    }
+
+    #[test]
+    fn a_sensor_in_another_unit_is_not_believed_on_a_cool_day() {
+        let mut thermometer = Thermometer::default();
+        let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
+        let celsius = |hour: i64| 4.0 + 5.0 * (hour as f64 / 24.0 * std::f64::consts::TAU).sin();
+        for hour in 0..200 {
+            assert_eq!(thermometer.read(Some(celsius(hour)), later(hour)).disbelief, None);
+        }
+        let fahrenheit = |hour: i64| 32.0 + 1.8 * (celsius(hour) - (hour - 200) as f64 / 100.0);
+        for hour in 200..800 {
+            let reading = thermometer.read(Some(fahrenheit(hour)), later(hour));
+            assert!(matches!(reading.disbelief, Some(Disbelief::Jump(..))), "{hour}: {reading:?}");
+        }
+        assert_eq!(thermometer.read(Some(-6.0), later(801)).disbelief, None, "mended");
     }
 
     #[test]

@@ -29,11 +29,11 @@ pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
     format!("Machine {name}: {in_a_row} throws in a row were completed.")
 }
 
-pub(crate) fn slow(name: &str, direction: Direction, longer_pct: f64) -> String {
+pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) -> String {
     format!(
         "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then the \
          drive for binding.",
-        subject(name, Some(direction))
+        subject(name, direction)
     )
 }
 
