@@ -36,7 +36,7 @@ pub(super) const DRIFTS: [Cause; 5] =
 /// Part of the limit from which a drift is suspected: its throws are evidence and stay out of the baseline.
 const SUSPECTED_FROM: f64 = 0.5;
 /// Factor on both parts while a baseline fills: its few throws make the limit high, and a fault must not be learned.
-const SUSPECTED_EARLIER: f64 = 0.4;
+const SUSPECTED_EARLIER: f64 = 0.8;
 /// Part of the limit below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
 

@@ -59,7 +59,7 @@ const DRIER: f64 = 1.3;
 const INRUSH_OF_GAIN: f64 = 0.5;
 /// Standard deviations by which the inrush may have changed less: a gain that is not named, as its inrush is uncertain, is
 /// named as the motor's, and a chair that dries on a soft drive changes the resistance as a gain of 10 to 15 % does.
-const INRUSH_SLACK_SD: f64 = 0.5;
+const INRUSH_SLACK_SD: f64 = 1.0;
 /// Largest change of the motor's size with the logarithm of the resistance between supply and motor: twice the resistance
 /// changed it by 0.08 on an independent drive at 250 Hz.
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
