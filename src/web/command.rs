@@ -3,9 +3,8 @@
 use std::{collections::HashMap, sync::Arc};
 
 use axum::{
-    Extension,
     body::Bytes,
-    extract::{Path, State, rejection::PathRejection},
+    extract::{ConnectInfo, Path, State, rejection::PathRejection},
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -13,7 +12,7 @@ use jiff::{SignedDuration, Timestamp};
 use tokio::time;
 
 use super::{
-    connection::Progress,
+    connection::Arrived,
     guard::LIMIT,
     machine::{self, Form},
     overview::Web,
@@ -26,11 +25,11 @@ const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
-    Extension(progress): Extension<Progress>,
+    ConnectInfo(arrived): ConnectInfo<Arrived>,
     machine: Result<Path<MachineId>, PathRejection>,
     body: Bytes,
 ) -> Result<Response, Failure> {
-    progress.arrived();
+    arrived.set();
     let Path(machine) = machine?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
     let Err(refused) = apply(&web, &machine, &fields).await else {
