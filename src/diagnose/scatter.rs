@@ -219,13 +219,15 @@ impl Scatter {
 
     /// The highest plausible lag-1 correlations of the natural scatter: two standard deviations above the estimates.
     pub(super) fn highest_lag1(&self) -> Vector3<f64> {
-        let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
+        Vector3::from_fn(|i, _| (self.lag1[i].atanh() + 2.0 * self.lag1_sd(i)).tanh().min(LAG1_RANGE.1))
+    }
+
+    /// Standard deviation of the inverse hyperbolic tangent of the lag-1 correlation of coefficient `i`.
+    fn lag1_sd(&self, i: usize) -> f64 {
+        let [natural, sensor] = [self.natural, self.sensor].map(|covariance| Matrix3::from(covariance)[(i, i)]);
+        let share = natural / (natural + sensor).max(f64::MIN_POSITIVE);
         let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
-        Vector3::from_fn(|i, _| {
-            let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(1e-12);
-            let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
-            (self.lag1[i].atanh() + 2.0 * sd).tanh().min(LAG1_RANGE.1)
-        })
+        ((self.throws * share).max(1.0) + usual_weight).sqrt().recip()
     }
 
     /// Covariance of the sum of `count` innovations x - phi x before, whose estimates have the covariance `sensor`; `gaps` of
@@ -276,7 +278,6 @@ impl Scatter {
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
-        let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
         let of_natural = |phi: f64| {
             (inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws) / (1.0 - phi * phi)
@@ -299,8 +300,7 @@ impl Scatter {
         let mut factors = Vec::new();
         for i in 0..3 {
             let phi = self.lag1[i];
-            let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
-            let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
+            let sd = self.lag1_sd(i);
             let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
             let assumed = natural[(i, i)] * of_natural(phi) * (1.0 - phi * phi);
             factors.extend((-NODES.0..=NODES.0).map(|node| {

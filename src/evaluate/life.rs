@@ -89,9 +89,10 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Ca
             // Fails only without this alarm, and it is open.
             let _ = monitor.command(&command, observation.started_at, rules.settings);
         }
-        for event in events.iter().filter(|event| event.event_no == 1) {
-            *if event.cause == Cause::NotMonitored { &mut calls.not_monitored } else { &mut calls.raised } += 1;
-        }
+        let raised = events.iter().filter(|event| event.event_no == 1);
+        let not_monitored = raised.clone().filter(|event| event.cause == Cause::NotMonitored).count();
+        calls.raised += raised.count() - not_monitored;
+        calls.not_monitored += not_monitored;
         calls.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
         paper.observe(at, &observation);
         cusum.observe(at, &observation);

@@ -92,8 +92,8 @@ pub struct Outcome(Kind);
 enum Kind {
     /// See [`super::life::Calls::alarms`].
     Healthy([usize; 4]),
-    /// The judgements of the monitor, the paper's rule and the CUSUM, whether the monitor named a healthy part at critical severity, and its
-    /// statements about size and forecast.
+    /// The judgements of the monitor, the paper's rule and the CUSUM, whether the monitor named a healthy part at critical
+    /// severity, and its statements about size and forecast.
     Row([Judgement; 3], bool, Coverage),
     Budget {
         throws: usize,

@@ -165,7 +165,7 @@ pub(crate) async fn until_heard(publisher: &Publisher) {
 pub(crate) async fn until(what: &str, mut happens: impl AsyncFnMut() -> bool) {
     let wait = async {
         while !happens().await {
-            tokio::task::yield_now().await;
+            tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
     tokio::time::timeout(PATIENCE, wait).await.unwrap_or_else(|_| panic!("not in time: {what}"));
