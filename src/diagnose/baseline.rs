@@ -155,6 +155,18 @@ impl Baseline {
         }
     }
 
+    /// Residuals of throws around their own level, in which they differ from the centre.
+    pub(super) fn around_own_level(&self, throws: &[BaselineThrow], wet: &[WetSpell]) -> Vec<(u32, Vector3<f64>)> {
+        let compensated = |(throw, log): (&BaselineThrow, Vector3<f64>)| {
+            self.compensated(self.residual(&log.into(), throw.temperature_c.map(f64::from)))
+        };
+        let dry = Changes { slopes: None, wet };
+        let logs: Vec<Vector3<f64>> = throws.iter().zip(unchanged(throws, dry)).map(compensated).collect();
+        let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
+        let level = Vector3::from(robust.map(|(centre, _)| centre));
+        throws.iter().zip(logs).map(|(throw, log)| (throw.order, clip(log - level, robust))).collect()
+    }
+
     /// Changes a baseline of ratios of an earlier version, which had the logarithms without their mean, to the ratios to b0.
     pub(super) fn relate_to_b0(&mut self) {
         self.centre = self.centre.map(|log| log - self.centre[0]);
@@ -248,10 +260,15 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
         }
         sensor += baseline.scatter.sensor() * throws.len() as f64;
     }
-    residuals.sort_unstable_by_key(|(order, _)| *order);
     sensor /= residuals.len() as f64;
-    let ordered: Vec<Vector3<f64>> = residuals.into_iter().map(|(_, r)| r).collect();
-    Scatter::learn(&ordered, sensor, 2)
+    learn_in_order(residuals, sensor, 2)
+}
+
+/// Scatter of residuals with the numbers of their throws; see [`Scatter::learn`].
+pub(super) fn learn_in_order(mut residuals: Vec<(u32, Vector3<f64>)>, sensor: Matrix3<f64>, centres: usize) -> Scatter {
+    residuals.sort_unstable_by_key(|(order, _)| *order);
+    let ordered: Vec<Vector3<f64>> = residuals.into_iter().map(|(_, residual)| residual).collect();
+    Scatter::learn(&ordered, sensor, centres)
 }
 
 /// The logarithms of the throws without the changes since the first of them.

@@ -166,7 +166,8 @@ impl Attribution {
         }
         let strangers = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
         let lead = strangers.map(|pair| pair.score - best.score).fold(margin, f64::min);
-        Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution }
+        let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
+        one.since_known(&all, window, of_one_throw, known, settings).unwrap_or(one)
     }
 
     /// The attribution to two causes together, if no single cause is clearly better.
@@ -230,14 +231,44 @@ impl Attribution {
         if lead >= CLOSE || is_open(&new) {
             return another(new, lead);
         }
-        let Some(level) = known.level else { return self.beside_something(all, known, settings) };
+        let since = self.since_known(all, window, of_one_throw, known, settings);
+        since.unwrap_or_else(|| self.beside_something(all, known, settings))
+    }
+
+    /// Names a second cause by the change since the level of the known drifts: two faults one after the other may look like one
+    /// alone, of a third part or of the second. `None` if that change has no clear name, or if one cause explains level and
+    /// change, so that the known name was wrong.
+    fn since_known(
+        self,
+        all: &Explanations,
+        window: &Window,
+        of_one_throw: &Matrix3<f64>,
+        known: &Known,
+        settings: &Settings,
+    ) -> Option<Self> {
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let level = known.level?;
+        let named = |mean, covariance| {
+            Self::of(&Window { mean, covariance, ..*window }, of_one_throw, &Known::default(), settings)
+        };
         // The level has less uncertainty than the window, whose baseline is the same.
-        let since = Window { mean: window.mean - level, covariance: 2.0 * window.covariance, ..*window };
-        let since = Self::of(&since, of_one_throw, &Known::default(), settings);
-        match since.naming {
-            Naming::One(new) if !is_open(&new) && since.relevance >= MATTERS => another(new, since.lead),
-            _ => self.beside_something(all, known, settings),
+        let since = named(window.mean - level, 2.0 * window.covariance);
+        let Naming::One(found) = since.naming else { return None };
+        if is_open(&found) || since.relevance < MATTERS {
+            return None;
         }
+        if let Naming::One(main) = &self.naming {
+            let is_known = || matches!(&named(level, window.covariance).naming, Naming::One(before) if is_open(before));
+            if is_open(main) || main.cause == found.cause && !is_known() {
+                return None;
+            }
+        }
+        // The sizes are those of both together.
+        let pair = all.pairs.iter().find(|pair| pair.includes(found.cause) && pair.parts.iter().any(is_open))?;
+        let [a, b] = pair.parts;
+        let (new, known) = if a.cause == found.cause { (a, b) } else { (b, a) };
+        let naming = Naming::Another { new, known };
+        Some(Self { naming, rival: None, relevance: new.relevance(settings), lead: since.lead, ..self })
     }
 
     /// Keeps the name of a cause that has an alarm, if the attribution has none of these, and names the two causes that explain
@@ -286,6 +317,16 @@ impl Attribution {
             | Naming::Beside { first: main, .. } => Some(main),
             Naming::Neither(..) => None,
         }
+    }
+
+    /// The part that is named together with `cause`.
+    pub(super) fn beside(&self, cause: Cause) -> Option<Cause> {
+        let (Naming::Both(a, b) | Naming::Another { new: a, known: b } | Naming::Beside { known: a, first: b, .. }) =
+            &self.naming
+        else {
+            return None;
+        };
+        [(a, b), (b, a)].into_iter().find(|(one, _)| one.cause == cause).map(|(_, other)| other.cause)
     }
 
     /// Whether the back-EMF shows that the motor is no part of the drift.

@@ -6,7 +6,7 @@ use super::{
     cause::{Attribution, DECISIVE, Known, Naming, Rival},
     condition::{Claim, Reading},
     event::Cause,
-    explain::{direction_of, percent, relevance, single},
+    explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
     scatter::Scatter,
     settings::Settings,
     testimony::{Awaited, Testimony},
@@ -43,21 +43,32 @@ pub(super) struct FrictionChange {
     pub(super) lasts: bool,
 }
 
+/// Relation of the name of a drift to the active alarms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ToAlarms {
+    /// Its cause has no alarm.
+    New,
+    /// Its cause has an active alarm.
+    Alarmed,
+    /// It is one part alone, while another part has an active alarm.
+    Contradicts,
+}
+
 /// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
     /// T of the strongest window over its limit.
     pub(super) excess: f64,
     /// Whether a baseline is still incomplete.
-    provisional: bool,
+    pub(super) provisional: bool,
     /// The attribution, if a drift is detected.
     pub(super) attribution: Option<Attribution>,
     /// The window with the most significant drift.
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
-    /// Whether its cause has an active alarm.
-    is_alarmed: bool,
+    /// Relation of its name to the active alarms.
+    relation: ToAlarms,
     /// Whether a direction has a baseline, but too few throws for a level.
     is_half_seen: bool,
     /// Present level of each direction.
@@ -84,7 +95,12 @@ impl Drift {
         let attribution = strongest
             .filter(|_| excess > 1.0)
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
-        let is_alarmed = attribution.as_ref().is_some_and(|attribution| known.causes.contains(&attribution.cause()));
+        let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
+        let relation = match &attribution {
+            Some(attribution) if known.causes.contains(&attribution.cause()) => ToAlarms::Alarmed,
+            Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
+            _ => ToAlarms::New,
+        };
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
         Self {
             excess,
@@ -92,7 +108,7 @@ impl Drift {
             attribution,
             strongest,
             testimony,
-            is_alarmed,
+            relation,
             is_half_seen,
             levels,
             last_few,
@@ -135,18 +151,23 @@ impl Drift {
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
         // What the temperature hides, or no throw shows, is no health.
         let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
-        let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
+        // A part beside another one has not the size that it had alone.
+        let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
+        let extent = |window: &Window| extent(cause, other_part, window, settings);
+        let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);
         let (side, last_few) = &self.latest;
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
         let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
-        let latest = latest.map(|window| extent(cause, window, settings).0);
+        let latest = latest.map(|window| extent(window).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         let claim = match named {
             // A step keeps its level in the next throw, an outlier does not.
             Some(_) if self.matters() && !self.strongest.is_some_and(|window| window.confirmed) => Claim::Counts,
             Some(_) if self.matters() => Claim::Named,
             // The name is not stable yet, also if throws in between had one.
-            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,
+            _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
+                Claim::Counts
+            }
             _ => Claim::None,
         };
         Reading {
@@ -161,6 +182,8 @@ impl Drift {
             } else {
                 0
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
+                // Windows with throws before and after a second fault may look like a third part.
+                (Naming::One(_), _) if self.relation == ToAlarms::Contradicts => TOO_CLOSE_PATIENCE,
                 (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
                 (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
                 (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
@@ -201,10 +224,14 @@ pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) ->
     Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()))
 }
 
-/// Size of `cause` in a window relative to the warning limit; and the same plus two standard deviations.
-fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
+/// Size of `cause` in a window, beside another part if there is one, relative to the warning limit; and the same plus two
+/// standard deviations.
+fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
-        let e = single(cause, &window.mean, &window.covariance, settings);
+        let e = match beside {
+            Some(other) => fit(PLAIN_LEAKS, [cause, other], &window.mean, &window.covariance, settings).parts[0],
+            None => single(cause, &window.mean, &window.covariance, settings),
+        };
         let bound = e.size.abs() + 2.0 * e.size_sd;
         (relevance(cause, e.size, settings), relevance(cause, bound, settings))
     };

@@ -35,6 +35,8 @@ pub(super) const DRIFTS: [Cause; 5] =
     [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 /// Part of the limit from which a drift is suspected: its throws are evidence and stay out of the baseline.
 const SUSPECTED_FROM: f64 = 0.5;
+/// Factor on both parts while a baseline fills: its few throws make the limit high, and a fault must not be learned.
+const SUSPECTED_EARLIER: f64 = 0.8;
 /// Part of the limit below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
 
@@ -144,7 +146,10 @@ impl DriftAlarms {
                     };
                     step.clear(cause, text);
                 }
-                (Transition::ProposeRebaseline, _) => step.remark(cause, text::maybe_repaired(name, cause)),
+                // Beside another fault the size is not certain enough for this.
+                (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
+                    step.remark(cause, text::maybe_repaired(name, cause));
+                }
                 (Transition::Withdraw, _) => {
                     let other = match drift.testimony {
                         Testimony::Sensor(_) => Cause::Sensor,
@@ -273,9 +278,10 @@ impl DriftAlarms {
 
     /// Updates the first throw of the suspected drift.
     fn follow_onset(&mut self, LatestThrow { drift, order, .. }: LatestThrow, step: &Step) {
-        if drift.excess < FORGOTTEN_BELOW {
+        let earlier = if drift.provisional { SUSPECTED_EARLIER } else { 1.0 };
+        if drift.excess < earlier * FORGOTTEN_BELOW {
             self.onset = None;
-        } else if drift.excess > SUSPECTED_FROM && self.onset.is_none() {
+        } else if drift.excess > earlier * SUSPECTED_FROM && self.onset.is_none() {
             self.onset = step.throw.map(|first| Onset { first: first.clone(), order });
         }
     }

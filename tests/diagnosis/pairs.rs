@@ -151,3 +151,25 @@ fn two_faults_keep_their_names() {
         assert!(first == lives && second == lives && [lost, dropped, wrong] == [0; 3], "{found:?}");
     }
 }
+
+/// The ratios of both faults together are nearly those of a motor that lost a quarter.
+#[test]
+fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of_ratios() {
+    let before = State { brake_s: 0.02, ..State::SOUND };
+    let both = State { friction: 1.4, stiffness: 1.3, ..before };
+    let [dry, stiff] = [State { friction: 1.4, ..before }, State { stiffness: 1.3, ..before }];
+    for (seed, first) in [(0, dry), (1, dry), (0, stiff), (1, stiff)] {
+        let mut drive = Drive::new(97_000 + seed, true);
+        drive.stay_healthy(140, before);
+        drive.events(60, first);
+        let events = drive.events(100, both);
+        let [AlarmEvent { cause, change_pct: Some(pct), change_pct_sd: Some(sd), .. }] = &events[..] else {
+            panic!("{first:?}: {events:#?}");
+        };
+        let (second, size) = if first.friction > 1.0 { (Cause::Stiffness, 30.0) } else { (Cause::Friction, 40.0) };
+        assert!(*cause == second && (pct - size).abs() < 2.0 * sd, "{events:#?}");
+        let mut open: Vec<Cause> = drive.monitor.open_alarms().iter().map(|event| event.cause).collect();
+        open.sort_unstable();
+        assert_eq!(open, [Cause::Friction, Cause::Stiffness]);
+    }
+}

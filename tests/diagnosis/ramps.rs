@@ -180,7 +180,7 @@ fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() 
 
 #[test]
 fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
-    for (phi, most) in [(0.5, 2), (0.9, 5)] {
+    for (phi, most) in [(0.5, 2), (0.9, 6)] {
         let (mut trends, mut ever, mut events, lives) = (0, 0, 0, 100);
         for seed in 0..lives {
             let mut machine = Machine::new(54_000 + seed, Scatter { phi, ..Scatter::USUAL });

@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 
 use super::{
     super::{
-        baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_mixed, trend},
+        baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_in_order, learn_mixed, trend},
         observation::Evaluated,
         settings::Settings,
         threshold::{Thresholds, WINDOWS},
@@ -20,6 +20,9 @@ use crate::{estimate::Grade, throw::Direction};
 
 /// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
+
+/// Numbers of throws set aside in a direction at which they show the scatter.
+const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
 
 /// The suspicion against adding a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,7 +73,8 @@ impl Tracks {
     ///
     /// A fault must not become part of the baseline, and chance must not stop the learning: throws with a suspected
     /// drift are set aside. They are dropped if the drift raises an alarm, and added if it ends or stays below its
-    /// limit for a longest window.
+    /// limit for a longest window. Before they are added, they show how much throws scatter around their own level: with
+    /// the few throws of the baseline alone a large drift may stay below its limit.
     pub(in crate::diagnose) fn learn(
         &mut self,
         throw: &Evaluated,
@@ -97,6 +101,10 @@ impl Tracks {
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
+        }
+        if suspicion == Suspicion::Suspected && SCATTER_AT.contains(&track.aside.len()) {
+            self.learn_scatter_around_levels(settings);
+            return Vec::new();
         }
         if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
             return Vec::new();
@@ -157,6 +165,32 @@ impl Tracks {
         let incomplete =
             self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(|baseline| baseline.complete));
         self.slopes.filter(|_| incomplete)
+    }
+
+    /// Computes the scatter of the throws of incomplete baselines and of those set aside, each around their own level.
+    fn learn_scatter_around_levels(&mut self, settings: &Settings) {
+        let (mut all, mut sensor, mut centres, mut sides) = (Vec::new(), Matrix3::zeros(), 0, 0);
+        for track in &mut self.sides {
+            let Some(baseline) = track.baseline.as_mut().filter(|baseline| !baseline.is_final(settings)) else {
+                continue;
+            };
+            let groups = [&track.learned[..], &track.aside[..]].into_iter().filter(|throws| !throws.is_empty());
+            let levels = groups.clone().count();
+            let residuals: Vec<_> = groups.flat_map(|throws| baseline.around_own_level(throws, &self.wet)).collect();
+            let own = baseline.differing(track.sensor.into());
+            baseline.scatter = learn_in_order(residuals.clone(), own, levels);
+            track.thresholds = None;
+            sensor += own * residuals.len() as f64;
+            (centres, sides) = (centres + levels, sides + 1);
+            all.extend(residuals);
+        }
+        if self.mixed.is_some() && sides == 2 {
+            let sensor = sensor / all.len() as f64;
+            let scatter = learn_in_order(all, sensor, centres);
+            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
+            self.mixed = Some(Mixed { scatter, thresholds });
+        }
+        self.refresh_thresholds(settings);
     }
 
     fn learn_mixed(&mut self, settings: &Settings) {
