@@ -20,7 +20,7 @@ pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::{Limits, Message};
 pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
-pub(crate) use outlet::{Outlet, OutletCounters, OutletEnd};
+pub(crate) use outlet::{Outlet, OutletCounters};
 pub(crate) use presence::{Audience, watch_tokens};
 pub use queries::{Question, Questions};
 pub use session::open;

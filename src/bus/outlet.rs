@@ -4,12 +4,11 @@
 
 use std::{
     collections::HashMap,
-    convert::Infallible,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
-    thread,
+    thread::{self, JoinHandle},
 };
 
 use tokio::sync::{mpsc, oneshot};
@@ -67,29 +66,15 @@ pub(crate) struct Outlet {
     counters: Arc<OutletCounters>,
 }
 
-/// The end of the publishing threads.
-#[derive(Debug)]
-pub(crate) struct OutletEnd([oneshot::Receiver<Infallible>; 2]);
-
-impl OutletEnd {
-    /// Waits until the threads have published their queues and ended.
-    pub(crate) async fn reached(self) {
-        for end in self.0 {
-            // Always an error: the thread sends nothing, it only drops the sender.
-            let _ = end.await;
-        }
-    }
-}
-
 impl Outlet {
-    /// Starts the threads. Close the session only after [`OutletEnd::reached`]: a put to a closing session panics in
-    /// zenoh.
-    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, OutletEnd)> {
+    /// Starts the threads, which end when they have published their queues. Close the session only after their end: a
+    /// put to a closing session panics in zenoh.
+    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, [JoinHandle<()>; 2])> {
         let counters = Arc::new(OutletCounters::default());
         // With a priority of their own alarms do not wait in zenoh behind health.
         let (alarms, first) = publisher("alarms", session, Priority::InteractiveHigh, ALARMS, &counters)?;
         let (healths, second) = publisher("publish", session, Priority::Data, QUEUE, &counters)?;
-        Ok((Self { alarms, healths, counters }, OutletEnd([first, second])))
+        Ok((Self { alarms, healths, counters }, [first, second]))
     }
 
     /// Counters of published, dropped and refused messages, shared with the threads.
@@ -118,22 +103,18 @@ impl Outlet {
     }
 }
 
-/// Starts a publishing thread; returns its queue and its end.
+/// Starts a publishing thread; returns its queue and its handle.
 fn publisher(
     name: &str,
     session: &Session,
     priority: Priority,
     capacity: usize,
     counters: &Arc<OutletCounters>,
-) -> std::io::Result<(mpsc::Sender<Job>, oneshot::Receiver<Infallible>)> {
+) -> std::io::Result<(mpsc::Sender<Job>, JoinHandle<()>)> {
     let (jobs, inbox) = mpsc::channel(capacity);
-    let (running, end) = oneshot::channel();
     let (session, counters) = (session.clone(), Arc::clone(counters));
-    thread::Builder::new().name(name.into()).spawn(move || {
-        run(&session, inbox, priority, &counters);
-        drop(running);
-    })?;
-    Ok((jobs, end))
+    let work = move || run(&session, inbox, priority, &counters);
+    Ok((jobs, thread::Builder::new().name(name.into()).spawn(work)?))
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {

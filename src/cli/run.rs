@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     daemon::{
-        DATABASE, Daemon, LockError, StartError, TaskEnded,
+        DATABASE, Daemon, LockError, StartError,
         config::{Config, Document},
     },
     store::StoreError,
@@ -48,9 +48,7 @@ pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
 /// Exit code and text of a daemon that cannot start.
 pub(super) fn start_failure(error: StartError) -> Failure {
     let exit = match &error {
-        StartError::Store(StoreError::Foreign { .. } | StoreError::Text { .. }) | StartError::Webhook(_) => {
-            Exit::Config
-        }
+        StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
         StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
         StartError::Bus(error) if !error.may_pass() => Exit::Config,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
@@ -61,8 +59,7 @@ pub(super) fn start_failure(error: StartError) -> Failure {
 
 /// The failure of a start; that of a database of another program names file, line and key of the configuration.
 fn located(error: StartError, file: Option<&Path>) -> Failure {
-    if let (StartError::Store(foreign @ (StoreError::Foreign { .. } | StoreError::Text { .. })), Some(file)) =
-        (&error, file)
+    if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {
         return Failure::new(Exit::Config, document.complain("store.path", foreign.to_string()));
@@ -95,7 +92,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
                 Requested::Stop => break None,
                 Requested::Reload => reload(&daemon, arguments.config.as_deref()),
             },
-            TaskEnded(task) = daemon.ended() => break Some(task),
+            task = daemon.ended() => break Some(task),
         }
     };
     let stopped = daemon.stop().await;

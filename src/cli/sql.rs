@@ -1,14 +1,13 @@
 //! `pointsd sql`: queries the database with the SQLite version of the daemon.
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, StdoutLock, Write};
 
-use anyhow::Context;
 use clap::Args;
 use comfy_table::{Table, presets};
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, database::Location, output, runtime::block_on};
-use crate::store::{StoreError, Value, ask};
+use crate::store::{Answer, StoreError, Value, ask};
 
 /// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
 /// columns.
@@ -38,25 +37,21 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     let mut answer: Box<dyn Answer> = match (arguments.json, arguments.csv) {
-        (true, _) => Box::new(Json::new(BufWriter::new(io::stdout().lock()))),
+        (true, _) => Box::new(Json { out: BufWriter::new(io::stdout().lock()), names: Vec::new(), rows: 0 }),
         (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
         _ => Box::new(Plain(None)),
     };
-    let answer = std::cell::RefCell::new(answer.as_mut());
-    let asked = block_on(async {
-        let columns = |names: &[String]| answer.borrow_mut().columns(names).map_err(Trouble::Output);
-        let row = |values| answer.borrow_mut().row(values).map_err(Trouble::Output);
-        let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
-        Ok(ask(&path, query, columns, row).await)
-    })?;
-    match asked.and_then(|()| answer.borrow_mut().end().map_err(Trouble::Output)) {
+    let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
+    match block_on(async { Ok(ask(&path, query, answer.as_mut()).await) })? {
         Ok(()) => Ok(Exit::Ok),
         // The reader closed the pipe.
-        Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
-        Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::InvalidInput => Err(error).or_exit(Exit::Usage),
-        Err(Trouble::Output(error)) => Err(error).context("cannot write the answer").or_exit(Exit::Io),
-        Err(Trouble::Store(error @ StoreError::Read(_))) => Err(error).or_exit(Exit::Data),
-        Err(Trouble::Store(error)) => Err(error).or_exit(Exit::NoInput),
+        Err(StoreError::Answer(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
+        Err(StoreError::Answer(error)) if error.kind() == io::ErrorKind::InvalidInput => {
+            Err(error).or_exit(Exit::Usage)
+        }
+        Err(error @ StoreError::Answer(_)) => Err(error).or_exit(Exit::Io),
+        Err(error @ StoreError::Read(_)) => Err(error).or_exit(Exit::Data),
+        Err(error) => Err(error).or_exit(Exit::NoInput),
     }
 }
 
@@ -64,24 +59,6 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 const VIEWS: &str = "SELECT schema.name AS view, group_concat(info.name, ', ') AS columns
                      FROM sqlite_schema AS schema, pragma_table_info(schema.name) AS info
                      WHERE schema.type = 'view' GROUP BY schema.name ORDER BY schema.name";
-
-enum Trouble {
-    Store(StoreError),
-    Output(io::Error),
-}
-
-impl From<StoreError> for Trouble {
-    fn from(error: StoreError) -> Self {
-        Self::Store(error)
-    }
-}
-
-/// Printer of an answer, row by row.
-trait Answer {
-    fn columns(&mut self, names: &[String]) -> io::Result<()>;
-    fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
-    fn end(&mut self) -> io::Result<()>;
-}
 
 /// Least width of a column of a wrapped table \[characters\]: in a narrower one times and numbers are broken.
 const LEAST_WIDTH: usize = 20;
@@ -111,9 +88,9 @@ impl Answer for Plain {
     }
 }
 
-struct Csv<W: Write>(csv::Writer<W>);
+struct Csv(csv::Writer<StdoutLock<'static>>);
 
-impl<W: Write> Answer for Csv<W> {
+impl Answer for Csv {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         self.0.write_record(names).map_err(output::io_error)
     }
@@ -127,19 +104,13 @@ impl<W: Write> Answer for Csv<W> {
     }
 }
 
-struct Json<W> {
-    out: W,
+struct Json {
+    out: BufWriter<StdoutLock<'static>>,
     names: Vec<String>,
     rows: u64,
 }
 
-impl<W> Json<W> {
-    fn new(out: W) -> Self {
-        Self { out, names: Vec::new(), rows: 0 }
-    }
-}
-
-impl<W: Write> Answer for Json<W> {
+impl Answer for Json {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         if !self.names.is_empty() {
             self.end()?;

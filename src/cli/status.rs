@@ -21,7 +21,7 @@ use crate::{
     daemon::{StatusReport, clock},
     diagnose::MachineState,
     store::{WORST_FIRST, Window},
-    throw::{Direction, MachineId, Name},
+    throw::{Direction, MachineId, Name, counted},
     wire::{self, Alarm, Health},
 };
 
@@ -195,8 +195,7 @@ fn print_machines(
     let tally: Vec<String> =
         tally.iter().filter(|(count, _)| *count > 0).map(|(count, state)| format!("{count} {state}")).collect();
     let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
-    let noun = if machines.len() == 1 { "machine" } else { "machines" };
-    output::line(format_args!("{} {noun}{tally}", machines.len()))?;
+    output::line(format_args!("{}{tally}", counted(machines.len() as u64, "machine")))?;
     let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state_of(rows));
     let is_short =
         arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;

@@ -1,7 +1,7 @@
 //! `pointsim throw`: simulates one throw, writes its trace as CSV, and prints its true coefficients.
 
 use std::{
-    fs, io,
+    io::{self, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -111,13 +111,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
     let is_stdout = arguments.out == Path::new("-");
+    let csv = csv(&recording).or_exit(Exit::Software)?;
     if is_stdout {
-        output::written(write_csv(io::stdout().lock(), &recording))?;
+        output::written(io::stdout().write_all(&csv))?;
     } else {
-        fs::File::create(&arguments.out)
-            .and_then(|file| write_csv(file, &recording))
-            .with_context(|| format!("{} cannot be written", arguments.out.display()))
-            .or_exit(Exit::CannotCreate)?;
+        output::file(&arguments.out, csv)?;
     }
     let coefficients = worn.at_temperature(arguments.temperature_c).coefficients().or_exit(Exit::Config)?;
     let truth = Truth {
@@ -216,13 +214,13 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
     Ok(condition)
 }
 
-fn write_csv(out: impl io::Write, recording: &Recording) -> io::Result<()> {
-    let mut writer = csv::Writer::from_writer(out);
-    writer.write_record(["time_s", "current_a", "position_mm"]).map_err(output::io_error)?;
+fn csv(recording: &Recording) -> anyhow::Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(["time_s", "current_a", "position_mm"])?;
     let samples = recording.trace.current_a().iter().zip(recording.trace.position_mm());
     for (time_s, (current_a, position_mm)) in recording.time_s.iter().zip(samples) {
         let row = [format!("{time_s:.7}"), format!("{current_a:.6}"), format!("{position_mm:.6}")];
-        writer.write_record(&row).map_err(output::io_error)?;
+        writer.write_record(&row)?;
     }
-    writer.flush()
+    Ok(writer.into_inner()?)
 }

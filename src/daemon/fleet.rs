@@ -1,7 +1,7 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, HashSet},
+    collections::{BTreeMap, HashSet},
     time::Duration,
 };
 
@@ -40,10 +40,6 @@ const SMALLEST_NAME: &str = "-";
 pub(super) struct Fleet {
     /// In order, so that the machines of a site stand together. Boxed, as half of the places in the tree are empty.
     monitors: BTreeMap<MachineId, Box<MachineMonitor>>,
-    /// Machines whose monitor has a departure from its baseline: the only ones that can take part in a common change.
-    /// The set saves a search through all machines of a site at each throw. It may also hold machines with a new
-    /// baseline, which has no departure yet.
-    witnesses: BTreeSet<MachineId>,
     /// Machines whose stored monitor may differ from that in memory; stored again at the next tick.
     to_store: HashSet<MachineId>,
     /// Ticks in this hour.
@@ -69,9 +65,6 @@ impl Fleet {
             };
             if state != Some(monitor.state()) {
                 self.to_store.insert(machine.clone());
-            }
-            if monitor.is_witness() {
-                self.witnesses.insert(machine.clone());
             }
             self.monitors.insert(machine, Box::new(monitor));
         }
@@ -158,9 +151,6 @@ impl Fleet {
         events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         let outcome = Outcome { command, ..outcome };
-        if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
-            self.witnesses.insert(stored.machine.clone());
-        }
         let health = health(stored, identification.as_ref(), withheld, &verdict, since_baseline);
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
@@ -225,9 +215,9 @@ impl Fleet {
     /// The common change of the machines of a site, without one of them.
     fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
         let Ok(first) = MachineId::new(site.as_str(), SMALLEST_NAME) else { return Common::default() };
-        let machines = self.witnesses.range(first..).take_while(|machine| machine.site == *site);
-        let others = machines.filter(|machine| Some(*machine) != but);
-        MachineMonitor::common(others.filter_map(|machine| self.monitors.get(machine).map(Box::as_ref)), at)
+        let of_site = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
+        let others = of_site.filter(|(machine, _)| Some(*machine) != but).map(|(_, monitor)| &**monitor);
+        MachineMonitor::common(others.filter(|monitor| monitor.is_witness()), at)
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].
@@ -322,7 +312,6 @@ impl Fleet {
         let confirmation = confirmation + &command.consequence(&events);
         if matches!(command, Command::Retire { .. }) {
             self.monitors.remove(machine);
-            self.witnesses.remove(machine);
         }
         Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
     }

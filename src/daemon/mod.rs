@@ -40,4 +40,3 @@ pub use lock::LockError;
 pub use offline::{Offline, StartError};
 pub use running::{DATABASE, Daemon, View};
 pub use status::{Standing, StatusReport};
-pub use tasks::TaskEnded;

@@ -1,6 +1,6 @@
 //! The running daemon: start, and interface for other parts of the process.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{collections::HashSet, sync::Arc, thread::JoinHandle};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
@@ -24,12 +24,12 @@ use super::{
     receive::{Intake, ReceiveLoop},
     retention,
     status::{Status, StatusReport, StatusSources},
-    tasks::{TaskEnded, Tasks},
+    tasks::Tasks,
     watchdog,
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, Outlet, OutletEnd, Questions},
+    bus::{self, Audience, BusError, Inbox, Limits, Outlet, Questions},
     store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
@@ -55,7 +55,7 @@ pub struct Daemon {
     orders: Orders,
     pub(super) tasks: Tasks,
     pub(super) stops: Stops,
-    pub(super) outlet_end: OutletEnd,
+    pub(super) publishing: [JoinHandle<()>; 2],
     pub(super) alive: LivelinessToken,
     pub(super) lock: DatabaseLock,
 }
@@ -143,7 +143,7 @@ impl Daemon {
         let (watchers, _) = broadcast::channel(WATCHED);
         let (orders, commands) = Orders::new();
         let (alive, loggers) = watch::channel(HashSet::new());
-        let (outlet, outlet_end) = Outlet::start(&start.session)?;
+        let (outlet, publishing) = Outlet::start(&start.session)?;
 
         start.notify_webhook().await?;
         // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
@@ -168,7 +168,7 @@ impl Daemon {
         }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
-        Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
+        Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, publishing, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -207,10 +207,10 @@ impl Daemon {
     }
 
     /// Waits until a task ends unexpectedly.
-    pub async fn ended(&mut self) -> TaskEnded {
+    pub async fn ended(&mut self) -> &'static str {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
-            () = self.store.stopped() => TaskEnded(DATABASE),
+            () = self.store.stopped() => DATABASE,
         }
     }
 

@@ -1,6 +1,6 @@
 //! Stop of the daemon: in the order of the pipeline, with a time limit for each step.
 
-use std::time::Duration;
+use std::{thread::JoinHandle, time::Duration};
 
 use sd_notify::NotifyState;
 use tokio::time;
@@ -19,6 +19,8 @@ const JUDGE_LIMIT: Duration = Duration::from_millis(2_500);
 const LEAVE_LIMIT: Duration = Duration::from_millis(700);
 /// Time limit to publish the outbox; the rest is published after the next start.
 const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
+/// Time between two looks whether the publishing threads have ended.
+const LOOK: Duration = Duration::from_millis(5);
 /// Time limit to close the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
 /// Time limit to close the database, which may copy its whole log, or hang with the disk.
@@ -31,7 +33,7 @@ impl Daemon {
     /// # Errors
     /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
-        let Self { session, store, mut tasks, stops, outlet_end, alive, sources, lock, .. } = self;
+        let Self { session, store, mut tasks, stops, publishing, alive, sources, lock, .. } = self;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {
@@ -51,7 +53,12 @@ impl Daemon {
         }
         tracing::info!("{}", sources.report().line());
         drop((alive, tasks));
-        if time::timeout(LEAVE_LIMIT, outlet_end.reached()).await.is_err() {
+        let ended = async {
+            while !publishing.iter().all(JoinHandle::is_finished) {
+                time::sleep(LOOK).await;
+            }
+        };
+        if time::timeout(LEAVE_LIMIT, ended).await.is_err() {
             tracing::warn!("the publishing thread hangs in zenoh");
         }
         match time::timeout(SESSION_LIMIT, session.close()).await {

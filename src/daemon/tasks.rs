@@ -1,45 +1,30 @@
 //! The tasks of the daemon, whose ends are observed.
 
-use std::{collections::HashMap, time::Duration};
+use std::time::Duration;
 
-use tokio::{
-    task::{Id, JoinSet},
-    time,
-};
+use tokio::time;
+use tokio_util::task::JoinMap;
 
-/// The name of a task that ended unexpectedly.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TaskEnded(pub &'static str);
-
-/// Tasks with their names; running tasks are aborted when this is dropped.
+/// Tasks by their names; running tasks are aborted when this is dropped.
 #[derive(Default)]
-pub(super) struct Tasks {
-    running: JoinSet<()>,
-    names: HashMap<Id, &'static str>,
-}
+pub(super) struct Tasks(JoinMap<&'static str, ()>);
 
 impl Tasks {
     pub(super) fn spawn<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
-        let handle = self.running.spawn(async move {
+        self.0.spawn(name, async move {
             task.await;
         });
-        self.names.insert(handle.id(), name);
     }
 
-    /// Waits until a task ends or panics.
-    pub(super) async fn next_end(&mut self) -> TaskEnded {
-        let id = match self.running.join_next_with_id().await {
-            Some(Ok((id, ()))) => id,
-            Some(Err(error)) => error.id(),
-            None => return TaskEnded("every task"),
-        };
-        TaskEnded(self.names.remove(&id).unwrap_or("a task"))
+    /// Waits until a task ends or panics; returns its name.
+    pub(super) async fn next_end(&mut self) -> &'static str {
+        self.0.join_next().await.map_or("every task", |(name, _)| name)
     }
 
     /// Waits at most `limit` until the task `name` has ended; returns whether it has.
-    pub(super) async fn end_of(&mut self, name: &'static str, limit: Duration) -> bool {
+    pub(super) async fn end_of(&mut self, name: &str, limit: Duration) -> bool {
         let end = async {
-            while self.names.values().any(|running| *running == name) {
+            while self.0.contains_key(name) {
                 self.next_end().await;
             }
         };

@@ -126,6 +126,12 @@ mod tests {
     /// Calls as in `judged`, and their judgement.
     type Case = (&'static [(isize, Cause, bool)], Judgement);
 
+    fn check(life: &Timeline, cases: &[Case]) {
+        for (calls, expected) in cases {
+            assert_eq!(judged(life, calls), *expected, "{calls:?}");
+        }
+    }
+
     #[test]
     fn one_cause_is_judged_by_its_first_name_and_by_critical_names() {
         use Cause::{Inertia, Kt, Unattributed};
@@ -141,9 +147,7 @@ mod tests {
             (&[(-1, Kt, false), (1, Kt, false)], Judgement::Wrong),
             (&[(-1, Unattributed, false), (1, Kt, false)], Judgement::Wrong),
         ];
-        for (calls, expected) in cases {
-            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
-        }
+        check(&life, cases);
     }
 
     #[test]
@@ -181,9 +185,7 @@ mod tests {
             (&[(3, Inertia, false)], Judgement::Wrong),
             (&[(3, Unattributed, false), (5, Inertia, true)], Judgement::Wrong),
         ];
-        for (calls, expected) in cases {
-            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
-        }
+        check(&life, cases);
     }
 
     #[test]
@@ -208,9 +210,7 @@ mod tests {
             (&[(-50, Friction, false), (2, Inertia, false), (3, Kt, false)], Judgement::Wrong),
             (&[(-50, Kt, false), (3, Kt, false)], Judgement::Wrong),
         ];
-        for (calls, expected) in cases {
-            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
-        }
+        check(&life, cases);
     }
 
     #[test]

@@ -106,32 +106,23 @@ impl Panel {
 
     /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
     pub fn line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), false)
+        self.curve(name, points.into_iter().collect(), Vec::new(), false)
     }
 
     /// Adds a curve with a dot at every point. Ignored by a chart of bars.
     pub fn dotted_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), true)
+        self.curve(name, points.into_iter().collect(), Vec::new(), true)
     }
 
     /// Adds a curve with a band: each point is x, y and half the width of the band. Ignored by a chart of bars.
     pub fn banded_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
-        self.curve(name, points.into_iter().map(|(x, y, reach)| (x, y, Some(reach))), false)
+        let (points, reach) = points.into_iter().map(|(x, y, reach)| ((x, y), reach)).unzip();
+        self.curve(name, points, reach, false)
     }
 
-    fn curve(
-        mut self,
-        name: impl Into<String>,
-        points: impl Iterator<Item = (f64, f64, Option<f64>)>,
-        dots: bool,
-    ) -> Self {
+    fn curve(mut self, name: impl Into<String>, points: Vec<(f64, f64)>, reach: Vec<f64>, dots: bool) -> Self {
         if let Content::Curves { curves, .. } = &mut self.content {
-            let mut curve = Curve { name: name.into(), points: Vec::new(), reach: Vec::new(), dots };
-            for (x, y, reach) in points {
-                curve.points.push((x, y));
-                curve.reach.extend(reach);
-            }
-            curves.push(curve);
+            curves.push(Curve { name: name.into(), points, reach, dots });
         }
         self
     }

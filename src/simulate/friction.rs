@@ -59,53 +59,11 @@ pub(super) struct Response {
     velocity: Vec<Vec<f64>>,
 }
 
-/// Chairs in a block; 8 let the compiler use vector registers.
-const LANES: usize = 8;
-
-/// A block of chairs; the last chair is repeated in a block that is not full.
-#[derive(Debug, Clone, Copy)]
-struct Sliding {
-    /// Displacement of each mode (row) at each chair (column).
-    shapes: [[f64; LANES]; MAX_MODES],
-    /// Sign of the sliding speed of each chair, against its force; 0 for a chair that sticks.
-    ways: [f64; LANES],
-}
-
-impl Sliding {
-    fn new(chairs: &[Chair]) -> Self {
-        let shapes =
-            std::array::from_fn(|mode| std::array::from_fn(|lane| chairs[lane.min(chairs.len() - 1)].shape[mode]));
-        Self { shapes, ways: [0.0; LANES] }
-    }
-
-    fn update(&mut self, contacts: &[Contact]) {
-        self.ways = std::array::from_fn(|lane| {
-            let contact = &contacts[lane.min(contacts.len() - 1)];
-            if contact.force.abs() >= contact.limit { -contact.force.signum() } else { 0.0 }
-        });
-    }
-
-    /// Whether every chair slides on, against its force.
-    #[inline]
-    fn keeps_sliding(&self, mode_speeds: &[f64; MAX_MODES]) -> bool {
-        let mut speeds = [0.0; LANES];
-        for (shapes, mode_speed) in self.shapes.iter().zip(mode_speeds) {
-            for lane in 0..LANES {
-                speeds[lane] += shapes[lane] * mode_speed;
-            }
-        }
-        let along: [f64; LANES] = std::array::from_fn(|lane| speeds[lane] * self.ways[lane]);
-        along.iter().all(|speed| *speed > 0.0)
-    }
-}
-
 /// Dry friction of a machine, with the forces of the last step.
 #[derive(Debug, Clone)]
 pub(super) struct Friction {
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
-    /// The chairs in blocks, for a fast check in each step that they still slide.
-    sliding: Vec<Sliding>,
     stribeck: Option<Stribeck>,
     /// Effect of the present forces on the state; NaN when it must be computed again.
     effect: State,
@@ -126,9 +84,7 @@ impl Friction {
             contact(Site::Motor, parameters.motor_dry_nm * parameters.gear_ratio),
             contact(Site::Screw, parameters.screw_dry_nm),
         ];
-        let mut sliding = Vec::new();
         if parameters.rails.slide_friction > 0.0 {
-            sliding.extend(modes.chairs.chunks(LANES).map(Sliding::new));
             let slide =
                 |chair: &Chair| contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n);
             contacts.extend(modes.chairs.iter().map(slide));
@@ -139,7 +95,7 @@ impl Friction {
             metres_per_radian: parameters.metres_per_radian(),
         });
         let brake = parameters.brake_nm * parameters.gear_ratio;
-        Self { contacts, sliding, stribeck, effect: [0.0; STATES], brake }
+        Self { contacts, stribeck, effect: [0.0; STATES], brake }
     }
 
     pub(super) fn response(&self, step: &Step) -> Response {
@@ -171,22 +127,13 @@ impl Friction {
         }
         let mut reached = *next;
         add_scaled(&mut reached, &self.effect, 1.0);
-        if !self.all_hold(&reached) {
+        if !self.contacts.iter().all(|contact| contact.holds(&reached)) {
             self.solve(next, response);
             self.refresh(response);
             reached = *next;
             add_scaled(&mut reached, &self.effect, 1.0);
         }
         *next = reached;
-    }
-
-    /// Whether every force satisfies Coulomb's law in the state `reached`.
-    #[inline]
-    fn all_hold(&self, reached: &State) -> bool {
-        let mode_speeds: [f64; MAX_MODES] = std::array::from_fn(|mode| reached[MODE_SPEED + mode]);
-        self.contacts[0].holds(reached[MOTOR_SPEED])
-            && self.contacts[1].holds(reached[SCREW_SPEED])
-            && self.sliding.iter().all(|chairs| chairs.keeps_sliding(&mode_speeds))
     }
 
     /// Discards the stored effect after the response changed.
@@ -198,9 +145,6 @@ impl Friction {
         self.effect = [0.0; STATES];
         for (contact, effect) in self.contacts.iter().zip(&response.effect) {
             add_scaled(&mut self.effect, effect, contact.force);
-        }
-        for (chairs, contacts) in self.sliding.iter_mut().zip(self.contacts[2..].chunks(LANES)) {
-            chairs.update(contacts);
         }
     }
 
@@ -251,9 +195,10 @@ impl Friction {
 }
 
 impl Contact {
-    /// Whether the contact slides at `speed` with its force at the limit and against the speed, or has no friction.
+    /// Whether the contact slides in `state` with its force at the limit and against its speed, or has no friction.
     #[inline]
-    fn holds(&self, speed: f64) -> bool {
-        self.limit == 0.0 || (self.force.abs() >= self.limit && self.force * speed <= 0.0 && speed != 0.0)
+    fn holds(&self, state: &State) -> bool {
+        let against = || self.force * self.site.velocity(state);
+        self.limit == 0.0 || (self.force.abs() >= self.limit && against() < 0.0)
     }
 }

@@ -187,22 +187,16 @@ impl Disk {
         }
     }
 
-    /// Creates the ballast if there is enough space. Returns whether it exists.
-    pub(super) fn restore_ballast(&self) -> Result<bool, StoreError> {
-        let Some((free, whole)) = self.space() else { return Ok(false) };
+    /// Creates the ballast if there is enough space.
+    pub(super) fn restore_ballast(&self) -> Result<(), StoreError> {
+        let Some((free, whole)) = self.space() else { return Ok(()) };
         // A small disk has a small ballast: without it the alarm about the full disk could not be committed.
         let bytes = self.ballast_bytes.min(whole / 8);
-        if bytes == 0 {
-            return Ok(false);
+        let exists = std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == bytes);
+        if bytes == 0 || exists || free <= self.low_bytes.min(whole / 4) + 2 * bytes {
+            return Ok(());
         }
-        if std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == bytes) {
-            return Ok(true);
-        }
-        if free <= self.low_bytes.min(whole / 4) + 2 * bytes {
-            return Ok(false);
-        }
-        let file = |action, source| StoreError::File { action, path: self.ballast.clone(), source };
-        self.allocate(bytes).map(|()| true).map_err(|source| file("preallocate", source))
+        self.allocate(bytes).map_err(StoreError::file("preallocate", &self.ballast))
     }
 
     fn allocate(&self, bytes: u64) -> io::Result<()> {

@@ -17,28 +17,12 @@ pub enum StoreError {
         /// Error of SQLite.
         source: Box<sqlx::Error>,
     },
-    /// The file belongs to another program.
-    #[error("{} is the database of another program (it has the table {table}): name another file in store.path", path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// One of its tables.
-        table: String,
-    },
-    /// The file is text, and so not a damaged database.
-    #[error("{} is a text file, not a database: name another file in store.path", path.display())]
-    Text {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The schema cannot be migrated.
-    #[error("cannot migrate the schema of {}: {source}", path.display())]
-    Migrate {
-        /// The database file.
-        path: PathBuf,
-        /// Error of the migration.
-        source: Box<sqlx::migrate::MigrateError>,
-    },
+    /// The file is the database of another program, or text, and so not a damaged database.
+    #[error("{0}: name another file in store.path")]
+    Foreign(String),
+    /// The schema is that of another version, which this one could damage or not read, or it cannot be migrated.
+    #[error("{0}")]
+    Schema(String),
     /// The disk is full. Nothing was stored; repeat the call when there is space.
     #[error("the disk of the database is full: free some space; nothing else is needed")]
     Full,
@@ -63,30 +47,9 @@ pub enum StoreError {
     /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and creates a new one")]
     Broken,
-    /// A newer version changed the database in a way that this version could damage.
-    #[error(
-        "the database {} was changed by a newer version of pointsd (schema {needed}), and this version (schema {known}) \
-         cannot read it: install the newer version again, or restore the backup from before the upgrade",
-        path.display()
-    )]
-    TooNew {
-        /// The database file.
-        path: PathBuf,
-        /// Oldest schema version that may use the database.
-        needed: i64,
-        /// Newest schema version of this program.
-        known: i64,
-    },
-    /// A database of an older version, which lacks columns.
-    #[error(
-        "the database {} is of an older version of pointsd: make a copy, name it in store.path of a configuration, and \
-         start `pointsd run` with it once, which brings it up to date",
-        path.display()
-    )]
-    Older {
-        /// The database file.
-        path: PathBuf,
-    },
+    /// The answer to a query cannot be written.
+    #[error("cannot write the answer: {0}")]
+    Answer(#[source] std::io::Error),
     /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,
@@ -106,6 +69,11 @@ impl StoreError {
     /// Turns an error of SQLite into that of opening the database at `path`.
     pub(super) fn open(path: &Path) -> impl Fn(sqlx::Error) -> Self {
         |source| Self::Open { path: path.to_owned(), unwritable: unwritable(path), source: Box::new(source) }
+    }
+
+    /// Turns an error of the system into that of a file of the database.
+    pub(super) fn file(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        move |source| Self::File { action, path: path.to_owned(), source }
     }
 
     pub(super) fn read(source: sqlx::Error) -> Self {

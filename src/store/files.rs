@@ -87,12 +87,14 @@ impl DatabaseFiles {
 
     /// Renames foreign files at the path of the database.
     pub(super) fn rename_foreign_files(&self) -> Result<(), StoreError> {
-        let file = self.file();
         // Files that exist at the same time have different inodes, so the names differ.
-        let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());
-        for suffix in SUFFIXES {
-            rename(&beside(&file, suffix), &beside(&self.path, &format!("-replaced-{inode}{suffix}")))?;
-        }
+        let inode = std::fs::metadata(self.file()).map_or(0, |file| file.ino());
+        self.rename_to(&beside(&self.path, &format!("-replaced-{inode}")))
+    }
+
+    fn rename_to(&self, to: &Path) -> Result<(), StoreError> {
+        let file = self.file();
+        SUFFIXES.iter().try_for_each(|suffix| rename(&beside(&file, suffix), &beside(to, suffix)))?;
         if self.path.is_symlink() { remove_one(&self.path) } else { Ok(()) }
     }
 
@@ -122,10 +124,7 @@ impl DatabaseFiles {
     pub(super) fn switch(&self, copy: &Path) -> Result<(), StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
-        let error = |action: &'static str| {
-            let path = copy.to_owned();
-            move |source: io::Error| StoreError::File { action, path, source }
-        };
+        let error = |action| StoreError::file(action, copy);
         File::open(copy).and_then(|file| file.sync_all()).map_err(error("sync"))?;
         let link = beside(&self.path, "-link");
         remove_one(&link)?;
@@ -168,14 +167,8 @@ impl DatabaseFiles {
 
     /// Renames the database with its log.
     pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        let (file, to) = (self.file(), self.aside(now));
-        for suffix in SUFFIXES {
-            rename(&beside(&file, suffix), &beside(&to, suffix))?;
-        }
-        if self.path.is_symlink() {
-            remove_one(&self.path)?;
-        }
-        Ok(to)
+        let to = self.aside(now);
+        self.rename_to(&to).map(|()| to)
     }
 
     /// Path of the copy of the readable rows of a broken database. Removes an older copy at this path.
@@ -187,14 +180,13 @@ impl DatabaseFiles {
     /// Gives a complete and closed copy the configured path.
     pub(super) fn adopt(&self, copy: &Path) -> Result<(), StoreError> {
         rename(copy, &self.path)?;
-        let path = self.path.clone();
-        self.sync_folder().map_err(|source| StoreError::File { action: "sync the folder of", path, source })
+        self.sync_folder().map_err(StoreError::file("sync the folder of", &self.path))
     }
 
     /// Writes a summary of the saved rows next to a database that was set aside, for people and for the alarm.
     pub(super) fn describe_set_aside(file: &Path, text: &str) -> Result<(), StoreError> {
         let path = beside(file, SAVED);
-        std::fs::write(&path, text).map_err(|source| StoreError::File { action: "write", path, source })
+        std::fs::write(&path, text).map_err(StoreError::file("write", &path))
     }
 
     /// The summary of the saved rows of a database that was set aside.
@@ -233,12 +225,7 @@ impl DatabaseFiles {
 
 /// Renames a file if it exists.
 fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
-    match std::fs::rename(from, to) {
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            Err(StoreError::File { action: "rename", path: from.to_owned(), source })
-        }
-        _ => Ok(()),
-    }
+    unless_missing(std::fs::rename(from, to)).map_err(StoreError::file("rename", from))
 }
 
 /// Removes a database with its log.
@@ -247,10 +234,9 @@ fn remove(file: &Path) -> Result<(), StoreError> {
 }
 
 fn remove_one(path: &Path) -> Result<(), StoreError> {
-    match std::fs::remove_file(path) {
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            Err(StoreError::File { action: "remove", path: path.to_owned(), source })
-        }
-        _ => Ok(()),
-    }
+    unless_missing(std::fs::remove_file(path)).map_err(StoreError::file("remove", path))
+}
+
+fn unless_missing(done: io::Result<()>) -> io::Result<()> {
+    done.or_else(|error| if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) })
 }

@@ -24,7 +24,7 @@ use super::{
     error::{StoreError, is_corrupt, is_full, is_interrupted},
     files::DatabaseFiles,
     salvage::{PARTS, Salvaged, salvage},
-    settings::{MIB, Settings, Synchronous},
+    settings::{MIB, Settings},
     statements as sql,
 };
 
@@ -81,10 +81,7 @@ pub struct Report {
 /// Options of the writing connection. Only a new database gets the auto-vacuum mode: SQLite writes it to the header at
 /// each opening, and a broken or too new file must not be changed.
 pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
-    let synchronous = match settings.synchronous {
-        Synchronous::Full => SqliteSynchronous::Full,
-        Synchronous::Normal => SqliteSynchronous::Normal,
-    };
+    let synchronous = if settings.durable { SqliteSynchronous::Full } else { SqliteSynchronous::Normal };
     let options = SqliteConnectOptions::new();
     let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
     options
@@ -213,7 +210,7 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         return Ok(());
     }
     if is_text(path) {
-        return Err(StoreError::Text { path: path.to_owned() });
+        return Err(StoreError::Foreign(format!("{} is a text file, not a database", path.display())));
     }
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
@@ -222,14 +219,24 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     // An error of the close does not change the result.
     let _ = connection.close().await;
     match table {
-        Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
+        Ok(Some(table)) => {
+            let path = path.display();
+            Err(StoreError::Foreign(format!("{path} is the database of another program (it has the table {table})")))
+        }
         _ => refuse_newer(path, needed.unwrap_or(0)),
     }
 }
 
 pub(super) fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
     let known = newest_known();
-    if needed > known { Err(StoreError::TooNew { path: path.to_owned(), needed, known }) } else { Ok(()) }
+    if needed <= known {
+        return Ok(());
+    }
+    Err(StoreError::Schema(format!(
+        "the database {} was changed by a newer version of pointsd (schema {needed}), and this version (schema {known}) \
+         cannot read it: install the newer version again, or restore the backup from before the upgrade",
+        path.display()
+    )))
 }
 
 /// Oldest schema version that may use the database: see [`migrator`].
@@ -256,8 +263,7 @@ fn is_text(path: &Path) -> bool {
 enum Trouble {
     Broken(String),
     Access(sqlx::Error),
-    Migration(MigrateError),
-    TooNew(StoreError),
+    Schema(StoreError),
 }
 
 impl Trouble {
@@ -268,8 +274,7 @@ impl Trouble {
             Self::Broken(why) => StoreError::open(&path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(&path)(source),
-            Self::Migration(source) => StoreError::Migrate { path, source: Box::new(source) },
-            Self::TooNew(error) => error,
+            Self::Schema(error) => error,
         }
     }
 }
@@ -280,12 +285,12 @@ impl From<sqlx::Error> for Trouble {
     }
 }
 
-impl From<MigrateError> for Trouble {
-    fn from(error: MigrateError) -> Self {
-        match error {
-            MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
-            error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => Self::Broken(error.to_string()),
-            error => Self::Migration(error),
+fn not_migrated(path: &Path, error: MigrateError) -> Trouble {
+    match error {
+        MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
+        error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => Trouble::Broken(error.to_string()),
+        error => {
+            Trouble::Schema(StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display())))
         }
     }
 }
@@ -314,7 +319,7 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
 }
 
 async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, Trouble> {
-    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::TooNew)?;
+    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::Schema)?;
     let before = applied(&mut *connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
@@ -328,7 +333,7 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh:
             Found::Unclean
         }
     };
-    migrator().run(&mut *connection).await?;
+    migrator().run(&mut *connection).await.map_err(|error| not_migrated(path, error))?;
     sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
     // Into the database itself, so that a loss of the log shows. With a reader of an old state it may stay in the log.
     if let Err(error) = sqlx::query("PRAGMA wal_checkpoint").execute(&mut *connection).await {

@@ -1,6 +1,9 @@
 //! Access from outside the daemon: SQL queries, and backups while it runs.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use futures_util::TryStreamExt;
 use sqlx::{
@@ -58,43 +61,50 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
     open::refuse_newer(path, needed)?;
     // Without any migration it is no database of pointsd.
     let is_older = !applied.is_empty() && !applied.contains(&open::newest_known());
-    if is_older { Err(StoreError::Older { path: path.to_owned() }) } else { Ok(()) }
+    if !is_older {
+        return Ok(());
+    }
+    Err(StoreError::Schema(format!(
+        "the database {} is of an older version of pointsd: make a copy, name it in store.path of a configuration, and \
+         start `pointsd run` with it once, which brings it up to date",
+        path.display()
+    )))
 }
 
-/// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
-/// `columns` is called with the names before the rows of each statement, also without rows.
-///
-/// # Errors
-/// When the database cannot be opened, or the SQL is invalid or would write; or the error of `columns` or `row`.
-pub async fn ask<E: From<StoreError>>(
-    path: &Path,
-    question: &str,
-    mut columns: impl FnMut(&[String]) -> Result<(), E>,
-    mut row: impl FnMut(Vec<Value>) -> Result<(), E>,
-) -> Result<(), E> {
+/// The receiver of an answer, row by row.
+pub(crate) trait Answer {
+    /// The names of the columns, before the rows of each statement, also without rows.
+    fn columns(&mut self, names: &[String]) -> io::Result<()>;
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
+    fn end(&mut self) -> io::Result<()>;
+}
+
+/// Queries the database at `path`, read-only. An error of `answer` ends the query.
+pub(crate) async fn ask(path: &Path, question: &str, answer: &mut dyn Answer) -> Result<(), StoreError> {
     let mut connection = connect(path).await?;
     // VACUUM INTO writes another file also on a read-only connection, and with `query_only` still creates it.
     if question.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
         let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
-        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())).into());
+        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())));
     }
     let question = AssertSqlSafe(question.to_owned()).into_sql_str();
     let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
-    columns(&names(statement.columns()))?;
-    let mut answers = connection.fetch_many(sqlx::raw_sql(question));
+    answer.columns(&names(statement.columns())).map_err(StoreError::Answer)?;
+    let mut found = connection.fetch_many(sqlx::raw_sql(question));
     let mut is_next_statement = false;
-    while let Some(found) = answers.try_next().await.map_err(StoreError::read)? {
-        let Either::Right(found) = found else {
+    while let Some(next) = found.try_next().await.map_err(StoreError::read)? {
+        let Either::Right(row) = next else {
             is_next_statement = true;
             continue;
         };
         if std::mem::take(&mut is_next_statement) {
-            columns(&names(found.columns()))?;
+            answer.columns(&names(row.columns())).map_err(StoreError::Answer)?;
         }
-        row((0..found.len()).map(|at| value(&found, at)).collect::<sqlx::Result<_>>().map_err(StoreError::read)?)?;
+        let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
+        answer.row(values.map_err(StoreError::read)?).map_err(StoreError::Answer)?;
     }
-    Ok(())
+    answer.end().map_err(StoreError::Answer)
 }
 
 /// Whether a part of a query begins with VACUUM. A statement begins at the start, or after a semicolon or a comment.
@@ -150,12 +160,12 @@ impl Backup {
     /// Copies one consistent state, checks the copy, and renames it to `to` when it is complete. Returns its size
     /// \[bytes\].
     pub(crate) async fn run(&self) -> Result<u64, StoreError> {
-        let file = |action, source| StoreError::File { action, path: self.partial.clone(), source };
+        let file = |action| StoreError::file(action, &self.partial);
         if self.partial.exists() {
-            std::fs::remove_file(&self.partial).map_err(|source| file("remove", source))?;
+            std::fs::remove_file(&self.partial).map_err(file("remove"))?;
         }
         // SQLite does not say which of the two files it cannot open. It accepts an empty file as the copy.
-        std::fs::File::create_new(&self.partial).map_err(|source| file("create", source))?;
+        std::fs::File::create_new(&self.partial).map_err(file("create"))?;
         let outcome = self.copy().await;
         if let Err(error) = outcome {
             // Ignored: the first error is reported.
@@ -167,7 +177,7 @@ impl Backup {
             .and_then(|copy| copy.sync_all())
             .and_then(|()| std::fs::rename(&self.partial, &self.to))
             .and_then(|()| DatabaseFiles::new(&self.to).sync_folder())
-            .map_err(|source| file("complete", source))?;
+            .map_err(file("complete"))?;
         Ok(size)
     }
 

@@ -37,19 +37,9 @@ settings! {
         pub max_wal_mib: u64 = 256, Within(32.0, 65_536.0, "MiB");
         /// Largest number of messages in quarantine, 0 to 100,000.
         pub max_quarantined: u32 = 1000, Within(0.0, 100_000.0, "messages");
-        /// Durability of commits. Not a key of the configuration: without `Full` a power cut loses acknowledged rows.
-        /// It exists to show that the power-cut test can fail.
+        /// Whether a commit returns when it is on the disk. Not a key of the configuration: without it a power cut loses
+        /// acknowledged rows. It exists to show that the power-cut test can fail.
         #[serde(skip)]
-        pub synchronous: Synchronous = Synchronous::Full;
+        pub durable: bool = true;
     }
-}
-
-/// SQLite's `synchronous` setting.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Synchronous {
-    /// A commit returns when it is on the disk.
-    #[default]
-    Full,
-    /// A commit returns before it is on the disk.
-    Normal,
 }

@@ -3,8 +3,9 @@
 use std::{collections::HashMap, sync::Arc};
 
 use axum::{
+    Extension,
     body::Bytes,
-    extract::{ConnectInfo, Path, State, rejection::PathRejection},
+    extract::{Path, State, rejection::PathRejection},
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
@@ -12,7 +13,7 @@ use jiff::{SignedDuration, Timestamp};
 use tokio::time;
 
 use super::{
-    connection::Arrived,
+    connection::Progress,
     guard::LIMIT,
     machine::{self, Form},
     overview::Web,
@@ -25,11 +26,11 @@ const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
-    ConnectInfo(arrived): ConnectInfo<Arrived>,
+    Extension(progress): Extension<Progress>,
     machine: Result<Path<MachineId>, PathRejection>,
     body: Bytes,
 ) -> Result<Response, Failure> {
-    arrived.set();
+    progress.arrived();
     let Path(machine) = machine?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
     let Err(refused) = apply(&web, &machine, &fields).await else {

@@ -3,8 +3,9 @@
 use std::{io::Write as _, net::IpAddr, sync::Arc, time::Duration};
 
 use axum::{
+    Extension,
     body::{Body, to_bytes},
-    extract::{ConnectInfo, Request, State},
+    extract::{Request, State},
     http::{HeaderMap, HeaderValue, Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse, Response},
@@ -12,7 +13,7 @@ use axum::{
 use flate2::{Compression, write::GzEncoder};
 use tokio::time;
 
-use super::{connection::Arrived, overview::Web, page::Failure, trouble};
+use super::{connection::Progress, overview::Web, page::Failure, trouble};
 
 /// Time limit of a page, below the timeout of the page's script and the daemon's limit for one query.
 pub(super) const LIMIT: Duration = Duration::from_secs(4);
@@ -29,7 +30,12 @@ pub(super) const LARGEST: usize = 16 << 20;
 /// Mark of lines that change every second; they do not count for the tag of the page.
 const VOLATILE: &str = "data-volatile";
 
-pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
+pub(super) async fn guard(
+    State(web): State<Arc<Web>>,
+    Extension(progress): Extension<Progress>,
+    request: Request,
+    next: Next,
+) -> Response {
     let wants_gzip = accepts_gzip(request.headers());
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let is_api = request.uri().path().starts_with("/api/");
@@ -45,8 +51,8 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
         response
     } else {
         let is_post = *request.method() == Method::POST;
-        if let Some(ConnectInfo(arrived)) = request.extensions().get::<ConnectInfo<Arrived>>().filter(|_| !is_post) {
-            arrived.set();
+        if !is_post {
+            progress.arrived();
         }
         let answer = next.run(request);
         let mut response = if is_post {
@@ -73,7 +79,9 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
         headers.insert(name, HeaderValue::from_static(value));
     }
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
-    shorten(response, known.as_ref(), wants_gzip).await
+    let response = shorten(response, known.as_ref(), wants_gzip).await;
+    progress.answered();
+    response
 }
 
 /// Adds the tag. Removes the body if the browser has the same page already, else compresses a large body.

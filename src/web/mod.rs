@@ -30,7 +30,7 @@ mod throw;
 mod trend;
 mod trouble;
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{io, net::SocketAddr, sync::Arc};
 
 use axum::{
     Router,
@@ -43,7 +43,6 @@ use axum::{
 use tokio::net::TcpListener;
 
 use crate::daemon::View;
-use connection::{Arrived, Bounded};
 use overview::Web;
 use page::{Failure, STYLE, asset};
 
@@ -63,14 +62,6 @@ const ASK: &str = "no-cache";
 /// A file with its version in its address: browsers keep it for a year.
 const KEEP: &str = "public, max-age=31536000, immutable";
 
-/// The dashboard cannot listen on its address.
-#[derive(Debug, thiserror::Error)]
-#[error("the dashboard cannot listen on {address} (web.listen): {source}")]
-pub struct BindError {
-    address: SocketAddr,
-    source: std::io::Error,
-}
-
 /// The listening socket of the dashboard.
 #[derive(Debug)]
 pub struct Listening {
@@ -83,8 +74,10 @@ impl Listening {
     ///
     /// # Errors
     /// When the address is in use, or does not belong to this computer.
-    pub async fn bind(address: SocketAddr) -> Result<Self, BindError> {
-        let failed = |source| BindError { address, source };
+    pub async fn bind(address: SocketAddr) -> io::Result<Self> {
+        let failed = |error: io::Error| {
+            io::Error::new(error.kind(), format!("the dashboard cannot listen on {address} (web.listen): {error}"))
+        };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok(Self { listener, address })
@@ -102,10 +95,7 @@ pub async fn serve(listening: Listening, view: View) {
         tracing::warn!(address = %listening.address, "the dashboard is readable for every computer that reaches this address");
     }
     tracing::info!("the dashboard is at {}", listening.url());
-    let service = router(Arc::new(Web::new(view))).into_make_service_with_connect_info::<Arrived>();
-    if let Err(error) = axum::serve(Bounded::new(listening.listener), service).await {
-        tracing::error!(%error, "the dashboard ended");
-    }
+    connection::serve(listening.listener, router(Arc::new(Web::new(view)))).await;
 }
 
 fn router(web: Arc<Web>) -> Router {

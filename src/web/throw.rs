@@ -1,7 +1,7 @@
 //! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw with its trace, the identified model and a
 //! typical throw of the baseline; and the trace as CSV.
 
-use std::sync::Arc;
+use std::{iter, sync::Arc};
 
 use askama::Template;
 use axum::{
@@ -81,8 +81,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let address = |throw: ThrowRef| page::throw_address(&machine, &throw);
     let (pictures, csv, no_trace) = match &stored.throw {
         Ok(throw) => {
-            let typical =
-                typical.as_ref().and_then(|typical| Some((&typical.throw.as_ref().ok()?.trace, typical.id.throw_no)));
+            let typical = typical.as_ref().and_then(|typical| Some(&typical.throw.as_ref().ok()?.trace));
             let csv = format!("{}/trace.csv", page::throw_address(&machine, &stored.id));
             (pictures(throw, health.as_ref(), typical, &settings), Some(csv), None)
         }
@@ -155,47 +154,42 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
 fn pictures(
     throw: &Throw,
     health: Option<&Health>,
-    typical: Option<(&Trace, u64)>,
+    typical: Option<&Trace>,
     settings: &estimate::Settings,
 ) -> Vec<Picture> {
     let trace = &throw.trace;
-    let rate_hz = trace.sample_rate_hz();
-    let both = |title: &str, unit: &str, of: fn(&Trace) -> &[f64]| {
-        let mut curves = vec![Curve { name: "this throw", rate_hz, values: of(trace) }];
-        let beside =
-            typical.map(|(trace, _)| Curve { name: "baseline", rate_hz: trace.sample_rate_hz(), values: of(trace) });
-        curves.extend(beside);
-        trend::over_time(title, unit, &curves, trend::caption(title, trace))
+    let both = |title: &str, unit: &str, says: String, of: &dyn Fn(&Trace) -> Vec<f64>| {
+        let named = iter::once(("this throw", trace)).chain(typical.map(|trace| ("baseline", trace)));
+        let curves = named.map(|(name, trace)| Curve { name, rate_hz: trace.sample_rate_hz(), values: of(trace) });
+        trend::over_time(title, unit, curves, says)
     };
-    let mut pictures = vec![both("Motor current", "A", Trace::current_a)];
+    let whole = |title: &str, unit: &str, of: fn(&Trace) -> &[f64]| {
+        both(title, unit, trend::caption(title, trace), &|trace| of(trace).to_vec())
+    };
+    let mut pictures = vec![whole("Motor current", "A", Trace::current_a)];
     let peak = trace.current_a().iter().fold(0.0_f64, |peak, current| peak.max(current.abs()));
     let running = health.and_then(|health| health.mean_current_a).filter(|mean| peak > 2.0 * mean);
     if let Some(mean) = running {
-        let cut =
-            |trace: &Trace| trace.current_a().iter().map(|it| it.clamp(-2.0 * mean, 2.0 * mean)).collect::<Vec<_>>();
-        let (own, other) = (cut(trace), typical.map(|(trace, _)| (trace.sample_rate_hz(), cut(trace))));
-        let mut curves = vec![Curve { name: "this throw", rate_hz, values: &own }];
-        curves.extend(other.as_ref().map(|(rate_hz, values)| Curve { name: "baseline", rate_hz: *rate_hz, values }));
+        let cut = |trace: &Trace| trace.current_a().iter().map(|it| it.clamp(-2.0 * mean, 2.0 * mean)).collect();
         let says =
             format!("The running current: the inrush is cut off at twice the mean current, {:.1} A.", 2.0 * mean);
-        pictures.push(trend::over_time("Running current", "A", &curves, says));
+        pictures.push(both("Running current", "A", says, &cut));
     }
     if !trace.has_position() {
         return pictures;
     }
-    pictures.push(both("Toe position from normal", "mm", Trace::position_mm));
+    pictures.push(whole("Toe position from normal", "mm", Trace::position_mm));
     let identified = health.and_then(|health| health.coefficients.zip(health.duration_s));
     if let Some(model) = identified.map(|(of, duration_s)| modelled_mm(trace, of, duration_s, settings)) {
+        let curve = |name, values| Curve { name, rate_hz: trace.sample_rate_hz(), values };
         let measured = &trace.position_mm()[..model.len()];
-        let difference: Vec<f64> = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
-        let curves =
-            [Curve { name: "measured", rate_hz, values: measured }, Curve { name: "model", rate_hz, values: &model }];
+        let difference = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
         let says = "Measured position, and position of the model with the coefficients of this throw, driven by its \
                     current, while the motor runs.";
-        pictures.push(trend::over_time("Position and model", "mm", &curves, says.to_owned()));
-        let curves = [Curve { name: "", rate_hz, values: &difference }];
+        let curves = [curve("measured", measured.to_vec()), curve("model", model)];
+        pictures.push(trend::over_time("Position and model", "mm", curves, says.to_owned()));
         let says = "Measured minus modelled position.".to_owned();
-        pictures.push(trend::over_time("Residual", "mm", &curves, says));
+        pictures.push(trend::over_time("Residual", "mm", [curve("", difference)], says));
     }
     pictures
 }

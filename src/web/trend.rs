@@ -66,7 +66,9 @@ pub(super) fn coefficients(
     if !directions.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
         return Vec::new();
     }
-    let scatter = widest(directions.each_ref().map(|(direction, _)| scatter_pct(baselines, *direction)));
+    // The wider one of both directions.
+    let scatter = directions.iter().filter_map(|(direction, _)| scatter_pct(baselines, *direction));
+    let scatter = scatter.reduce(|one, other| [0, 1, 2].map(|at| one[at].max(other[at])));
     let shown = [
         ("motor (b0)", "b0", settings.kt_limit_pct, 0),
         ("friction (a1)", "a1", settings.friction_limit_pct, 1),
@@ -101,14 +103,6 @@ pub(super) fn coefficients(
 fn inertia_pct(mut change_pct: [f64; 3]) -> f64 {
     change_pct.sort_unstable_by(f64::total_cmp);
     100.0 * ((1.0 + change_pct[1] / 100.0).max(0.01).recip() - 1.0)
-}
-
-/// The larger scatter of the two directions, for each coefficient.
-fn widest([one, other]: [Option<[f64; 3]>; 2]) -> Option<[f64; 3]> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some([0, 1, 2].map(|at| one[at].max(other[at]))),
-        (one, other) => one.or(other),
-    }
 }
 
 fn change(
@@ -248,16 +242,16 @@ fn marked(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> Panel {
 }
 
 /// A curve over the time of a throw.
-pub(super) struct Curve<'a> {
+pub(super) struct Curve {
     pub(super) name: &'static str,
     pub(super) rate_hz: f64,
-    pub(super) values: &'a [f64],
+    pub(super) values: Vec<f64>,
 }
 
 /// A chart of curves over the time of a throw.
-pub(super) fn over_time(title: &str, unit: &str, curves: &[Curve<'_>], says: String) -> Picture {
-    let panel = curves.iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
-        panel.line(curve.name, drawn(curve.rate_hz, curve.values))
+pub(super) fn over_time(title: &str, unit: &str, curves: impl IntoIterator<Item = Curve>, says: String) -> Picture {
+    let panel = curves.into_iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
+        panel.line(curve.name, drawn(curve.rate_hz, &curve.values))
     });
     Picture::new(panel, says)
 }

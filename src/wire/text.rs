@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// A key, a selector or a command that cannot be read: one sentence with the reason.
+/// A key, a selector, a command or a throw that cannot be read: one sentence with the reason.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Invalid(pub(super) String);

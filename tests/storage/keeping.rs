@@ -243,7 +243,7 @@ async fn the_database_of_another_program_is_left_alone() {
     change(&path, ["CREATE TABLE users (name TEXT)"]).await;
     let before = fs::read(&path).unwrap();
     let refused = Store::open(&settings(folder.path()), at(0)).await.err().unwrap();
-    assert!(matches!(&refused, StoreError::Foreign { table, .. } if table == "users"), "{refused}");
+    assert!(matches!(&refused, StoreError::Foreign(says) if says.contains("table users")), "{refused}");
     assert_eq!(fs::read(&path).unwrap(), before);
     assert!(!folder.path().join("points.db-wal").exists());
 }
@@ -256,7 +256,7 @@ async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alo
         fs::write(folder.path().join(name), text).unwrap();
     }
     let refused = Store::open(&settings(folder.path()), at(0)).await.err().unwrap();
-    assert!(matches!(refused, StoreError::Text { .. }), "{refused}");
+    assert!(matches!(&refused, StoreError::Foreign(says) if says.contains("text file")), "{refused}");
     for (name, text) in &files {
         assert_eq!(&fs::read_to_string(folder.path().join(name)).unwrap(), text);
     }

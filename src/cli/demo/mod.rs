@@ -17,7 +17,7 @@ use super::{
 use crate::{
     bus,
     daemon::{
-        Daemon, TaskEnded, clock,
+        Daemon, clock,
         config::{Config, Document, client_session},
     },
     logger::{Logger, LoggerSettings},
@@ -127,7 +127,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
     Ok(if right { Exit::Ok } else { Exit::Negative })
 }
 
-fn died(TaskEnded(task): TaskEnded) -> Failure {
+fn died(task: &str) -> Failure {
     Failure::new(Exit::Software, anyhow!("{task} ended unexpectedly"))
 }
 

@@ -1,7 +1,6 @@
 //! A configuration file with the position of every key, for errors with file, line and key.
 
 use std::{
-    fmt::Write as _,
     fs,
     io::Read as _,
     ops::Range,
@@ -9,7 +8,10 @@ use std::{
 };
 
 use serde::de::DeserializeOwned;
-use toml::de::{DeTable, DeValue};
+use toml::{
+    Spanned,
+    de::{DeTable, DeValue},
+};
 
 use crate::throw::OutOfRange;
 
@@ -83,7 +85,7 @@ impl Document {
         let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
         let mut places = Vec::new();
         match DeTable::parse(&document.text) {
-            Ok(table) => collect(table.get_ref(), "", &mut places),
+            Ok(table) => collect(&DeValue::Table(table.into_inner()), "", &mut places),
             Err(error) => return Err(document.from_toml(&error)),
         }
         document.places = places;
@@ -181,30 +183,19 @@ fn plain(message: &str) -> String {
     format!("{before}expected a table of keys with values{rest}")
 }
 
-fn collect(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
-    for (key, value) in table {
-        let mut path = prefix.to_owned();
-        if !path.is_empty() {
-            path.push('.');
-        }
-        path.push_str(key.get_ref());
-        places.push(Place { path: path.clone(), key: key.span(), value: value.span() });
-        collect_value(value.get_ref(), &path, places);
-    }
-}
-
-fn collect_value(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
+fn collect(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
+    let mut add = |path: String, key: Range<usize>, value: &Spanned<DeValue<'_>>| {
+        collect(value.get_ref(), &path, places);
+        places.push(Place { path, key, value: value.span() });
+    };
     match value {
-        DeValue::Table(inner) => collect(inner, path, places),
-        DeValue::Array(items) => {
-            for (index, item) in items.iter().enumerate() {
-                let mut path = path.to_owned();
-                // Writing into a String cannot fail.
-                let _ = write!(path, "[{index}]");
-                places.push(Place { path: path.clone(), key: item.span(), value: item.span() });
-                collect_value(item.get_ref(), &path, places);
-            }
-        }
+        DeValue::Table(table) => table.iter().for_each(|(key, value)| {
+            let dot = if path.is_empty() { "" } else { "." };
+            add(format!("{path}{dot}{}", key.get_ref()), key.span(), value);
+        }),
+        DeValue::Array(items) => items.iter().enumerate().for_each(|(index, item)| {
+            add(format!("{path}[{index}]"), item.span(), item);
+        }),
         _ => {}
     }
 }

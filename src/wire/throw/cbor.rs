@@ -10,8 +10,8 @@ use minicbor::{
 };
 
 use super::{
-    error::InvalidThrow,
-    fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
+    super::Invalid,
+    fields::{self, Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
     values::{Channel, Count},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
@@ -28,14 +28,14 @@ const MAX_DEPTH: usize = 16;
 const MAX_TEXT_BYTES: usize = 4096;
 
 /// Decodes a message; returns the fields before the error too, as the number of a refused throw is worth knowing.
-pub(super) fn decode(payload: &[u8]) -> (Fields, Result<(), InvalidThrow>) {
+pub(super) fn decode(payload: &[u8]) -> (Fields, Result<(), Invalid>) {
     let mut decoder = Decoder::new(payload);
     let mut fields = Fields::default();
     let read = read(&mut decoder, &mut fields).map_err(|failure| failure.at(decoder.position()));
     let rest = payload.len() - decoder.position();
     let is_whole = read.and_then(|()| match rest {
         0 => Ok(()),
-        _ => Err(InvalidThrow::Cbor { at: decoder.position(), problem: format!("{rest} bytes follow the message") }),
+        _ => Err(Failure::Bytes(format!("{rest} bytes follow the message")).at(decoder.position())),
     });
     (fields, is_whole)
 }
@@ -43,13 +43,13 @@ pub(super) fn decode(payload: &[u8]) -> (Fields, Result<(), InvalidThrow>) {
 /// Invalid CBOR, or an invalid field.
 enum Failure {
     Bytes(String),
-    Field(InvalidThrow),
+    Field(Invalid),
 }
 
 impl Failure {
-    fn at(self, position: usize) -> InvalidThrow {
+    fn at(self, position: usize) -> Invalid {
         match self {
-            Self::Bytes(problem) => InvalidThrow::Cbor { at: position, problem },
+            Self::Bytes(problem) => Invalid(format!("not valid CBOR at byte {position}: {problem}")),
             Self::Field(error) => error,
         }
     }
@@ -63,8 +63,8 @@ impl From<DecodeError> for Failure {
 
 type Decoded<T> = Result<T, Failure>;
 
-fn wrong(field: &'static str, problem: impl Into<String>) -> Failure {
-    Failure::Field(InvalidThrow::Field { field, problem: problem.into() })
+fn wrong(field: &str, problem: impl Into<String>) -> Failure {
+    Failure::Field(fields::wrong(field, &problem.into()))
 }
 
 fn read(decoder: &mut Decoder<'_>, fields: &mut Fields) -> Decoded<()> {
@@ -134,9 +134,9 @@ fn joined_text(decoder: &mut Decoder<'_>) -> Decoded<String> {
 /// Reads the value of a field; null and undefined leave it unset.
 fn set<T>(
     decoder: &mut Decoder<'_>,
-    field: &'static str,
+    field: &str,
     slot: &mut Option<T>,
-    read: impl FnOnce(&mut Decoder<'_>, &'static str) -> Decoded<T>,
+    read: impl FnOnce(&mut Decoder<'_>, &str) -> Decoded<T>,
 ) -> Decoded<()> {
     if slot.is_some() {
         return Err(wrong(field, "given twice"));
@@ -161,21 +161,21 @@ fn named(value: Type) -> String {
     words.to_owned()
 }
 
-fn text(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<String> {
+fn text(decoder: &mut Decoder<'_>, field: &str) -> Decoded<String> {
     match decoder.datatype()? {
         Type::String | Type::StringIndef => joined_text(decoder),
         other => Err(wrong(field, format!("{}, must be a text", named(other)))),
     }
 }
 
-fn count(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Count> {
+fn count(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Count> {
     match decoder.datatype()? {
         Type::U8 | Type::U16 | Type::U32 | Type::U64 => Ok(Count(decoder.u64()?)),
         other => Err(wrong(field, format!("{}, must be a whole number from 0", named(other)))),
     }
 }
 
-fn supply(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Supply> {
+fn supply(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Supply> {
     match decoder.datatype()? {
         Type::Tag | Type::Array | Type::ArrayIndef => channel(decoder, field).map(Supply::Samples),
         _ => float(decoder, field).map(Supply::Number),
@@ -183,7 +183,7 @@ fn supply(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Supply> {
 }
 
 /// A number of any type; null and undefined are NaN.
-fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
+fn float(decoder: &mut Decoder<'_>, field: &str) -> Decoded<f64> {
     match decoder.datatype()? {
         Type::F16 | Type::F32 | Type::F64 => Ok(decoder.f64()?),
         Type::U8 | Type::U16 | Type::U32 | Type::U64 | Type::I8 | Type::I16 | Type::I32 | Type::I64 | Type::Int => {
@@ -197,7 +197,7 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
     }
 }
 
-fn channel(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Channel> {
+fn channel(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Channel> {
     match decoder.datatype()? {
         Type::Tag => typed_array(decoder, field),
         Type::Array | Type::ArrayIndef => plain_array(decoder, field),
@@ -206,7 +206,7 @@ fn channel(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Channel> {
     .map(Channel)
 }
 
-fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+fn plain_array(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Vec<f64>> {
     let mut left = decoder.array()?;
     if left.is_some_and(|length| length > MAX_SAMPLES as u64) {
         return Err(too_many(field));
@@ -224,7 +224,7 @@ fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f6
     Ok(samples)
 }
 
-fn typed_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+fn typed_array(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Vec<f64>> {
     let tag = decoder.tag()?;
     if decoder.datatype()? != Type::Bytes {
         return Err(wrong(field, "a typed array must be one byte string of definite length"));
@@ -251,7 +251,7 @@ fn typed_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f6
     })
 }
 
-fn too_many(field: &'static str) -> Failure {
+fn too_many(field: &str) -> Failure {
     wrong(field, format!("more than {MAX_SAMPLES} samples"))
 }
 

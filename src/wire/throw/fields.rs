@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    error::InvalidThrow,
+    super::Invalid,
     values::{Channel, Count},
 };
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
@@ -64,10 +64,10 @@ impl From<&Throw> for Fields {
 }
 
 impl Fields {
-    pub(super) fn into_throw(self) -> Result<Throw, InvalidThrow> {
+    pub(super) fn into_throw(self) -> Result<Throw, Invalid> {
         let schema = required("schema", self.schema)?;
         if schema != SCHEMA {
-            return Err(wrong("schema", format!("{}, must be \"{SCHEMA}\"", quote(&schema))));
+            return Err(wrong("schema", &format!("{}, must be \"{SCHEMA}\"", quote(&schema))));
         }
         let id = ThrowRef {
             boot_id: boot_id(required("boot_id", self.boot_id)?)?,
@@ -77,7 +77,8 @@ impl Fields {
         // A logger without a toe sensor may leave the channel out.
         let position_mm = self.position_mm.map_or_else(|| vec![f64::NAN; current_a.len()], |channel| channel.0);
         let supply_v = self.supply_v.map(|supply| supply_v(supply, &current_a)).transpose()?;
-        let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)?;
+        let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)
+            .map_err(|error| Invalid(error.to_string()))?;
         Ok(Throw {
             id,
             started_at: started_at(&required("started_at", self.started_at)?)?,
@@ -90,12 +91,13 @@ impl Fields {
     }
 }
 
-fn required<T>(field: &'static str, value: Option<T>) -> Result<T, InvalidThrow> {
-    value.ok_or(InvalidThrow::Missing { field })
+fn required<T>(field: &str, value: Option<T>) -> Result<T, Invalid> {
+    value.ok_or_else(|| Invalid(format!("the field {field} is missing")))
 }
 
-fn wrong(field: &'static str, problem: String) -> InvalidThrow {
-    InvalidThrow::Field { field, problem }
+/// The error of a field, with its value and the allowed values.
+pub(super) fn wrong(field: &str, problem: &str) -> Invalid {
+    Invalid(format!("{field}: {problem}"))
 }
 
 /// A received text, escaped and cut for an error message.
@@ -106,7 +108,7 @@ fn quote(text: &str) -> String {
 
 /// The voltage of the throw: of samples the mean weighted with the current, which gives the energy of the motor. NaN
 /// without a measured sample under current.
-fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
+fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, Invalid> {
     let samples = match supply {
         Supply::Number(value) => return Ok(value),
         Supply::Samples(Channel(samples)) => samples,
@@ -114,7 +116,7 @@ fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
     if samples.len() != current_a.len() {
         let problem =
             format!("{} values, must be a number or as many as current_a ({})", samples.len(), current_a.len());
-        return Err(wrong("supply_v", problem));
+        return Err(wrong("supply_v", &problem));
     }
     let measured = samples.iter().zip(current_a).filter(|(volts, amperes)| volts.is_finite() && amperes.is_finite());
     let (sum, weight) = measured
@@ -127,22 +129,22 @@ pub fn is_boot_id(text: &str) -> bool {
     (1..=MAX_BOOT_ID_BYTES).contains(&text.len()) && !text.chars().any(char::is_control)
 }
 
-fn boot_id(text: String) -> Result<String, InvalidThrow> {
+fn boot_id(text: String) -> Result<String, Invalid> {
     if !is_boot_id(&text) {
         let problem = format!("{}, must be 1 to {MAX_BOOT_ID_BYTES} bytes without control characters", quote(&text));
-        return Err(wrong("boot_id", problem));
+        return Err(wrong("boot_id", &problem));
     }
     Ok(text)
 }
 
-fn throw_no(value: u64) -> Result<u64, InvalidThrow> {
+fn throw_no(value: u64) -> Result<u64, Invalid> {
     if value > MAX_THROW_NO {
-        return Err(wrong("throw_no", format!("{value}, must be at most {MAX_THROW_NO}")));
+        return Err(wrong("throw_no", &format!("{value}, must be at most {MAX_THROW_NO}")));
     }
     Ok(value)
 }
 
-fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
+fn started_at(text: &str) -> Result<Timestamp, Invalid> {
     let parsed = text.parse::<Timestamp>().ok().filter(|time| {
         // Years before 0000 are outside of RFC 3339 and of SQL's date functions.
         time.as_second() >= -62_167_219_200
@@ -152,16 +154,16 @@ fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
             "{}, must be RFC 3339 with Z or an offset, as 2026-05-04T10:11:12.345Z, and before 9999-12-30T22:00:00Z",
             quote(text)
         );
-        wrong("started_at", problem)
+        wrong("started_at", &problem)
     })
 }
 
-fn direction(word: Option<&str>) -> Result<Option<Direction>, InvalidThrow> {
+fn direction(word: Option<&str>) -> Result<Option<Direction>, Invalid> {
     match word {
         None | Some(UNKNOWN_DIRECTION) => Ok(None),
         Some(word) => word.parse().map(Some).map_err(|_| {
             let problem = format!("{}, must be normal_to_reverse, reverse_to_normal or unknown", quote(word));
-            wrong("direction", problem)
+            wrong("direction", &problem)
         }),
     }
 }

@@ -5,14 +5,12 @@
 //! any numeric offset; `direction` may be missing, which means "unknown".
 
 mod cbor;
-mod error;
 mod fields;
 mod values;
 
-pub use error::InvalidThrow;
 pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
-use super::json_bytes;
+use super::{Invalid, json_bytes};
 use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
 
@@ -38,7 +36,7 @@ impl Encoding {
 ///
 /// # Errors
 /// When the payload is not well-formed, a required field is missing, or a value is invalid.
-pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, InvalidThrow> {
+pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid> {
     match encoding {
         Encoding::Cbor => {
             let (fields, is_whole) = cbor::decode(payload);
@@ -46,7 +44,8 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
         }
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
-            serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: problem(&error, payload) })
+            let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
+            serde_json::from_slice(payload).map_err(invalid)
         }
     }?
     .into_throw()

@@ -11,7 +11,7 @@ use std::{
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{Judgement, Settings, Spooled, Store, Synchronous, ThrowRow},
+    store::{Judgement, Settings, Spooled, Store, ThrowRow},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
@@ -77,8 +77,8 @@ async fn run() {
 }
 
 async fn open(folder: &Path) -> Option<Store> {
-    let synchronous = if std::env::var_os(NORMAL).is_some() { Synchronous::Normal } else { Synchronous::Full };
-    let settings = Settings { max_wal_mib: 1, synchronous, ..crate::given::settings(folder) };
+    let durable = std::env::var_os(NORMAL).is_none();
+    let settings = Settings { max_wal_mib: 1, durable, ..crate::given::settings(folder) };
     for _ in 0..TRIES {
         if let Ok(opened) = Store::open(&settings, at(0)).await {
             return Some(opened.store);
