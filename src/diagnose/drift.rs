@@ -9,6 +9,7 @@ use super::{
     explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
     scatter::Scatter,
     settings::Settings,
+    sym3,
     testimony::{Awaited, Testimony},
     verdict::Blindness,
     window::Window,
@@ -218,10 +219,11 @@ impl Drift {
     }
 }
 
-/// Least visible size of `cause` \[%\] in a mean with this covariance and limit of T.
+/// Least visible size of `cause` \[%\] in a mean with this covariance and limit of T; `None` if no size shows.
 pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
     let d = direction_of(cause)?;
-    Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()))
+    let visible = percent((limit / (d.transpose() * sym3::inverse(&covariance)? * d).x).sqrt());
+    visible.is_finite().then_some(visible)
 }
 
 /// Size of `cause` in a window, beside another part if there is one, relative to the warning limit; and the same plus two

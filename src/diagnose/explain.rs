@@ -23,7 +23,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{event::Cause, settings::Settings};
+use super::{event::Cause, settings::Settings, sym3};
 
 /// Prior scale s of a size, in logarithms: relevant faults are from a few per cent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
@@ -239,9 +239,9 @@ fn fit_with_leaks<const K: usize>(
             d.set_column(at, &effect(part, leak));
             information[(at, at)] = 0.0;
         }
-        let Some(inverse) = u.try_inverse() else { return fit };
+        let Some(inverse) = sym3::inverse(&u) else { return fit };
         information += d.transpose() * inverse * d;
-        let Some(spread) = information.try_inverse() else { return fit };
+        let Some(spread) = sym3::inverse(&information) else { return fit };
         let gain = spread * d.transpose() * inverse;
         let sizes = gain * m;
         let rest = m - d * sizes;
@@ -270,7 +270,7 @@ pub(super) fn fit_along(
     for _ in 0..2 {
         let error = Matrix3::from_diagonal_element((settings.model_error / MODEL_ERROR_SD * size).powi(2));
         let u = v + error;
-        let inverse = u.try_inverse()?;
+        let inverse = sym3::inverse(&u)?;
         let information = (d.transpose() * inverse * d).x;
         size = (d.transpose() * inverse * m).x / information;
         let rest = m - d * size;

@@ -18,6 +18,7 @@ use super::{
     last::Last,
     rare::Rare,
     settings::Settings,
+    sym3,
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -97,7 +98,7 @@ impl Intermittent {
         [suspicious, is_active]: [bool; 2],
         settings: &Settings,
     ) {
-        let inverse = of_one_throw.try_inverse();
+        let inverse = sym3::inverse(&of_one_throw);
         let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
         let decided = self.undecided.push(square(departure) > FAR_OUT);
         if let Some(far_out) = decided.filter(|_| !suspicious) {
@@ -137,7 +138,7 @@ impl Intermittent {
         }
         let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
         let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
-        let inverse = of_one_throw.try_inverse()?;
+        let inverse = sym3::inverse(&of_one_throw)?;
         let shows = |(size, throws): (Size, u32)| {
             let counted = f64::from(self.recent.throws().min(throws));
             let last = self.recent.last(throws).map(|(age, d)| (f64::from(*age), Vector3::from(d.map(f64::from))));
@@ -168,7 +169,7 @@ impl Intermittent {
             let model = settings.model_error * part.size;
             let covariance = covariance + Matrix3::from_diagonal_element((0.5 * model).powi(2));
             let effect = super::explain::direction_of(part.cause).unwrap_or_default() * part.size;
-            covariance.try_inverse().map_or(f64::INFINITY, |u| ((mean - effect).transpose() * u * (mean - effect)).x)
+            sym3::inverse(&covariance).map_or(f64::INFINITY, |u| ((mean - effect).transpose() * u * (mean - effect)).x)
         };
         parts.sort_by(|(a, _), (b, _)| misfit(a).total_cmp(&misfit(b)));
         let (best, named) = parts[0];

@@ -18,7 +18,7 @@ use statrs::function::beta::ln_beta;
 
 use super::{
     persistence::{Kind, Possible, phi_of, possible},
-    sym3::Sym3,
+    sym3::{self, Sym3},
 };
 
 /// From this number of throws of a direction on the covariance is that of the baseline alone, and the lag-1 correlation
@@ -33,6 +33,9 @@ const LIKE_MOST: f64 = 50.0;
 /// Standard deviation of the inverse hyperbolic tangent of the lag-1 correlation: of typical machines, from the weight of the
 /// typical one, and of others, of which one in seven has more than 0.8.
 const LAG1_SD: (f64, f64) = (0.22, 0.7);
+/// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine, and relative to
+/// the largest one. It keeps covariances positive definite in single precision, also if all throws are equal.
+const LEAST_SD: (f64, f64) = (2e-4, 1e-3);
 /// Typical standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Range of lag-1 correlations. Above it the variance of a mean cannot be estimated from few throws. The negative lower
@@ -135,6 +138,8 @@ impl Scatter {
         let typical = Matrix3::from_diagonal(&Vector3::from(TYPICAL_SD).map(|sd| sd * sd));
         let leaning = if few { worth_of_typical(total, typical + sensor, own) } else { 0.0 };
         let natural = (natural_part(total, sensor) * own + typical * leaning) / (own + leaning);
+        let least = LEAST_SD.0.powi(2) + LEAST_SD.1.powi(2) * natural.diagonal().max();
+        let natural = natural + Matrix3::from_diagonal_element(least);
         let tail_worth = tail_worth(residuals, own);
         let possible = few.then(|| {
             let like = Kind { ln_odds: 0.0, worth: TYPICAL_WORTH.0, phi_sd: LAG1_SD.0 };
@@ -167,7 +172,8 @@ impl Scatter {
     /// Weights of the mean of the three logarithms that a throw shows best. This mean has no correlation with the
     /// ratios of the coefficients; the weights sum to 1.
     pub(super) fn of_scale(&self) -> Vector3<f64> {
-        let weights = self.of_one_throw().try_inverse().unwrap_or_else(Matrix3::identity) * Vector3::repeat(1.0);
+        let inverse = sym3::inverse(&self.of_one_throw()).unwrap_or_else(Matrix3::identity);
+        let weights = inverse * Vector3::repeat(1.0);
         weights / weights.sum()
     }
 

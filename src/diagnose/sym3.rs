@@ -1,4 +1,4 @@
-//! Symmetric 3x3 matrices as six numbers, for the snapshot.
+//! Symmetric 3x3 matrices: as six numbers, for the snapshot, and their inverse.
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
@@ -21,4 +21,9 @@ impl From<Sym3> for Matrix3<f64> {
         let [a, b, c, d, e, f] = packed.map(f64::from);
         Self::new(a, b, c, b, d, e, c, e, f)
     }
+}
+
+/// Inverse of a covariance; `None` if it is not positive definite, as after rounding beside a far larger variance.
+pub(super) fn inverse(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    Some(covariance.cholesky()?.inverse())
 }

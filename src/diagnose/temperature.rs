@@ -242,9 +242,10 @@ impl Temperature {
     /// correlation.
     fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
         let (information, product) = self.sums();
-        let prior = |i: usize| noise[i] / TYPICAL_PER_K[i].powi(2);
-        let slope = |i: usize| (product[i] / (information + prior(i))).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
-        let variance = |i: usize| noise[i] / (information + prior(i)).max(f64::MIN_POSITIVE);
+        // Zero without noise and without temperature differences: b0 of ratios, with a constant temperature.
+        let total = |i: usize| (information + noise[i] / TYPICAL_PER_K[i].powi(2)).max(f64::MIN_POSITIVE);
+        let slope = |i: usize| (product[i] / total(i)).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
+        let variance = |i: usize| noise[i] / total(i);
         (std::array::from_fn(slope), std::array::from_fn(variance))
     }
 

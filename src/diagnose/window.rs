@@ -13,7 +13,7 @@ use super::{
     last::Last,
     robust::clipped_mean,
     scatter::Scatter,
-    sym3::Sym3,
+    sym3::{self, Sym3},
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
 };
@@ -329,7 +329,7 @@ impl<'a> Stream<'a> {
         // The correlation of the machine alone: beside a large outlier the errors of the estimates are small.
         let phi = scatter.highest_lag1();
         let outliers = if wild { 2 } else { 1 };
-        let inverse = scatter.of_innovations(1, 0, &phi, &sensor).try_inverse()?;
+        let inverse = sym3::inverse(&scatter.of_innovations(1, 0, &phi, &sensor))?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
         let mut innovations = Vec::with_capacity(KEPT);
         let mut throw = self.residual(0, window, baselines)?;
@@ -340,7 +340,7 @@ impl<'a> Stream<'a> {
         }
         innovations.sort_by(|a, b| square(a).total_cmp(&square(b)));
         innovations.truncate(window.throws - outliers);
-        let inverse = scatter.of_innovations(innovations.len(), outliers, &phi, &sensor).try_inverse()?;
+        let inverse = sym3::inverse(&scatter.of_innovations(innovations.len(), outliers, &phi, &sensor))?;
         let sum: Vector3<f64> = innovations.iter().sum();
         let along = inverse * window.mean;
         Some(along.dot(&sum).max(0.0).powi(2) / along.dot(&window.mean))
@@ -350,7 +350,7 @@ impl<'a> Stream<'a> {
     /// between the throws of a direction on its size before them.
     fn fades(&self, window: &Window, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> bool {
         let covariance = scatter.of_change(&self.mean_sensor(window.throws));
-        let Some(inverse) = covariance.try_inverse() else { return false };
+        let Some(inverse) = sym3::inverse(&covariance) else { return false };
         let along = inverse * window.mean;
         let along = along / along.dot(&window.mean).sqrt();
         let mut before: [Option<f64>; 2] = [None; 2];
@@ -383,7 +383,7 @@ impl<'a> Stream<'a> {
     fn innovation(&self, window: &Window, limit: f64, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let sensor = self.mean_sensor(window.throws);
         let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
-        Some((scatter.lag1_of_one(&sensor), covariance.try_inverse()?))
+        Some((scatter.lag1_of_one(&sensor), sym3::inverse(&covariance)?))
     }
 
     /// The part of the mean covariance that is the misfit of rough throws beside a baseline of coefficients, which repeats.
@@ -416,7 +416,7 @@ impl<'a> Stream<'a> {
             let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
             let shortest = *shortest.get_or_insert(window);
             let limit = thresholds.of(at);
-            let Some(inverse) = window.tested(limit).try_inverse() else { continue };
+            let Some(inverse) = sym3::inverse(&window.tested(limit)) else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
             let mut score = None;
             if t > 0.25 * limit {

@@ -6,6 +6,7 @@ mod alarm;
 mod budget;
 mod cause;
 mod circuit;
+mod degenerate;
 mod drive;
 mod evaluate;
 mod features;

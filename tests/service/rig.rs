@@ -312,7 +312,8 @@ impl Daemon {
     pub(crate) fn status(&self) -> serde_json::Value {
         // The exit code may report alarms, so it is ignored.
         let (_, text) = self.operate(&["status", "--json"]);
-        let mut status: serde_json::Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{text}: {:?}", self.log()));
+        let mut status: serde_json::Value =
+            serde_json::from_str(&text).unwrap_or_else(|_| panic!("{text}: {:?}", self.log()));
         status["daemons"][0].take()
     }
 
