@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, HashSet},
+    panic::{AssertUnwindSafe, catch_unwind},
     time::Duration,
 };
 
@@ -15,7 +16,7 @@ use crate::{
     },
     estimate::{Features, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
-    throw::{MachineId, Name},
+    throw::{MachineId, Name, ThrowRef},
     wire::{Alarm, Health, json},
 };
 
@@ -25,7 +26,7 @@ const UNREADABLE: &str = "unreadable_trace";
 const REPEATED: &str = "repeated_trace";
 /// `quality` of a throw of a machine as which two loggers publish.
 const TWO_LOGGERS: &str = "two_loggers";
-/// `quality` of a throw that made the estimator panic.
+/// `quality` of a throw that made the estimator or the diagnosis panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
 /// Time between two ticks of the monitors, which need at least one a minute.
@@ -108,8 +109,31 @@ impl Fleet {
     }
 
     /// Diagnoses a throw; returns the judgement to store, with the monitor if this is the last throw of its machine in the
-    /// transaction.
+    /// transaction. A throw that makes the diagnosis panic counts as not evaluated: the defect must not stop the judgement of
+    /// all other machines, again after each restart.
     pub(super) fn judge(
+        &mut self,
+        stored: &StoredThrow,
+        identification: Option<Identification>,
+        is_last: bool,
+        (settings, parameters): (&Settings, Parameters),
+        at: Timestamp,
+    ) -> Judgement {
+        let before = self.monitors.get(&stored.machine).cloned();
+        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, is_last, (settings, parameters), at));
+        catch_unwind(attempt).unwrap_or_else(|_| {
+            let ThrowRef { boot_id, throw_no } = &stored.id;
+            tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
+            // The monitor is between two states.
+            match before {
+                Some(before) => self.monitors.insert(stored.machine.clone(), before),
+                None => self.monitors.remove(&stored.machine),
+            };
+            self.diagnose(stored, None, is_last, (settings, parameters), at)
+        })
+    }
+
+    fn diagnose(
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
@@ -352,7 +376,7 @@ fn health(
         (Err(unreadable), None) => (UNREADABLE, Some(unreadable.to_string())),
         (Ok(_), None) if let Some((code, sentence)) = withheld => (code, Some(sentence)),
         (Ok(_), None) => {
-            let detail = "the estimator failed on this throw: please report it, with the throw";
+            let detail = "the estimator or the diagnosis failed on this throw: please report it, with the throw";
             (ESTIMATOR_FAILED, Some(detail.to_owned()))
         }
     };

@@ -10,7 +10,7 @@ use pointsd::{
 
 use crate::{
     http::KEY,
-    rig::{PATIENCE, Program, Rig, listen, next, pointsd, stub},
+    rig::{PATIENCE, Program, Rig, listen, next, pointsd, stub, throws},
 };
 
 const ALIVE: &str = "points/v1/north/21B/alive";
@@ -153,4 +153,36 @@ fn a_long_start_extends_the_timeout_of_systemd() {
     for step in ["opening zenoh", "opening the database"] {
         assert!(said.iter().any(|text| text.contains(&format!("STATUS={step}"))), "{said:?}");
     }
+}
+
+/// A snapshot with an impossible variance stands for a defect of the diagnosis that nobody knows yet.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_on_which_the_diagnosis_fails_is_reported_and_stops_no_other() {
+    /// Complete baselines, and longest windows of later throws.
+    const LEARNED: usize = 160;
+    const FAILED: usize = 30;
+    let (rig, daemon) = Rig::running();
+    let throws = throws("boot", (LEARNED + FAILED) as u64);
+    let (before, after) = throws.split_at(LEARNED);
+    let logger = daemon.logger(KEY).await;
+    logger.send(before.to_vec()).await;
+    rig.judged(LEARNED).await;
+    logger.close().await;
+    daemon.terminate();
+    let variance =
+        |side: u8| format!("'$.tracks.sides[{side}].baseline.temperature.per_k_variance', json('[-1,-1,-1]')");
+    rig.change(format!("UPDATE monitor SET snapshot = json_set(snapshot, {}, {})", variance(0), variance(1))).await;
+
+    let daemon = rig.start();
+    let other = daemon.logger("points/v1/north/9/throw").await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(after.to_vec()).await;
+    other.send(before[..1].to_vec()).await;
+    let history = rig.judged(LEARNED + FAILED + 1).await;
+    let failed = history.iter().filter(|health| health.quality == "estimator_failed");
+    assert_eq!(failed.count(), FAILED, "{history:?}");
+    let of_other = history.iter().find(|health| health.machine.machine.as_str() == "9").unwrap();
+    assert_eq!(of_other.quality, "good");
+    rig.until_sql("SELECT 1 FROM active_alarms WHERE cause = 'not_monitored'").await;
+    daemon.until_log("please report it");
 }
