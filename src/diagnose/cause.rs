@@ -70,7 +70,15 @@ impl Known<'_> {
         if !is_new && !is_known {
             return true;
         }
-        let motor = single(Cause::Kt, &window.mean, &window.covariance, settings).size.abs();
+        let motor = |mean: &Vector3<f64>| single(Cause::Kt, mean, &window.covariance, settings).size.abs();
+        // Another fault beside a known one of the motor looks like more of it.
+        let before = self.level.filter(|_| is_known).map(|level| motor(&level));
+        let others = self.causes.iter().filter(|cause| Cause::PHYSICAL.contains(cause) && **cause != Cause::Kt);
+        let beside = others.map(|other| {
+            let fit = fit(PLAIN_LEAKS, [Cause::Kt, *other], &window.mean, &window.covariance, settings);
+            fit.size_of(Cause::Kt).abs()
+        });
+        let motor = beside.chain(before).fold(motor(&window.mean), f64::min);
         let change = back_emf.level.value.abs();
         change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd
     }
@@ -259,7 +267,9 @@ impl Attribution {
         }
         if let Naming::One(main) = &self.naming {
             let is_known = || matches!(&named(level, window.covariance).naming, Naming::One(before) if is_open(before));
-            if is_open(main) || main.cause == found.cause && !is_known() {
+            // A known cause that grows changes in its own direction.
+            let is_growth = is_open(main) && since.runner_up.is_some_and(|next| next.margin < DECISIVE);
+            if is_growth || main.cause == found.cause && !is_known() {
                 return None;
             }
         }

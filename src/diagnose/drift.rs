@@ -93,9 +93,12 @@ impl Drift {
         settings: &Settings,
     ) -> Self {
         let excess = strongest.map_or(0.0, |(window, _)| window.excess);
-        let attribution = strongest
-            .filter(|_| excess > 1.0)
-            .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
+        let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter)| {
+            let is_before = last_few.iter().flatten().any(|last| is_before_motor_fault(&window, last, settings));
+            let gauges = known.gauges.filter(|_| !is_before);
+            let known = Known { gauges, ..known.clone() };
+            Attribution::of(&window, &scatter.of_one_throw(), &known, settings)
+        });
         let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
         let relation = match &attribution {
             Some(attribution) if known.causes.contains(&attribution.cause()) => ToAlarms::Alarmed,
@@ -243,6 +246,20 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
     } else {
         of(cause)
     }
+}
+
+/// Whether `window` still has the level from before a new fault of the motor, which the last few throws show. The gauges, which
+/// are those of the last few throws, say nothing about such a window.
+fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) -> bool {
+    const SHOWN_SD: f64 = 3.0;
+    let since = last.mean - window.mean;
+    let shown = Cause::PHYSICAL.into_iter().filter(|cause| last.shows(*cause));
+    let fits = shown.map(|cause| fit(PLAIN_LEAKS, [cause], &since, &last.covariance, settings));
+    let best = fits.min_by(|a, b| a.score.total_cmp(&b.score));
+    let is_longer = window.throws > last.throws;
+    best.map(|best| best.parts[0]).filter(|_| is_longer).is_some_and(|part| {
+        part.cause == Cause::Kt && part.relevance(settings) > 1.0 && part.size.abs() > SHOWN_SD * part.size_sd
+    })
 }
 
 /// The physical causes of an alarm: its cause, or all of them.

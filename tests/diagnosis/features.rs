@@ -149,6 +149,28 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
     }
 }
 
+/// A new baseline needs a large change to see a drift, so throws with coefficients say nothing about the features.
+#[test]
+fn an_alarm_of_features_stays_while_they_are_changed_in_throws_with_coefficients_too() {
+    let mut machine = Machine::new(56_500, Scatter::USUAL);
+    machine.stay_healthy(130);
+    let mut events = |is_slow: bool, has_estimate: bool| {
+        let mut named = Vec::new();
+        for _ in 0..30 {
+            let mut throw = machine.throw(Vector3::zeros(), None);
+            throw.features.duration_s = throw.features.duration_s.map(|own| if is_slow { 1.2 * own } else { own });
+            throw.estimate = throw.estimate.filter(|_| has_estimate);
+            named.extend(machine.observe(&throw).events.into_iter().map(|event| (event.cause, event.state)));
+        }
+        named
+    };
+    let changed = (Cause::Unattributed, AlarmState::ActiveUnacknowledged);
+    assert!(events(true, false).contains(&changed));
+    let ended = (Cause::Unattributed, AlarmState::ClearedUnacknowledged);
+    assert!(!events(true, true).contains(&ended));
+    assert!(events(false, true).contains(&ended));
+}
+
 /// The throws of one direction are rejected, as with a wrong `neutral_mm`, until a fault makes them acceptable.
 #[test]
 fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {

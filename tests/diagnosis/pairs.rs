@@ -173,3 +173,27 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
         assert_eq!(open, [Cause::Friction, Cause::Stiffness]);
     }
 }
+
+/// A weak magnet and a stiff rail are nearly a weaker magnet to the ratios, and the back-EMF says how weak it is.
+#[test]
+fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ratios() {
+    let before = State { brake_s: 0.02, ..State::SOUND };
+    let both = State { torque: 0.85, back_emf: 0.85, stiffness: 1.3, ..before };
+    let [weak, stiff] = [State { stiffness: 1.0, ..both }, State { torque: 1.0, back_emf: 1.0, ..both }];
+    for (seed, first) in [(0, weak), (1, weak), (0, stiff), (1, stiff)] {
+        let mut drive = Drive::new(98_000 + seed, true);
+        drive.stay_healthy(140, before);
+        drive.events(60, first);
+        let events = drive.events(160, both);
+        let is_part = |event: &&AlarmEvent| Cause::PHYSICAL.contains(&event.cause);
+        let is_ended = |event: &AlarmEvent| event.state == AlarmState::ClearedUnacknowledged;
+        assert!(!events.iter().filter(is_part).any(is_ended), "{first:?}: {events:#?}");
+        let (second, size) = if first.stiffness > 1.0 { (Cause::Kt, -15.0) } else { (Cause::Stiffness, 30.0) };
+        let raised =
+            events.iter().find(|event| event.cause == second).unwrap_or_else(|| panic!("{first:?}: {events:#?}"));
+        let (pct, sd) = raised.change_pct.zip(raised.change_pct_sd).unwrap();
+        assert!((pct - size).abs() < 2.5 * sd, "{raised:?}");
+        let open: Vec<Cause> = drive.monitor.open_alarms().iter().filter(is_part).map(|event| event.cause).collect();
+        assert!(open.len() == 2 && open.contains(&Cause::Kt) && open.contains(&Cause::Stiffness), "{open:?}");
+    }
+}

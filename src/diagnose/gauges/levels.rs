@@ -19,7 +19,7 @@ use crate::{
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
 /// Relative error of an expected effect on a gauge.
-const EXPECTED_ERROR: f64 = 0.15;
+const EXPECTED_ERROR: f64 = 0.08;
 /// Change of the field of a magnet with its temperature \[1/K\], and its standard deviation: -0.2 % per K for ferrite, -0.1 % for
 /// rare earths, hardly any for Alnico and for a wound field. The air is the magnet's temperature, as a throw warms the winding.
 const MAGNETS: (f64, f64) = (-0.001, 0.0006);

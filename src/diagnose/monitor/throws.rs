@@ -162,7 +162,8 @@ impl MachineMonitor {
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
     /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
     fn watch_features(&mut self, observation: &Observation, is_judged: bool, step: &mut Step) -> bool {
-        if is_judged {
+        // An alarm about the features ends by them: the drift rule may need a far larger change while a baseline is new.
+        if is_judged && step.alarms.owned_by(Rule::Features).is_none() {
             self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
         }
@@ -175,7 +176,7 @@ impl MachineMonitor {
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_too_slow() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
-        step.alarms.owned_by(Rule::Features).is_some() || has_features
+        is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
