@@ -98,7 +98,7 @@ impl Intermittent {
         [suspicious, is_active]: [bool; 2],
         settings: &Settings,
     ) {
-        let inverse = sym3::inverse(&of_one_throw);
+        let inverse = sym3::inverse(of_one_throw);
         let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
         let decided = self.undecided.push(square(departure) > FAR_OUT);
         if let Some(far_out) = decided.filter(|_| !suspicious) {
@@ -138,7 +138,7 @@ impl Intermittent {
         }
         let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
         let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
-        let inverse = sym3::inverse(&of_one_throw)?;
+        let inverse = sym3::inverse(of_one_throw)?;
         let shows = |(size, throws): (Size, u32)| {
             let counted = f64::from(self.recent.throws().min(throws));
             let last = self.recent.last(throws).map(|(age, d)| (f64::from(*age), Vector3::from(d.map(f64::from))));
