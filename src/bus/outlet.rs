@@ -4,11 +4,12 @@
 
 use std::{
     collections::HashMap,
+    convert::Infallible,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
-    thread::{self, JoinHandle},
+    thread,
 };
 
 use tokio::sync::{mpsc, oneshot};
@@ -67,9 +68,9 @@ pub(crate) struct Outlet {
 }
 
 impl Outlet {
-    /// Starts the threads, which end when they have published their queues. Close the session only after their end: a
-    /// put to a closing session panics in zenoh.
-    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, [JoinHandle<()>; 2])> {
+    /// Starts the threads, which end when they have published their queues. Close the session only after their ends, which
+    /// the receivers wait for: a put to a closing session panics in zenoh.
+    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, [oneshot::Receiver<Infallible>; 2])> {
         let counters = Arc::new(OutletCounters::default());
         // With a priority of their own alarms do not wait in zenoh behind health.
         let (alarms, first) = publisher("alarms", session, Priority::InteractiveHigh, ALARMS, &counters)?;
@@ -103,18 +104,22 @@ impl Outlet {
     }
 }
 
-/// Starts a publishing thread; returns its queue and its handle.
+/// Starts a publishing thread; returns its queue and its end.
 fn publisher(
     name: &str,
     session: &Session,
     priority: Priority,
     capacity: usize,
     counters: &Arc<OutletCounters>,
-) -> std::io::Result<(mpsc::Sender<Job>, JoinHandle<()>)> {
+) -> std::io::Result<(mpsc::Sender<Job>, oneshot::Receiver<Infallible>)> {
     let (jobs, inbox) = mpsc::channel(capacity);
     let (session, counters) = (session.clone(), Arc::clone(counters));
-    let work = move || run(&session, inbox, priority, &counters);
-    Ok((jobs, thread::Builder::new().name(name.into()).spawn(work)?))
+    let (running, end) = oneshot::channel();
+    thread::Builder::new().name(name.into()).spawn(move || {
+        run(&session, inbox, priority, &counters);
+        drop(running);
+    })?;
+    Ok((jobs, end))
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {

@@ -36,6 +36,16 @@ const TICKS_AN_HOUR: u64 = 3600 / TICK.as_secs();
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
 
+/// What a judgement of a throw depends on beside the throw.
+#[derive(Clone, Copy)]
+pub(super) struct Circumstances<'a> {
+    /// Whether it is the last throw of its machine in the transaction, with which the monitor is stored.
+    pub(super) is_last: bool,
+    pub(super) settings: &'a Settings,
+    pub(super) parameters: Parameters,
+    pub(super) at: Timestamp,
+}
+
 /// The monitors of all machines.
 #[derive(Default)]
 pub(super) struct Fleet {
@@ -108,19 +118,16 @@ impl Fleet {
         outcomes
     }
 
-    /// Diagnoses a throw; returns the judgement to store, with the monitor if this is the last throw of its machine in the
-    /// transaction. A throw that makes the diagnosis panic counts as not evaluated: the defect must not stop the judgement of
+    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not evaluated: the defect must not stop the judgement of
     /// all other machines, again after each restart.
     pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
-        is_last: bool,
-        (settings, parameters): (&Settings, Parameters),
-        at: Timestamp,
+        circumstances: Circumstances,
     ) -> Judgement {
         let before = self.monitors.get(&stored.machine).cloned();
-        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, is_last, (settings, parameters), at));
+        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, circumstances));
         catch_unwind(attempt).unwrap_or_else(|_| {
             let ThrowRef { boot_id, throw_no } = &stored.id;
             tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
@@ -129,7 +136,7 @@ impl Fleet {
                 Some(before) => self.monitors.insert(stored.machine.clone(), before),
                 None => self.monitors.remove(&stored.machine),
             };
-            self.diagnose(stored, None, is_last, (settings, parameters), at)
+            self.diagnose(stored, None, circumstances)
         })
     }
 
@@ -137,9 +144,7 @@ impl Fleet {
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
-        is_last: bool,
-        (settings, parameters): (&Settings, Parameters),
-        at: Timestamp,
+        Circumstances { is_last, settings, parameters, at }: Circumstances,
     ) -> Judgement {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));

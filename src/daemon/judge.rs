@@ -4,7 +4,12 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use tokio::sync::watch;
 
-use super::{clock, config::Config, fleet::Fleet, identify::Pool};
+use super::{
+    clock,
+    config::Config,
+    fleet::{Circumstances, Fleet},
+    identify::Pool,
+};
 use crate::{
     diagnose::{AlarmEvent, Parameters},
     store::{Judgement, Outcome, Selector, Store, StoreError, StoredThrow, ThrowRow},
@@ -91,9 +96,13 @@ impl Judge {
         let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
         let judgements = throws.iter().map(|stored| {
             let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
-            let is_last = last.get(&stored.machine) == Some(&stored.row);
-            let parameters = Parameters::of(config.machines.of(&stored.machine));
-            self.fleet.judge(stored, identification, is_last, (&config.diagnosis, parameters), clock::now())
+            let circumstances = Circumstances {
+                is_last: last.get(&stored.machine) == Some(&stored.row),
+                settings: &config.diagnosis,
+                parameters: Parameters::of(config.machines.of(&stored.machine)),
+                at: clock::now(),
+            };
+            self.fleet.judge(stored, identification, circumstances)
         });
         judgements.collect()
     }

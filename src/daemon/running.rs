@@ -1,10 +1,10 @@
 //! The running daemon: start, and interface for other parts of the process.
 
-use std::{collections::HashSet, sync::Arc, thread::JoinHandle};
+use std::{collections::HashSet, convert::Infallible, sync::Arc};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
-use tokio::sync::{Notify, broadcast, mpsc, watch};
+use tokio::sync::{Notify, broadcast, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 use zenoh::{Session, liveliness::LivelinessToken};
 
@@ -55,7 +55,7 @@ pub struct Daemon {
     orders: Orders,
     pub(super) tasks: Tasks,
     pub(super) stops: Stops,
-    pub(super) publishing: [JoinHandle<()>; 2],
+    pub(super) publishing: [oneshot::Receiver<Infallible>; 2],
     pub(super) alive: LivelinessToken,
     pub(super) lock: DatabaseLock,
 }

@@ -1,6 +1,6 @@
 //! Stop of the daemon: in the order of the pipeline, with a time limit for each step.
 
-use std::{thread::JoinHandle, time::Duration};
+use std::time::Duration;
 
 use sd_notify::NotifyState;
 use tokio::time;
@@ -19,8 +19,6 @@ const JUDGE_LIMIT: Duration = Duration::from_millis(2_500);
 const LEAVE_LIMIT: Duration = Duration::from_millis(700);
 /// Time limit to publish the outbox; the rest is published after the next start.
 const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
-/// Time between two looks whether the publishing threads have ended.
-const LOOK: Duration = Duration::from_millis(5);
 /// Time limit to close the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
 /// Time limit to close the database, which may copy its whole log, or hang with the disk.
@@ -54,8 +52,9 @@ impl Daemon {
         tracing::info!("{}", sources.report().line());
         drop((alive, tasks));
         let ended = async {
-            while !publishing.iter().all(JoinHandle::is_finished) {
-                time::sleep(LOOK).await;
+            for end in publishing {
+                // Always an error: a thread sends nothing, and drops the sender when it ends.
+                let _ = end.await;
             }
         };
         if time::timeout(LEAVE_LIMIT, ended).await.is_err() {

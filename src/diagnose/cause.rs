@@ -130,6 +130,17 @@ pub(super) struct Attribution {
     back_emf: Option<Level>,
 }
 
+/// A drift to attribute.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Case<'a> {
+    /// The window with the drift.
+    pub(super) window: &'a Window,
+    /// Covariance of one throw of the machine.
+    pub(super) of_one_throw: &'a Matrix3<f64>,
+    pub(super) known: &'a Known<'a>,
+    pub(super) settings: &'a Settings,
+}
+
 /// The explanations of a drift, each kind with the best first.
 struct Explanations {
     singles: [Fit<1>; 4],
@@ -139,8 +150,9 @@ struct Explanations {
 }
 
 impl Attribution {
-    /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine.
-    pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, known: &Known, settings: &Settings) -> Self {
+    /// Attributes the drift of a window.
+    pub(super) fn of(case: &Case) -> Self {
+        let Case { window, of_one_throw, known, settings } = *case;
         let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
         let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
         let all = Explanations::of(window, &known.causes, back_emf, settings);
@@ -163,7 +175,7 @@ impl Attribution {
             return attribution.beside_something(&all, known, settings);
         }
         if let Some(both) = attribution.both(&all, settings) {
-            return both.beside_known(&all, window, of_one_throw, known, settings);
+            return both.beside_known(&all, case);
         }
         let margin = next.score - best.score;
         let (main, second) = (all.freed_best(), next.parts[0]);
@@ -175,7 +187,7 @@ impl Attribution {
         let strangers = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
         let lead = strangers.map(|pair| pair.score - best.score).fold(margin, f64::min);
         let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
-        one.since_known(&all, window, of_one_throw, known, settings).unwrap_or(one)
+        one.since_known(&all, case).unwrap_or(one)
     }
 
     /// The attribution to two causes together, if no single cause is clearly better.
@@ -213,14 +225,8 @@ impl Attribution {
     /// the larger. If other explanations are as good, the change since the level of the known drifts may have a single
     /// cause: a leak of friction and another cause can look like friction without a leak and a third cause, but the level
     /// shows the leak.
-    fn beside_known(
-        self,
-        all: &Explanations,
-        window: &Window,
-        of_one_throw: &Matrix3<f64>,
-        known: &Known,
-        settings: &Settings,
-    ) -> Self {
+    fn beside_known(self, all: &Explanations, case: &Case) -> Self {
+        let Case { known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let Some(own) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
         let [mut a, mut b] = own.parts;
@@ -239,25 +245,19 @@ impl Attribution {
         if lead >= CLOSE || is_open(&new) {
             return another(new, lead);
         }
-        let since = self.since_known(all, window, of_one_throw, known, settings);
+        let since = self.since_known(all, case);
         since.unwrap_or_else(|| self.beside_something(all, known, settings))
     }
 
     /// Names a second cause by the change since the level of the known drifts: two faults one after the other may look like one
     /// alone, of a third part or of the second. `None` if that change has no clear name, or if one cause explains level and
     /// change, so that the known name was wrong.
-    fn since_known(
-        self,
-        all: &Explanations,
-        window: &Window,
-        of_one_throw: &Matrix3<f64>,
-        known: &Known,
-        settings: &Settings,
-    ) -> Option<Self> {
+    fn since_known(self, all: &Explanations, case: &Case) -> Option<Self> {
+        let Case { window, known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let level = known.level?;
         let named = |mean, covariance| {
-            Self::of(&Window { mean, covariance, ..*window }, of_one_throw, &Known::default(), settings)
+            Self::of(&Case { window: &Window { mean, covariance, ..*window }, known: &Known::default(), ..*case })
         };
         // The level has less uncertainty than the window, whose baseline is the same.
         let since = named(window.mean - level, 2.0 * window.covariance);
@@ -463,6 +463,12 @@ fn ranked<const N: usize, const K: usize>(
     });
     fits.sort_by(|a, b| a.score.total_cmp(&b.score));
     fits
+}
+
+/// The single cause that explains the drift of `window` best, without gauges.
+pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
+    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |_| false, None, settings);
+    best.parts[0]
 }
 
 /// Verdict of the cross-correlation rule on inertia; `None` if natural scatter would hide inertia of this size from the

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    cause::{Attribution, DECISIVE, Known, Naming, Rival},
+    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single},
     condition::{Claim, Reading},
     event::Cause,
     explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
@@ -96,8 +96,8 @@ impl Drift {
         let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter)| {
             let is_before = last_few.iter().flatten().any(|last| is_before_motor_fault(&window, last, settings));
             let gauges = known.gauges.filter(|_| !is_before);
-            let known = Known { gauges, ..known.clone() };
-            Attribution::of(&window, &scatter.of_one_throw(), &known, settings)
+            let known = &Known { gauges, ..known.clone() };
+            Attribution::of(&Case { window: &window, of_one_throw: &scatter.of_one_throw(), known, settings })
         });
         let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
         let relation = match &attribution {
@@ -252,14 +252,11 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
 /// are those of the last few throws, say nothing about such a window.
 fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) -> bool {
     const SHOWN_SD: f64 = 3.0;
-    let since = last.mean - window.mean;
-    let shown = Cause::PHYSICAL.into_iter().filter(|cause| last.shows(*cause));
-    let fits = shown.map(|cause| fit(PLAIN_LEAKS, [cause], &since, &last.covariance, settings));
-    let best = fits.min_by(|a, b| a.score.total_cmp(&b.score));
-    let is_longer = window.throws > last.throws;
-    best.map(|best| best.parts[0]).filter(|_| is_longer).is_some_and(|part| {
-        part.cause == Cause::Kt && part.relevance(settings) > 1.0 && part.size.abs() > SHOWN_SD * part.size_sd
-    })
+    if window.throws <= last.throws {
+        return false;
+    }
+    let since = best_single(&Window { mean: last.mean - window.mean, ..*last }, settings);
+    since.cause == Cause::Kt && since.relevance(settings) > 1.0 && since.size.abs() > SHOWN_SD * since.size_sd
 }
 
 /// The physical causes of an alarm: its cause, or all of them.

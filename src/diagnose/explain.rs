@@ -40,15 +40,12 @@ const OF_FRICTION: &[Leak] = &[
 ];
 const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3] };
 /// Leaks of a change of the motor: a viscous load, and some that are dry in part, so close that the back-EMF can choose.
-const OF_MOTOR: &[Leak] = &[NO_LEAK, of_dry_load(0.25), of_dry_load(0.5), of_dry_load(0.75), of_dry_load(1.0)];
+const OF_MOTOR: &[Leak] =
+    &[NO_LEAK, Leak::of_dry_load(0.25), Leak::of_dry_load(0.5), Leak::of_dry_load(0.75), Leak::of_dry_load(1.0)];
 /// The leaks that resemble no other fault.
 pub(super) const PLAIN_LEAKS: Leaks = Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0 };
 /// All leaks. Some look like a fault of the motor or the stiffness, so they count only if gauges show the motor.
 pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR };
-const fn of_dry_load(part: f64) -> Leak {
-    Leak { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0] }
-}
-
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -82,6 +79,13 @@ pub(super) struct Leak {
     parts: [f64; 3],
     /// Standard deviations, of one error, so that the leaks together cover their range evenly.
     sd: [f64; 3],
+}
+
+impl Leak {
+    /// Of a motor whose load is dry in this part.
+    const fn of_dry_load(part: f64) -> Self {
+        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0] }
+    }
 }
 
 /// The possible leaks of a rise of friction, and of a change of the motor.

@@ -10,7 +10,7 @@ use super::{
         baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_in_order, learn_mixed, trend},
         observation::Evaluated,
         settings::Settings,
-        threshold::{Thresholds, WINDOWS},
+        threshold::WINDOWS,
         trend::Filling,
         wet::{WetSpell, wet_spells},
     },
@@ -187,8 +187,7 @@ impl Tracks {
         if self.mixed.is_some() && sides == 2 {
             let sensor = sensor / all.len() as f64;
             let scatter = learn_in_order(all, sensor, centres);
-            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
-            self.mixed = Some(Mixed { scatter, thresholds });
+            self.mixed = Some(Mixed::new(scatter, settings));
         }
         self.refresh_thresholds(settings);
     }
@@ -199,8 +198,7 @@ impl Tracks {
         let done = first.is_final(settings) && second.is_final(settings);
         if normal.of_ratios == reverse.of_ratios {
             let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
-            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
-            self.mixed = Some(Mixed { scatter, thresholds });
+            self.mixed = Some(Mixed::new(scatter, settings));
         }
         if done {
             self.sides.iter_mut().for_each(|track| track.learned = Box::default());

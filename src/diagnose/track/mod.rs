@@ -99,6 +99,14 @@ struct Mixed {
     thresholds: Thresholds,
 }
 
+impl Mixed {
+    /// Every throw tests this stream and that of its direction, so each has half of the budget.
+    fn new(scatter: Scatter, settings: &Settings) -> Self {
+        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
+        Self { scatter, thresholds }
+    }
+}
+
 /// Baselines and last throws of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Tracks {
