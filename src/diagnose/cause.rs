@@ -23,7 +23,7 @@ const CLOSE: f64 = 6.0;
 pub(super) const DECISIVE: f64 = 13.8;
 /// Factor on the margin: divides it if the cross-correlation rule agrees with the named cause, multiplies it if not.
 const RULE_WEIGHT: f64 = 1.5;
-/// Bonus of an explanation that already has an alarm, so that the verdict does not alternate.
+/// Bonus of an explanation for each of its causes that already has an alarm, so that the verdict does not alternate.
 const STICKY: f64 = 4.0;
 /// Lead of two causes that leave out one with an alarm before the alarm is doubted.
 const KNOWN: f64 = 20.0;
@@ -366,6 +366,12 @@ impl Attribution {
         self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs() && !is_weaker(level))
     }
 
+    /// Whether the back-EMF shows that the motor changed, however uncertain the size of the change is beside another part.
+    pub(super) fn has_changed_motor(&self) -> bool {
+        let level = self.decides.and_then(BackEmf::of_motor);
+        self.includes(Cause::Kt) && level.is_some_and(|level| level.value.abs() > CHANGED_SD * level.sd)
+    }
+
     /// Whether the cross-correlation rule contradicts the name of its main part.
     pub(super) fn is_contradicted(&self) -> bool {
         let inertia = self.main().is_some_and(|main| main.cause == Cause::Inertia);
@@ -392,15 +398,24 @@ impl Explanations {
     fn of(window: &Window, open: &[Cause], back_emf: Option<BackEmf>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
+        let of_pair = |pair: [Cause; 2]| {
+            if pair.iter().all(|cause| open.contains(cause)) {
+                2.0 * STICKY
+            } else if open.contains(&Cause::Unattributed) {
+                STICKY
+            } else {
+                0.0
+            }
+        };
         Self {
             singles: ranked(
                 Cause::PHYSICAL.map(|cause| [cause]),
                 window,
-                |[cause]| open.contains(&cause),
+                |[cause]| if open.contains(&cause) { STICKY } else { 0.0 },
                 back_emf,
                 settings,
             ),
-            pairs: ranked(pairs, window, |_| open.contains(&Cause::Unattributed), back_emf, settings),
+            pairs: ranked(pairs, window, of_pair, back_emf, settings),
             any: explained([a, b, c], window, back_emf, settings),
         }
     }
@@ -445,17 +460,17 @@ pub(super) fn explained<const K: usize>(
     found
 }
 
-/// The explanations, the best first; `alarmed` ones get a bonus. Causes that the window does not show explain nothing.
+/// The explanations with their bonus, the best first. Causes that the window does not show explain nothing.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
-    alarmed: impl Fn([Cause; K]) -> bool,
+    bonus: impl Fn([Cause; K]) -> f64,
     back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
         let mut fit = explained(causes, window, back_emf, settings);
-        fit.score -= if alarmed(causes) { STICKY } else { 0.0 };
+        fit.score -= bonus(causes);
         if !causes.iter().all(|cause| window.shows(*cause)) {
             fit.score = f64::INFINITY;
         }
@@ -467,7 +482,7 @@ fn ranked<const N: usize, const K: usize>(
 
 /// The single cause that explains the drift of `window` best, without gauges.
 pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
-    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |_| false, None, settings);
+    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |_| 0.0, None, settings);
     best.parts[0]
 }
 

@@ -115,7 +115,9 @@ impl DriftAlarms {
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
                 let least = 1.0 - settings.deadband_pct / 100.0;
                 // A part is not named whose change may be none.
-                let is_shown = active.is_some() || now.size.abs() > SHOWN_SD * now.size_sd;
+                let has_changed =
+                    now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
+                let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
                 reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
             }
             let transition = self.conditions[index].step(reading, active, settings);

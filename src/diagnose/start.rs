@@ -21,6 +21,9 @@ const DELAY_MS: f64 = 1.0;
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
 /// Change of the delay of an unlocking stroke, as multiple of that of the duration: its time follows the speed of the motor.
 const DELAY_OF_DURATION: f64 = 1.5;
+/// Change of the delay with the logarithm of the inrush, as part of the normal delay: the toe has moved visibly after a time that
+/// follows the square root of the acceleration. A hot winding or a bad contact takes a part of the inrush, a late brake does not.
+const DELAY_OF_INRUSH: f64 = 0.5;
 /// Change of the logarithm of the acceleration that matters, in addition to that of the running current, which a motor
 /// changes as much.
 const GAIN: f64 = 0.1;
@@ -45,8 +48,10 @@ pub(super) struct Change {
     /// Changes of the logarithms of the acceleration per ampere and of the running current.
     pub(super) gain: Level,
     pub(super) running: Level,
-    /// Change of the delay by the speed of the motor \[ms\].
-    pub(super) of_speed_ms: f64,
+    /// Change of the delay by the speed and the inrush of the motor \[ms\].
+    pub(super) of_motor_ms: f64,
+    /// Lost part of the inrush, as a logarithm.
+    pub(super) lost_inrush: f64,
 }
 
 impl Change {
@@ -55,15 +60,18 @@ impl Change {
         let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
         let (delay, gain) = (level(Gauge::StartDelay)?, level(Gauge::StartGain)?);
         let duration = gauges.level(Gauge::Duration, WINDOWS[2]).map_or(0.0, |duration| duration.value.abs());
-        let of_speed_ms = DELAY_OF_DURATION * duration * gauges.normal_delay_ms();
-        Some(Self { delay, gain, running: level(Gauge::Running)?, of_speed_ms })
+        let lost_inrush = gauges.level(Gauge::Inrush, WINDOWS[2]).map_or(0.0, |inrush| (-inrush.value).max(0.0));
+        let of_motor = DELAY_OF_DURATION * duration + DELAY_OF_INRUSH * lost_inrush;
+        let of_motor_ms = of_motor * gauges.normal_delay_ms();
+        Some(Self { delay, gain, running: level(Gauge::Running)?, of_motor_ms, lost_inrush })
     }
 
     /// Size relative to what matters and to what the running current explains.
     fn size(&self) -> f64 {
         let running = self.running.value.abs();
         let of = |level: Level, least: f64| level.value.abs() / least.max(SIGNIFICANT_SD * level.sd);
-        of(self.delay, DELAY_MS + DELAY_OF_FRICTION_MS * running + self.of_speed_ms).max(of(self.gain, GAIN + running))
+        let of_delay = DELAY_MS + DELAY_OF_FRICTION_MS * running + self.of_motor_ms;
+        of(self.delay, of_delay).max(of(self.gain, GAIN + running + self.lost_inrush))
     }
 }
 

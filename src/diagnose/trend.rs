@@ -101,6 +101,10 @@ impl Filling {
         }
         let (time, levels) = (self.time(), self.levels());
         std::array::from_fn(|i| {
+            // Of ratios to b0, that of b0 is constant.
+            if self.sd[i] == 0.0 {
+                return 0.0;
+            }
             let change = slope(&self.values(i, 0.0), &time, &levels, self.error_part[i], evidence);
             change.map_or(0.0, |change| change / self.range())
         })

@@ -70,7 +70,7 @@ fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
             machine.observe(&throw)
         };
         let before = Gauges { speed: gauges.speed.map(|_| 0.0), duration: 0.0, ..gauges };
-        for _ in 0..3 * settings.baseline_throws {
+        for _ in 0..2 * settings.baseline_throws {
             let events = feed(Vector3::zeros(), before).events;
             assert_eq!(events, [], "machine {seed}");
         }

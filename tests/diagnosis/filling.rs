@@ -6,7 +6,13 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::{
+    drive::{Drive, State},
+    fleet::{Machine, Nature, shift},
+};
+
+/// A drive whose late brake leaves only the ratios of the coefficients.
+const OF_RATIOS: State = State { brake_s: 0.02, ..State::SOUND };
 
 fn is_complete(machine: &Machine) -> bool {
     Direction::BOTH.into_iter().all(|way| machine.monitor.baseline(way).is_some_and(|record| record.complete))
@@ -71,5 +77,44 @@ fn a_small_complete_baseline_names_every_cause() {
             let found = (0..60).find_map(|_| machine.feed(fault).events.first().cloned());
             assert_eq!(found.map(|event| event.cause), Some(cause), "{baseline_throws} throws, seed {seed}");
         }
+    }
+}
+
+/// The first dozen throws of each direction decide that only the ratios are compared, and are the baseline.
+#[test]
+fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
+    let faults = [
+        (Cause::Kt, -15.0, State { torque: 0.85, back_emf: 0.85, ..OF_RATIOS }),
+        (Cause::Friction, 40.0, State { friction: 1.4, ..OF_RATIOS }),
+        (Cause::Stiffness, 30.0, State { stiffness: 1.3, ..OF_RATIOS }),
+    ];
+    for (cause, pct, fault) in faults {
+        for seed in 0..4 {
+            let mut drive = Drive::new(61_000 + seed, seed.is_multiple_of(2));
+            drive.stay_healthy(36, OF_RATIOS);
+            let events = drive.events(60, fault);
+            let named = events.iter().find(|event| event.cause == cause);
+            let named = named.unwrap_or_else(|| panic!("{cause}, seed {seed}: {events:#?}"));
+            let (size, sd) = named.change_pct.zip(named.change_pct_sd).unwrap();
+            assert!((size - pct).abs() < 2.5 * sd, "{named:?}");
+        }
+    }
+}
+
+#[test]
+fn wear_from_the_first_throw_is_a_trend_of_the_ratios_too() {
+    let wear: [fn(f64) -> State; 3] = [
+        |part| State { friction: part, ..OF_RATIOS },
+        |part| State { stiffness: part, ..OF_RATIOS },
+        |part| State { torque: 1.0 / part, back_emf: 1.0 / part, ..OF_RATIOS },
+    ];
+    for (worn, seed) in wear.into_iter().zip(41_000..) {
+        let mut drive = Drive::new(seed, true);
+        let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|text| text.contains("has a trend"));
+        let found = (0..60).find(|throw| {
+            drive.feed(worn(1.0 + 0.0025 * f64::from(*throw)));
+            is_stated(&drive)
+        });
+        assert!(found.is_some(), "not stated before +15 %");
     }
 }

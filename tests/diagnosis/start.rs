@@ -70,6 +70,17 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
     }
 }
 
+/// The resistance of a winding that is 50 K warmer, and of a bad contact: the inrush is lower, and the toe moves later.
+#[test]
+fn a_lower_inrush_is_no_changed_start() {
+    let late = State { brake_s: 0.02, ..State::SOUND };
+    for (ohms, seed) in [(1.2, 33_000), (1.2, 33_001), (1.3, 33_000), (1.3, 33_001)] {
+        let mut drive = Drive::new(seed, false);
+        drive.stay_healthy(140, late);
+        drive.stay_healthy(80, State { ohms, ..late });
+    }
+}
+
 /// Noise of 0.5 mm scatters the delay by 5 to 15 ms, around another mean.
 #[test]
 fn a_noisy_position_sensor_is_no_changed_start() {

@@ -328,7 +328,7 @@ impl MachineMonitor {
             .into_iter()
             .chain(self.two_loggers())
             .chain(blind)
-            .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
+            .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes, self.tracks.any_of_ratios())))
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct.into())))
             .chain(self.drift.shared_changes().map(|(cause, pct)| text::shared(&self.name, cause, pct)))

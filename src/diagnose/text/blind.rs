@@ -134,9 +134,13 @@ fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
 }
 
 /// Text for a machine whose throws changed steadily while its baseline was taken; slopes of the logarithms per throw.
-pub(crate) fn trend(name: &str, slopes: [f64; 3]) -> String {
+pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
     let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
-    let names = ["b0 (motor or inertia)", "a1 (friction)", "a0 (stiffness)"];
+    let names = if of_ratios {
+        ["b0", "a1/b0 (friction, or a weaker motor)", "a0/b0 (stiffness, or a weaker motor)"]
+    } else {
+        ["b0 (motor or inertia)", "a1 (friction)", "a0 (stiffness)"]
+    };
     let changes: Vec<String> = slopes.into_iter().zip(names).filter_map(of).collect();
     format!(
         "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \

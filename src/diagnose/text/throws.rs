@@ -107,7 +107,8 @@ mod tests {
                 delay: level(delay_ms, 0.2),
                 gain: level(-0.3, 0.02),
                 running: level(0.0, 0.01),
-                of_speed_ms: 0.0,
+                of_motor_ms: 0.0,
+                lost_inrush: 0.0,
             };
             start("21B", &change, 12)
         };

@@ -10,11 +10,12 @@ use super::{
         baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_in_order, learn_mixed, trend},
         observation::Evaluated,
         settings::Settings,
+        sym3::Sym3,
         threshold::WINDOWS,
         trend::Filling,
         wet::{WetSpell, wet_spells},
     },
-    Mixed, Track, Tracks,
+    Mixed, Track, Tracks, Undecided,
 };
 use crate::{estimate::Grade, throw::Direction};
 
@@ -47,25 +48,37 @@ impl Track {
         record
     }
 
-    /// Counts a throw; changes to a baseline of ratios if many of the last throws had no complete coefficients. Rough throws
-    /// cannot be compared closely with a baseline of coefficients, and a fault makes more throws rough. Returns whether it
-    /// changed.
-    fn becomes_of_ratios(&mut self, grade: Grade, settings: &Settings) -> bool {
+    /// Keeps the ratios of a throw before the first baseline; changes to a baseline of ratios, of the throws kept, if many of
+    /// them are rough. Rough throws cannot be compared closely with a baseline of coefficients, and a fault makes more throws
+    /// rough. Returns whether it changed.
+    fn becomes_of_ratios(&mut self, order: u64, throw: &Evaluated, settings: &Settings) -> bool {
         /// Least share of rough throws. A machine with one in ten has it in 3 of 100 dozens.
         const ROUGH_SHARE: f64 = 0.3;
-        if self.baseline.is_some() {
+        if self.of_ratios || self.baseline.is_some() {
             return false;
         }
-        self.kinds = [self.kinds[0] + 1, self.kinds[1] + usize::from(grade == Grade::Rough)];
-        let [throws, rough] = self.kinds;
-        if throws >= settings.baseline_usable_throws {
-            self.kinds = [0; 2];
-            if rough as f64 >= ROUGH_SHARE * throws as f64 {
-                *self = Self { of_ratios: true, ..Self::default() };
-            }
+        let kept = self.undecided.get_or_insert_default();
+        let ratios = throw.clone().ratios();
+        kept.rough += usize::from(throw.grade == Grade::Rough);
+        kept.throws.push(BaselineThrow::new(order, &ratios));
+        kept.sensor = mean_with(kept.sensor, &ratios.sensor, kept.throws.len());
+        if kept.throws.len() < settings.baseline_usable_throws {
+            return false;
         }
-        self.of_ratios
+        let Undecided { throws, rough, sensor } = mem::take(&mut **kept);
+        self.undecided = None;
+        let is_rough = rough as f64 >= ROUGH_SHARE * throws.len() as f64;
+        if is_rough {
+            *self = Self { of_ratios: true, aside: throws, sensor, ..Self::default() };
+        }
+        is_rough
     }
+}
+
+/// The mean of `count` covariances of which `last` is one and `mean` that of the others.
+fn mean_with(mean: Sym3, last: &Matrix3<f64>, count: usize) -> Sym3 {
+    let mean = Matrix3::from(mean);
+    (mean + (last - mean) / count as f64).into()
 }
 
 impl Tracks {
@@ -88,15 +101,14 @@ impl Tracks {
             return Vec::new();
         }
         let track = &mut self.sides[throw.direction.side()];
-        let is_other =
-            !track.of_ratios && (track.becomes_of_ratios(throw.grade, settings) || throw.grade == Grade::Rough);
-        if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
-            return Vec::new();
+        if !track.becomes_of_ratios(order, throw, settings) {
+            let is_other = !track.of_ratios && throw.grade == Grade::Rough;
+            if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
+                return Vec::new();
+            }
+            track.aside.push(BaselineThrow::new(order, throw));
+            track.sensor = mean_with(track.sensor, &throw.sensor, track.learned.len() + track.aside.len());
         }
-        track.aside.push(BaselineThrow::new(order, throw));
-        let mean = Matrix3::from(track.sensor);
-        let count = track.learned.len() + track.aside.len();
-        track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         self.follow_trend(settings);
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
@@ -139,23 +151,30 @@ impl Tracks {
 
     /// Looks for a trend in the throws of the baselines, also those set aside.
     fn follow_trend(&mut self, settings: &Settings) {
-        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
-        let slopes = if self.any_of_ratios() { [0.0; 3] } else { trend(&self.filling(&self.wet), settings) };
+        let slopes = if self.are_comparable() { trend(&self.filling(&self.wet), settings) } else { [0.0; 3] };
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
     /// Looks for wet spells in the same throws; returns whether they changed.
     fn follow_wet_spells(&mut self) -> bool {
-        let wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+        let wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
         let is_changed = wet != self.wet;
         self.wet = wet;
         is_changed
     }
 
+    /// Whether the throws of both directions have the same values: the coefficients, or the ratios only.
+    fn are_comparable(&self) -> bool {
+        let [normal, reverse] = &self.sides;
+        normal.of_ratios == reverse.of_ratios
+    }
+
     /// The throws of the baselines, also those set aside, as in dry weather.
     fn filling(&self, wet: &[WetSpell]) -> Filling {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
-        let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
+        // The errors of ratios are mostly equal in every throw: what differs is the scatter of the machine.
+        let differing = |track: &Track| if track.of_ratios { Matrix3::zeros() } else { Matrix3::from(track.sensor) };
+        let sensor = self.sides.each_ref().map(differing);
         filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
@@ -196,7 +215,7 @@ impl Tracks {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let done = first.is_final(settings) && second.is_final(settings);
-        if normal.of_ratios == reverse.of_ratios {
+        if self.are_comparable() {
             let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
             self.mixed = Some(Mixed::new(scatter, settings));
         }

@@ -44,14 +44,23 @@ struct Track {
     thresholds: Option<Thresholds>,
     recent: RecentThrows,
     since_baseline: u64,
-    /// Throws without a baseline since the last decision about `of_ratios`, and the rough ones of them.
-    #[serde(default)]
-    kinds: [usize; 2],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    undecided: Option<Box<Undecided>>,
     /// Whether the throws are compared by their ratios only, as many have no complete coefficients.
     #[serde(default)]
     of_ratios: bool,
     #[serde(default)]
     rough: RoughErrors,
+}
+
+/// The throws of a direction without a baseline since the last decision about `of_ratios`, by their ratios.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct Undecided {
+    throws: Vec<BaselineThrow>,
+    /// Number of rough throws among them.
+    rough: usize,
+    /// Mean covariance of their ratios.
+    sensor: Sym3,
 }
 
 /// The errors of throws of ratios beside a baseline of coefficients: their misfit of the model repeats, and healthy throws show
@@ -363,7 +372,7 @@ impl Tracks {
         const LAST: usize = WINDOWS[2];
         let [normal, reverse] = &self.sides;
         let recent = Stream::all([&normal.recent, &reverse.recent]);
-        recent.len() >= LAST && recent.is_without_scale(LAST)
+        normal.of_ratios && reverse.of_ratios || recent.len() >= LAST && recent.is_without_scale(LAST)
     }
 
     /// Discards the last throws, and keeps the baselines.
