@@ -57,16 +57,16 @@ impl Track {
         if self.of_ratios || self.baseline.is_some() {
             return false;
         }
-        let kept = self.undecided.get_or_insert_default();
+        let mut kept = self.undecided.take().unwrap_or_default();
         let ratios = throw.clone().ratios();
         kept.rough += usize::from(throw.grade == Grade::Rough);
         kept.throws.push(BaselineThrow::new(order, &ratios));
         kept.sensor = mean_with(kept.sensor, &ratios.sensor, kept.throws.len());
         if kept.throws.len() < settings.baseline_usable_throws {
+            self.undecided = Some(kept);
             return false;
         }
-        let Undecided { throws, rough, sensor } = mem::take(&mut **kept);
-        self.undecided = None;
+        let Undecided { throws, rough, sensor } = *kept;
         let is_rough = rough as f64 >= ROUGH_SHARE * throws.len() as f64;
         if is_rough {
             *self = Self { of_ratios: true, aside: throws, sensor, ..Self::default() };
