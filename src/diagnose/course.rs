@@ -96,8 +96,9 @@ impl Course {
                 let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
                 stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, noise.slow_sd, evidence)));
             }
+            let kept = series.kept_of_slow(at);
             for stage in &mut stages {
-                stage.add(&series, at);
+                stage.add(&series, at, kept);
             }
             let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.evidence).fold(f64::MIN, f64::max);
             stages.retain(|stage| stage.evidence > best - NEGLIGIBLE);
@@ -168,6 +169,12 @@ impl<'a> Series<'a> {
         Self { points, values, variances, lag1: noise.lag1, slow_variance: noise.slow_sd * noise.slow_sd }
     }
 
+    /// Part of the slow noise that is left from the point before; `None` without slow noise.
+    fn kept_of_slow(&self, at: usize) -> Option<f64> {
+        let before = self.points.get(at.checked_sub(1)?)?;
+        (self.slow_variance > 0.0).then(|| SLOW_LAG1.powf(before.age - self.points[at].age))
+    }
+
     /// Whether the noise of a point is correlated with that of the point before.
     fn is_correlated(&self, at: usize) -> bool {
         self.points[at].throws <= 1.0 && self.points[at - 1].throws <= 1.0
@@ -201,14 +208,14 @@ impl Stage {
         Self { age, drifted: true, mean: Vector4::zeros(), covariance, evidence }
     }
 
-    /// Adds a point by a step of the Kalman filter on the whitened series.
-    fn add(&mut self, series: &Series, at: usize) {
+    /// Adds a point by a step of the Kalman filter on the whitened series; `kept` is the part of the slow noise that is left.
+    fn add(&mut self, series: &Series, at: usize, kept: Option<f64>) {
         let age = series.points[at].age;
         let mut x = self.regressors(age);
         let mut value = series.values[at];
         let mut variance = series.variances[at];
-        if age < self.age {
-            self.pass(series.points[at - 1].age - age, series.slow_variance);
+        if let Some(kept) = kept.filter(|_| age < self.age) {
+            self.pass(kept, series.slow_variance);
         }
         if age < self.age && series.is_correlated(at) {
             // The slow part is nearly that of the point before.
@@ -224,9 +231,8 @@ impl Stage {
         self.covariance -= gain * gain.transpose() / expected;
     }
 
-    /// The slow part after some throws.
-    fn pass(&mut self, throws: f64, slow_variance: f64) {
-        let kept = SLOW_LAG1.powf(throws);
+    /// The slow part after some throws, of which the part `kept` is left.
+    fn pass(&mut self, kept: f64, slow_variance: f64) {
         self.mean[SLOW] *= kept;
         for i in 0..SLOW {
             self.covariance[(i, SLOW)] *= kept;
