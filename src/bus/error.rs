@@ -2,7 +2,7 @@
 
 /// An action that zenoh refused, and its error.
 #[derive(Debug, thiserror::Error)]
-#[error("zenoh: cannot {action}: {source}")]
+#[error("zenoh: cannot {action}: {source}{}", advice(.source))]
 pub struct BusError {
     action: String,
     source: zenoh::Error,
@@ -25,5 +25,14 @@ impl BusError {
     pub(super) fn new(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
         move |source| Self { action, source }
+    }
+}
+
+/// What to do about an error, where this is known.
+fn advice(source: &zenoh::Error) -> &'static str {
+    if source.to_string().contains("Address already in use") {
+        ". Another program listens there, perhaps another pointsd: stop it, or change listen.endpoints of [zenoh]"
+    } else {
+        ""
     }
 }

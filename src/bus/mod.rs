@@ -18,7 +18,7 @@ pub(crate) use backlog::{Ending, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::{Limits, Message};
-pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, require_monitored, require_running, serving};
+pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
 pub(crate) use presence::{Audience, watch_tokens};

@@ -185,7 +185,10 @@ pub(crate) async fn is_running(session: &Session, monitor: &MachineId) -> Result
 }
 
 /// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
-async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
+///
+/// # Errors
+/// When zenoh refuses the query.
+pub(crate) async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
     Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).map(|name| name.to_string()).collect())
 }

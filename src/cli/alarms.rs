@@ -64,6 +64,7 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let Client { session, .. } = arguments.connection.open().await?;
+        let present = bus::monitors(&session).await.map_err(operator::failure)?;
         let answer = bus::ask(&session, &selector(arguments), None, bus::ANSWER_TIMEOUT).await;
         let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, bus::ANSWER_TIMEOUT).await;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
@@ -83,6 +84,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         watched.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let (found, problems) = operator::read::<Alarm>(&answers);
+        let problems = problems + operator::silent(&present, &daemons);
         if is_history && found.len() >= MAX_HISTORY as usize {
             eprintln!("a daemon sends its newest {MAX_HISTORY} events: older ones may be missing; ask for one machine");
         }
@@ -108,7 +110,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (reports, _) = operator::values::<StatusReport>(&daemons);
                 let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();
                 let (health, _) = operator::values(&health);
-                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, arguments.all)?;
+                let is_selected = arguments.cause.is_some() || arguments.severity.is_some();
+                let none = if is_selected { "no alarms with this cause and severity" } else { "no alarms" };
+                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, (arguments.all, none))?;
             } else {
                 print_events(&alarms)?;
             }
@@ -142,16 +146,17 @@ fn selector(arguments: &Arguments) -> String {
     }
 }
 
-/// Prints the open alarms; `daemons` are the names of the daemons in their own alarms.
+/// Prints the open alarms, `all` of them or with groups, and `none` without any; `daemons` are the names of the daemons in
+/// their own alarms.
 pub(super) fn print_open(
     alarms: &[Alarm],
     daemons: &[MachineId],
     health: &[Health],
     windows: &[Window],
-    all: bool,
+    (all, none): (bool, &str),
 ) -> Result<(), Failure> {
     if alarms.is_empty() {
-        return output::line("no alarms");
+        return output::line(none);
     }
     entries(alarms, daemons, all).into_iter().try_for_each(|entry| match entry[..] {
         [alarm] => print_alarm(alarm, health, windows),
@@ -226,7 +231,7 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
 /// Prints the events, oldest first.
 fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
     if alarms.is_empty() {
-        return output::line("no alarms");
+        return output::line("no alarm events");
     }
     for alarm in alarms {
         output::line(format_args!(

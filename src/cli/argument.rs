@@ -27,9 +27,7 @@ pub(super) fn endpoint(text: &str) -> Result<String, &'static str> {
 /// The cause of an alarm, by its word in messages or on pages.
 pub(super) fn cause(text: &str) -> Result<Cause, String> {
     let known = || Cause::VARIANTS.iter().map(|cause| cause.as_str()).collect::<Vec<_>>().join(", ");
-    let is_named = |cause: &&Cause| cause.to_string().replace(' ', "_") == text.replace([' ', '-'], "_");
-    let named = text.parse().ok().or_else(|| Cause::VARIANTS.iter().find(is_named).copied());
-    named.ok_or_else(|| format!("must be motor or one of {}", known()))
+    Cause::named(text).ok_or_else(|| format!("must be motor or one of {}", known()))
 }
 
 pub(super) fn severity(word: &str) -> Result<Severity, String> {

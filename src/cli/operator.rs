@@ -111,6 +111,14 @@ pub(super) fn monitors(answers: &bus::Answers) -> Vec<MachineId> {
     answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
 }
 
+/// Number of the daemons `present` before a query that did not answer it, each named on stderr. The link of a daemon that hangs
+/// is closed while the query waits, so that the query alone would end without an error.
+pub(super) fn silent(present: &[String], answers: &Answers) -> usize {
+    let answered: Vec<String> = monitors(answers).iter().map(ToString::to_string).collect();
+    let silent = present.iter().filter(|daemon| !answered.contains(daemon));
+    silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).count()
+}
+
 /// Closes a session. After an error the end of the process closes the link.
 pub(super) async fn close(session: Session) {
     if let Err(error) = session.close().await {

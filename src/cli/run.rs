@@ -11,7 +11,7 @@ use crate::{
         DATABASE, Daemon, LockError, StartError,
         config::{Config, Document},
     },
-    store::StoreError,
+    store::{self, StoreError},
     web::{self, Listening},
 };
 
@@ -90,7 +90,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
         tokio::select! {
             asked = signals.next() => match asked {
                 Requested::Stop => break None,
-                Requested::Reload => reload(&daemon, arguments.config.as_deref()),
+                Requested::Reload => reload(&daemon, arguments.config.as_deref()).await,
             },
             task = daemon.ended() => break Some(task),
         }
@@ -106,8 +106,13 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     Ok(Exit::Ok)
 }
 
-fn reload(daemon: &Daemon, file: Option<&Path>) {
-    match load(file) {
+/// Reloads the configuration. A file at `store.path` that the next start would refuse is refused now, too.
+async fn reload(daemon: &Daemon, file: Option<&Path>) {
+    let loaded = match load(file) {
+        Ok(config) => store::refuse_foreign(&config.store.path).await.map(|()| config).or_exit(Exit::Config),
+        Err(failure) => Err(failure),
+    };
+    match loaded {
         Ok(config) => {
             let waiting = daemon.reload(config);
             tracing::info!("configuration reloaded: diagnosis and machines take effect now");

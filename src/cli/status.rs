@@ -96,6 +96,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 /// Prints the answers of the daemons once. Returns the exit code that they give, and the result of printing them.
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
     let ask = |selector| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT);
+    let present = bus::monitors(session).await.map_err(operator::failure)?;
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
     let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
     let events = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
@@ -108,7 +109,8 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, 
     let twice = served_twice(session, &health).await?;
     // A daemon counts its machines every few seconds only; the answers are newer.
     let is_well = |report: &StatusReport| report.problems().is_empty() && report.standing.is_well();
-    let are_well = of_daemons + of_health + of_alarms + twice.len() == 0
+    let silent = operator::silent(&present, &daemons);
+    let are_well = of_daemons + of_health + of_alarms + silent + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
@@ -145,7 +147,9 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, 
         reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
         let caveats = print_machines(&machines, &windows, arguments)?;
         twice.iter().try_for_each(output::line)?;
-        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
+        let is_selected = arguments.state.is_some() || arguments.site.is_some();
+        let none = if is_selected { "no alarms of these machines" } else { "no alarms" };
+        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, (false, none))?;
         caveats.iter().try_for_each(output::line)
     };
     Ok((result, print()))

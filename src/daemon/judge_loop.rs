@@ -442,7 +442,7 @@ impl JudgeLoop {
             return Ok((false, text));
         }
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
-            None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
+            None => (false, format!("no machine {machine} is known here: it has sent no throw yet, or was retired")),
             Some(Err(error)) => (false, error.to_string()),
             Some(Ok((outcome, confirmation))) => {
                 let stored = self.record(outcome).await?;

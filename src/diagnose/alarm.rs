@@ -150,11 +150,11 @@ impl Alarms {
             _ => None,
         };
         if let Some(text) = text {
-            alarm.last.text = text;
-            // A command adds to the text at most.
-            if actor.by.is_none() {
+            // A command may add a sentence to the report of an earlier event.
+            if actor.by.is_none() || !text.starts_with(&alarm.last.text) {
                 alarm.last.text_at = Some(at);
             }
+            alarm.last.text = text;
         }
         self.new.push(if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() });
     }

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    event::{AlarmEvent, Cause},
+    event::{AlarmEvent, AlarmState, Cause},
     settings::Settings,
 };
 use crate::throw::{Direction, MachineId, utc};
@@ -178,7 +178,9 @@ impl Command {
         };
         match self {
             Self::Rebaseline { .. } if !named(false).is_empty() => {
-                format!(". This ends the alarms {}; a fault that still exists is learned as normal", named(false))
+                let in_maintenance = events.iter().any(|event| event.state == AlarmState::OutOfService);
+                let when = if in_maintenance { " when the maintenance ends" } else { "" };
+                format!(". This ends the alarms {}{when}; a fault that still exists is learned as normal", named(false))
             }
             Self::Retire { .. } if !named(false).is_empty() => format!(". This ends the alarms {}", named(false)),
             Self::MaintenanceEnd { .. } if !named(true).is_empty() => {

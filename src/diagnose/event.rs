@@ -4,6 +4,7 @@ use std::fmt;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::VariantArray as _;
 
 use super::{correlation::Correlation, course::LimitForecast};
 use crate::{
@@ -50,6 +51,13 @@ impl Cause {
     /// Name in messages and in the database.
     pub fn as_str(self) -> &'static str {
         self.into()
+    }
+
+    /// The cause with this word, or with its name for people; a space or hyphen counts as an underscore.
+    pub fn named(text: &str) -> Option<Self> {
+        let word = text.replace([' ', '-'], "_");
+        let is_named = |cause: &&Self| cause.to_string().replace(' ', "_") == word;
+        word.parse().ok().or_else(|| Self::VARIANTS.iter().find(is_named).copied())
     }
 
     /// Whether the cause comes from a drift of the coefficients.

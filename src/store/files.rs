@@ -1,10 +1,13 @@
 //! The files of the database: the configured path, or the file behind it.
 //!
 //! A program that keeps reading an old state prevents the reuse of the write-ahead log, and its lock cannot be removed.
-//! So at the bound of the log the database moves: a compact copy is written under the next number, and a symbolic link
-//! at the configured path is switched to it atomically. The reader keeps the old file, which has no name any more and
-//! is freed when it is closed. The log is named after its own file, so that no crash and no cleanup by the reader can
+//! So at the bound of the log the database moves: a compact copy is written, gets the next free number, and a symbolic
+//! link at the configured path is switched to it atomically. The reader keeps the old file, which has no name any more
+//! and is freed when it is closed. The log is named after its own file, so that no crash and no cleanup by the reader can
 //! combine a log with the wrong database.
+//!
+//! A numbered file is removed only if the link at the configured path shows that another one is in use. Without the link,
+//! as after a backup was restored, it may be the only copy of a history, and is set aside.
 
 use std::{
     fs::File,
@@ -25,6 +28,11 @@ use super::{
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
 /// Infix of the name of a broken database that was set aside.
 const BROKEN: &str = "-broken-";
+/// Suffix of the unfinished copy of a database that moves, infix of the number of a complete one, and infix of the name of
+/// one that was not in use at a start.
+const COPY: &str = "-copy";
+const MOVED: &str = "-moved-";
+const UNUSED: &str = "-unused-";
 /// Suffix of the text file with the summary of the saved rows.
 const SAVED: &str = "-saved.txt";
 
@@ -103,54 +111,66 @@ impl DatabaseFiles {
         self.size("") + self.size("-wal")
     }
 
-    fn number(&self, number: u32) -> PathBuf {
-        beside(&self.path, &format!("-{number}"))
+    /// Path of the copy of a database that moves. Removes an unfinished copy at this path.
+    pub(super) fn copy_path(&self) -> Result<PathBuf, StoreError> {
+        let copy = beside(&self.path, COPY);
+        remove(&copy).map(|()| copy)
     }
 
-    /// Number of the file in use; 0 for the configured path itself.
-    fn current(&self) -> u32 {
-        let name = self.file();
-        (1..=2).find(|&number| std::fs::canonicalize(self.number(number)).is_ok_and(|file| file == name)).unwrap_or(0)
-    }
-
-    /// Path of the next copy, alternately with number 1 and 2. Removes an older copy at this path.
-    pub(super) fn next(&self) -> Result<PathBuf, StoreError> {
-        let next = self.number(if self.current() == 1 { 2 } else { 1 });
-        remove(&next)?;
-        Ok(next)
-    }
-
-    /// Switches the configured path to a complete copy, and removes the names of the old file.
-    pub(super) fn switch(&self, copy: &Path) -> Result<(), StoreError> {
+    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the copy's new path.
+    pub(super) fn switch(&self, copy: &Path) -> Result<PathBuf, StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
         let error = |action| StoreError::file(action, copy);
         File::open(copy).and_then(|file| file.sync_all()).map_err(error("sync"))?;
         let link = beside(&self.path, "-link");
         remove_one(&link)?;
-        let target = copy.file_name().map_or_else(|| copy.to_owned(), PathBuf::from);
+        let numbered = |number: u32| beside(&self.path, &format!("{MOVED}{number}"));
+        let mut number = 1;
+        while numbered(number).exists() {
+            number += 1;
+        }
+        let moved = numbered(number);
+        rename(copy, &moved)?;
+        let target = moved.file_name().map_or_else(|| moved.clone(), PathBuf::from);
         symlink(target, &link).map_err(error("link to"))?;
         std::fs::rename(&link, &self.path).map_err(error("switch to"))?;
         self.sync_folder().map_err(error("sync the folder of"))?;
         // At the first move the old file had the configured name, which the link has now.
         let names = if old_had_own_name { &SUFFIXES[..] } else { &SUFFIXES[..2] };
-        names.iter().try_for_each(|suffix| remove_one(&beside(&old, suffix)))
+        names.iter().try_for_each(|suffix| remove_one(&beside(&old, suffix)))?;
+        Ok(moved)
     }
 
-    /// Removes unfinished copies, and copies left after a switch.
-    pub(super) fn clear_leftovers(&self) -> Result<(), StoreError> {
+    /// Removes unfinished copies, and files left after a switch; sets numbered files aside that no link makes a leftover.
+    pub(super) fn clear_leftovers(&self, now: Timestamp) -> Result<(), StoreError> {
         if !self.path.exists() {
             return Ok(());
         }
         self.salvage_path()?;
-        let current = self.current();
-        (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
+        self.copy_path()?;
+        let is_in_use = |moved: &PathBuf| std::fs::canonicalize(moved).is_ok_and(|file| file == self.file());
+        let (in_use, others): (Vec<_>, Vec<_>) =
+            self.files_with(MOVED, &SUFFIXES[..2]).into_iter().partition(is_in_use);
+        for moved in others {
+            if !in_use.is_empty() {
+                remove(&moved)?;
+                continue;
+            }
+            let to = self.free_name(UNUSED, now);
+            SUFFIXES.iter().try_for_each(|suffix| rename(&beside(&moved, suffix), &beside(&to, suffix)))?;
+            tracing::warn!(
+                from = %moved.display(), to = %to.display(),
+                "a database that is not in use was set aside: it may be that before a backup was restored"
+            );
+        }
+        Ok(())
     }
 
-    /// A free name for a file to set aside.
-    fn aside(&self, now: Timestamp) -> PathBuf {
+    /// A free name for a file to set aside, with this infix.
+    fn free_name(&self, infix: &str, now: Timestamp) -> PathBuf {
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
-        let mut to = beside(&self.path, &format!("{BROKEN}{stamp}"));
+        let mut to = beside(&self.path, &format!("{infix}{stamp}"));
         while to.exists() {
             to = beside(&to, "-again");
         }
@@ -160,14 +180,14 @@ impl DatabaseFiles {
     /// Renames a log without its database.
     pub(super) fn set_log_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
         // The suffix is not `-wal`, which would belong to a database that was set aside.
-        let to = beside(&self.aside(now), "-log");
+        let to = beside(&self.free_name(BROKEN, now), "-log");
         rename(&beside(&self.file(), "-wal"), &to)?;
         Ok(to)
     }
 
     /// Renames the database with its log.
     pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        let to = self.aside(now);
+        let to = self.free_name(BROKEN, now);
         self.rename_to(&to).map(|()| to)
     }
 
@@ -196,7 +216,7 @@ impl DatabaseFiles {
 
     /// The newest database, or log without its database, that was set aside and still exists.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
-        self.set_aside_files(&["-wal", "-shm", SAVED]).into_iter().max()
+        self.files_with(BROKEN, &["-wal", "-shm", SAVED]).into_iter().max()
     }
 
     /// The newest database that was set aside and whose rows were not copied to the end: there is no new database.
@@ -204,13 +224,13 @@ impl DatabaseFiles {
         if !self.is_fresh() {
             return None;
         }
-        let databases = self.set_aside_files(&["-wal", "-shm", SAVED, "-log", GRAFTED, LAYOUT]);
+        let databases = self.files_with(BROKEN, &["-wal", "-shm", SAVED, "-log", GRAFTED, LAYOUT]);
         databases.into_iter().filter(|file| !beside(file, SAVED).exists()).max()
     }
 
-    /// The files of databases that were set aside, except those with these suffixes.
-    fn set_aside_files(&self, without: &[&str]) -> Vec<PathBuf> {
-        let mark = beside(&self.path, BROKEN);
+    /// The files beside the configured path whose names continue with `infix`, except those with these suffixes.
+    fn files_with(&self, infix: &str, without: &[&str]) -> Vec<PathBuf> {
+        let mark = beside(&self.path, infix);
         let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();
         let is_wanted =
             |name: &[u8]| name.starts_with(mark) && !without.iter().any(|suffix| name.ends_with(suffix.as_bytes()));

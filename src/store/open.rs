@@ -121,7 +121,7 @@ pub(super) async fn open(
     // Before a reader opens the database, which makes an empty log.
     let has_log = files.has_log();
     refuse_foreign(&settings.path).await?;
-    files.clear_leftovers()?;
+    files.clear_leftovers(now)?;
     // SQLite would delete a log without its database, with the last commits.
     let log = (files.is_fresh() && files.log_bytes() > 0).then(|| files.set_log_aside(now)).transpose()?;
     if let Some(broken) = files.unfinished() {

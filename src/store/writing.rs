@@ -184,7 +184,7 @@ impl WritingConnection {
     async fn reopen_path(&mut self) {
         self.disconnect().await;
         self.reader.reopen(self.files.path());
-        if let Err(error) = self.files.next() {
+        if let Err(error) = self.files.copy_path() {
             tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
     }
@@ -200,15 +200,15 @@ impl WritingConnection {
     }
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
-        let copy = self.files.next()?;
-        tracing::warn!(to = %copy.display(), why, "copying the database to a new file: writes wait");
+        let copy = self.files.copy_path()?;
+        tracing::warn!(why, "copying the database to a new file: writes wait");
         self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
-        self.files.switch(&copy)?;
+        let to = self.files.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
         self.reader.reopen(self.files.path());
-        tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
+        tracing::warn!(to = %to.display(), why, "the database moved to a new file");
         Ok(())
     }
 

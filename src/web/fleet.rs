@@ -123,8 +123,8 @@ impl Filters {
         let given = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
         Ok(FleetQuery {
             site: given(&self.site).map(|site| site.parse().map_err(|_| wrong())).transpose()?,
-            state: given(&self.state).map(|state| state.parse().map_err(|_| wrong())).transpose()?,
-            cause: given(&self.cause).map(|cause| cause.parse().map_err(|_| wrong())).transpose()?,
+            state: one_of("state", &self.state, |text| text.parse().ok(), MachineState::VARIANTS)?,
+            cause: one_of("cause", &self.cause, Cause::named, Cause::VARIANTS)?,
             search: given(&self.search).map(|text| text.chars().take(SEARCH).collect()),
             offset: self.page * MACHINES,
             limit: MACHINES,
@@ -157,8 +157,23 @@ impl Filters {
     }
 }
 
+/// The value of a filter that is one of some words; `None` without the filter.
+fn one_of<T: Copy + Into<&'static str>>(
+    filter: &str,
+    text: &str,
+    parse: impl FnOnce(&str) -> Option<T>,
+    all: &[T],
+) -> Result<Option<T>, Failure> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let words = || all.iter().map(|word| (*word).into()).collect::<Vec<&str>>().join(", ");
+    let wrong = || Failure::bad_request(format!("The filter {filter} must be one of {}.", words()));
+    parse(text).map(Some).ok_or_else(wrong)
+}
+
 fn wrong() -> Failure {
-    Failure::bad_request("The address may only have the filters site, state, cause and q, and a page.")
+    Failure::bad_request("The address may only have the filters site, state, cause and q, and a page from 0.")
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {

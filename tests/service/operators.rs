@@ -432,6 +432,21 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     }
 }
 
+/// The link of a daemon that hangs is closed while a query waits for it: the query then ends without an error.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_daemon_that_hangs_is_no_daemon_without_alarms() {
+    let (_rig_a, a) = Rig::running_with("[monitor]\nid = \"a\"\n");
+    let connect = format!("[monitor]\nid = \"b\"\n[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint);
+    let (_rig_b, b) = Rig::running_with(&connect);
+    a.until_status("link", |status| status["connected"] == true).await;
+    let check = |exit| ends(exit, &mut pointsd(&["alarms", "--check", "--connect", &a.endpoint]));
+    assert!(check(0).contains("answered by fleet/a, fleet/b"));
+    b.signal("-STOP");
+    let said = check(1);
+    b.signal("-CONT");
+    assert!(said.contains("no answer of the daemon fleet/b"), "{said}");
+}
+
 /// A closed pipe ends the command without an error, and without a change of its result.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {

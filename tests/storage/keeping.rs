@@ -438,7 +438,7 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
         store.outbox_sent(&[]).await.unwrap();
     };
     // The copy cannot have its name.
-    let blocked = folder.path().join("points.db-1");
+    let blocked = folder.path().join("points.db-copy");
     fs::create_dir_all(blocked.join("in the way")).unwrap();
     let holder = reading(&store).await;
     write_mib(BOUND_MIB + 1).await;
@@ -452,7 +452,40 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     fs::remove_dir_all(&blocked).unwrap();
     let _holder = reading(&store).await;
     write_mib(BOUND_MIB + 1).await;
-    assert!(blocked.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
+    let moved = folder.path().join("points.db-moved-1");
+    assert!(moved.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
+}
+
+/// After a move the configured path is a link. A backup that takes its place must not cost the history behind the link.
+#[tokio::test]
+async fn a_backup_restored_in_place_of_the_link_and_files_with_a_number_delete_nothing() {
+    const MIB: u64 = 1;
+    let (folder, store) = fresh_with(|settings| Settings { max_wal_mib: MIB, ..settings }).await;
+    let path = store.path().to_owned();
+    let holder = reading(&store).await;
+    for round in 0..30 {
+        judged(&store, 1 + 20 * round, 20 + 20 * round).await;
+    }
+    assert!(path.is_symlink());
+    holder.close().await.unwrap();
+    store.close().await.unwrap();
+    let moved = fs::canonicalize(&path).unwrap();
+    let history = fs::read(&moved).unwrap();
+    let numbered = [1, 2].map(|number| folder.path().join(format!("points.db-{number}")));
+    for copy in &numbered {
+        fs::copy(&moved, copy).unwrap();
+    }
+    fs::remove_file(&path).unwrap();
+    fs::copy(&moved, &path).unwrap();
+
+    for _ in 0..2 {
+        Store::open(&settings(folder.path()), at(0)).await.unwrap().store.close().await.unwrap();
+    }
+    assert!(numbered.iter().all(|copy| fs::read(copy).unwrap() == history));
+    let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path());
+    let unused: Vec<_> = names.filter(|file| file.to_string_lossy().contains("points.db-unused-")).collect();
+    let [unused] = &unused[..] else { panic!("{unused:?}") };
+    assert_eq!(fs::read(unused).unwrap(), history);
 }
 
 #[tokio::test]
