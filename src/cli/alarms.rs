@@ -66,12 +66,13 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let Client { session, .. } = arguments.connection.open().await?;
         let present = bus::monitors(&session).await.map_err(operator::failure)?;
         let answer = bus::ask(&session, &selector(arguments), None, bus::ANSWER_TIMEOUT).await;
-        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, bus::ANSWER_TIMEOUT).await;
+        let daemons = bus::ask(&session, operator::EVERY_STATUS, None, bus::ANSWER_TIMEOUT).await;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
         let shows_open = !arguments.json && !is_history;
-        let health = match &arguments.machine {
-            _ if !shows_open => Ok(bus::Answers::default()),
-            machine => bus::ask(&session, &key(machine.as_ref(), Kind::Health), None, bus::ANSWER_TIMEOUT).await,
+        let health = if shows_open {
+            bus::ask(&session, &key(arguments.machine.as_ref(), Kind::Health), None, bus::ANSWER_TIMEOUT).await
+        } else {
+            Ok(bus::Answers::default())
         };
         let watched = match &answer {
             Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
@@ -136,7 +137,7 @@ fn key(machine: Option<&MachineId>, kind: Kind) -> String {
 fn selector(arguments: &Arguments) -> String {
     let key = key(arguments.machine.as_ref(), Kind::Alarm);
     let since = arguments.since.map(|since| format!("since={since}"));
-    // The daemon does not know cause and severity: it sends all events, and they are cut here.
+    // A query cannot select by cause and severity: the daemon sends all events, and this command selects.
     let selects = arguments.cause.is_some() || arguments.severity.is_some();
     let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
     match (since, arguments.limit) {

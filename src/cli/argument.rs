@@ -94,7 +94,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Reason and end, which is `default` from now if the command line gives none; `None` if the window ends now.
+    /// Reason and end of the window; `None` if it ends now. Without an end on the command line it is `default` long.
     pub(super) fn bounds(&self, default: Option<SignedDuration>) -> Result<Option<(String, Timestamp)>, Failure> {
         if self.end {
             return Ok(None);

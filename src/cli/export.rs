@@ -6,12 +6,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use indicatif::ProgressBar;
 use jiff::Timestamp;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt, argument,
+    Exit, Failure, Outcome, argument,
     database::{Location, cannot_open},
     output,
     runtime::block_on,
@@ -112,6 +112,6 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
         let _ = file.set_modified(stored.started_at.into());
         Ok(())
     };
-    write().with_context(|| format!("{} cannot be written", file.display())).or_exit(Exit::CannotCreate)?;
+    output::writable(&file, write())?;
     Ok(name)
 }

@@ -98,7 +98,7 @@ impl Arguments {
     }
 }
 
-/// What this command calls the fields of a message.
+/// Fields of a message, and their names in this command.
 const NAMES: [(&str, &str); 6] = [
     ("supply_v in the message and stroke_mm in the configuration", "--supply-v and --stroke-mm"),
     ("sample_rate_hz", "the column time_s"),

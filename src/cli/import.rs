@@ -150,7 +150,7 @@ fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     }
     match wire::decode_throw(Encoding::Json, &bytes) {
         Ok(throw) => return Ok(vec![throw]),
-        // Otherwise a file of lines would be explained by its first.
+        // Any other file may have a throw on each line. Its error must name the line.
         Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(&bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
         }

@@ -15,6 +15,9 @@ use crate::{
     wire::{Reply, json, json_bytes, parse_monitor_key},
 };
 
+/// Selects the status of every daemon.
+pub(super) const EVERY_STATUS: &str = "points/v1/*/monitor/*/status";
+
 /// Time until a connection fails.
 const CONNECT_TIMEOUT_MS: u32 = 5_000;
 
@@ -107,7 +110,7 @@ pub(super) fn monitor_name(key: &str) -> String {
 }
 
 /// The daemons that answered.
-pub(super) fn monitors(answers: &bus::Answers) -> Vec<MachineId> {
+pub(super) fn monitors(answers: &Answers) -> Vec<MachineId> {
     answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
 }
 

@@ -80,7 +80,7 @@ pub(super) fn size(change_pct: f64, change_pct_sd: f64) -> String {
 }
 
 /// A table without borders.
-pub(super) fn plain_table<const N: usize>(header: [&str; N]) -> Table {
+pub(super) fn plain_table(header: impl Into<Row>) -> Table {
     let mut table = Table::new();
     table.load_style(presets::NOTHING).set_header(header);
     table
@@ -146,20 +146,22 @@ pub(super) fn width() -> u16 {
 /// keeps its content.
 pub(super) fn creatable(path: &Path) -> Result<(), Failure> {
     let created = fs::OpenOptions::new().append(true).create(true).open(path);
-    created.map(drop).with_context(|| format!("{} cannot be written", path.display())).or_exit(Exit::CannotCreate)
+    writable(path, created.map(drop))
 }
 
 /// Writes a file.
 pub(super) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
-    fs::write(path, content)
-        .with_context(|| format!("{} cannot be written", path.display()))
-        .or_exit(Exit::CannotCreate)
+    writable(path, fs::write(path, content))
+}
+
+/// The failure of creating a file or folder, with its path.
+pub(super) fn writable<T>(path: &Path, result: io::Result<T>) -> Result<T, Failure> {
+    result.with_context(|| format!("{} cannot be written", path.display())).or_exit(Exit::CannotCreate)
 }
 
 /// Writes figures as SVG files into a folder, which is created if needed.
 pub(super) fn figures(folder: &Path, figures: impl IntoIterator<Item = (String, Sheet)>) -> Result<(), Failure> {
-    let cannot = || format!("{} cannot be written", folder.display());
-    fs::create_dir_all(folder).with_context(cannot).or_exit(Exit::CannotCreate)?;
+    writable(folder, fs::create_dir_all(folder))?;
     figures.into_iter().try_for_each(|(name, sheet)| file(&folder.join(format!("{name}.svg")), sheet.to_svg()))
 }
 

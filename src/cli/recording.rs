@@ -23,8 +23,8 @@ const EVEN_TOLERANCE: f64 = 0.02;
 /// Longest distance between two samples; more is a gap \[intervals\].
 const LONGEST_STEP: f64 = 5.5;
 
-/// Largest file \[bytes\]: some 5,000 throws in JSON, or ten times the longest trace. A larger one, as a device without an end, is no
-/// recording, and would fill the memory.
+/// Largest file \[bytes\]: some 5,000 throws in JSON, or ten times the longest trace. A larger file is no recording. A device
+/// without an end would fill the memory.
 const MAX_BYTES: u64 = 512 << 20;
 
 /// A recorded throw, with the lines of its file for error messages.
@@ -100,11 +100,8 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
         if !time_s.is_finite() {
             bail!("line {line}, column {TIME}: {time_s} is not a time");
         }
-        if columns.time_s.last().is_some_and(|before| *before >= time_s) {
-            bail!(
-                "line {line}, column {TIME}: time does not increase ({time_s} after {})",
-                columns.time_s[columns.time_s.len() - 1]
-            );
+        if let Some(before) = columns.time_s.last().filter(|before| **before >= time_s) {
+            bail!("line {line}, column {TIME}: time does not increase ({time_s} after {before})");
         }
         columns.time_s.push(time_s);
         columns.current_a.push(current_a?);
@@ -153,16 +150,13 @@ impl Columns {
 
     /// Mean interval; a step over missing samples counts as several intervals.
     fn interval_s(&self) -> anyhow::Result<f64> {
-        let mut steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();
-        let middle = steps.len() / 2;
-        let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
-        for (k, w) in self.time_s.windows(2).enumerate() {
-            if w[1] - w[0] > LONGEST_STEP * median {
-                bail!("line {}: no samples for {:.4} s before this line, a gap", self.lines[k + 1], w[1] - w[0]);
-            }
+        let steps: Vec<f64> = self.time_s.array_windows().map(|[before, after]| after - before).collect();
+        let median = *steps.clone().select_nth_unstable_by(steps.len() / 2, f64::total_cmp).1;
+        if let Some(k) = steps.iter().position(|step| *step > LONGEST_STEP * median) {
+            bail!("line {}: no samples for {:.4} s before this line, a gap", self.lines[k + 1], steps[k]);
         }
-        let steps: f64 = self.time_s.windows(2).map(|w| ((w[1] - w[0]) / median).round().max(1.0)).sum();
-        Ok((self.time_s[self.time_s.len() - 1] - self.time_s[0]) / steps)
+        let intervals: f64 = steps.iter().map(|step| (step / median).round().max(1.0)).sum();
+        Ok((self.time_s[self.time_s.len() - 1] - self.time_s[0]) / intervals)
     }
 
     fn interpolated(&self, values: &[f64], interval_s: f64) -> Vec<f64> {

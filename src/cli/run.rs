@@ -57,7 +57,8 @@ pub(super) fn start_failure(error: StartError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The failure of a start; that of a database of another program names file, line and key of the configuration.
+/// The failure of a start. If the database belongs to another program, the text names file, line and key of the
+/// configuration.
 fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)

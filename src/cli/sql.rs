@@ -3,7 +3,7 @@
 use std::io::{self, BufWriter, StdoutLock, Write};
 
 use clap::Args;
-use comfy_table::{Table, presets};
+use comfy_table::Table;
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, database::Location, output, runtime::block_on};
@@ -70,8 +70,7 @@ impl Answer for Plain {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         // Prints the answer to the previous statement, if there is one.
         self.end()?;
-        let table = self.0.insert(Table::new());
-        table.load_style(presets::NOTHING).set_header(names);
+        self.0 = Some(output::plain_table(names));
         Ok(())
     }
 

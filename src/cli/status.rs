@@ -22,7 +22,7 @@ use crate::{
     diagnose::MachineState,
     store::{WORST_FIRST, Window},
     throw::{Direction, MachineId, Name, counted},
-    wire::{self, Alarm, Health},
+    wire::{self, Alarm, Health, Kind},
 };
 
 /// Largest fleet of which every machine is listed by default: one screen.
@@ -95,11 +95,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 /// Prints the answers of the daemons once. Returns the exit code that they give, and the result of printing them.
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
-    let ask = |selector| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT);
+    let ask = async |selector: &str| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT).await;
     let present = bus::monitors(session).await.map_err(operator::failure)?;
-    let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
-    let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
-    let events = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
+    let daemons = ask(operator::EVERY_STATUS).await.map_err(operator::failure)?;
+    let of_machines = ask(&wire::every_key(Kind::Health)).await.map_err(operator::failure)?;
+    let events = ask(&wire::every_key(Kind::Alarm)).await.map_err(operator::failure)?;
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
@@ -164,15 +164,12 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     for machine in twice.iter().take(MAX_ASKED) {
         let daemons = bus::serving(session, machine).await.map_err(operator::failure)?;
         let names: BTreeSet<&String> = daemons.iter().collect();
-        sentences.push(if names.len() == daemons.len() {
-            format!("{machine} is served by {}: correct subscribe.key of all but one", daemons.join(" and "))
+        let advice = if names.len() == daemons.len() {
+            "correct subscribe.key of all but one"
         } else {
-            format!(
-                "{machine} is served by {}: stop all daemons of one name but one, or correct their monitor.id and \
-                 subscribe.key",
-                daemons.join(" and ")
-            )
-        });
+            "stop all daemons of one name but one, or correct their monitor.id and subscribe.key"
+        };
+        sentences.push(format!("{machine} is served by {}: {advice}", daemons.join(" and ")));
     }
     if twice.len() > MAX_ASKED {
         sentences.push(format!("{} more machines are served by several daemons", twice.len() - MAX_ASKED));

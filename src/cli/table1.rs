@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, output};
+use crate::evaluate::limits::NAMES;
 use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
 use crate::report::{Panel, Sheet};
 use crate::simulate::RailModel;
 
-const NAMES: [&str; 3] = ["b0", "a1", "a0"];
 const PAIRS: [&str; 3] = ["b0, a1", "b0, a0", "a1, a0"];
 
 /// The command line of `pointsim table1`.
@@ -46,9 +46,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     if let Some(folder) = &arguments.out {
         output::figures(folder, figures(&results))?;
     }
-    let as_expected = results.iter().all(|result| {
-        result.verdict() == result.case.cause && result.tests.iter().all(|test| (0..3).all(|at| holds(test, at)))
-    });
+    let as_expected =
+        results.iter().all(|result| result.verdict() == result.case.cause && result.tests.iter().all(is_as_expected));
     if arguments.json {
         output::json(&report(&results))?;
     } else {
@@ -59,6 +58,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 fn holds(test: &Test, at: usize) -> bool {
     test.expected.is_none_or(|expected| expected[at].holds(test.change_pct[at]))
+}
+
+fn is_as_expected(test: &Test) -> bool {
+    (0..3).all(|at| holds(test, at))
 }
 
 fn tables(results: &[CaseResult], study: &Study) -> String {
@@ -72,9 +75,8 @@ fn tables(results: &[CaseResult], study: &Study) -> String {
         let parameter = format!("{}{}", result.case.symbol, unit(result));
         let mut table = output::table(["test", &parameter, NAMES[0], NAMES[1], NAMES[2]]);
         for (at, test) in result.tests.iter().enumerate() {
-            let mut row = vec![format!("{}", at + 1), format!("{}", test.value)];
-            row.extend((0..3).map(|coefficient| cell(test, coefficient)));
-            table.add_row(row);
+            let [b0, a1, a0] = [0, 1, 2].map(|coefficient| cell(test, coefficient));
+            table.add_row([(at + 1).to_string(), test.value.to_string(), b0, a1, a0]);
         }
         let table = output::numbers(table, 0);
         let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
@@ -109,7 +111,7 @@ fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
         json!({
             "value": test.value, "b0": test.coefficients[0], "a1": test.coefficients[1], "a0": test.coefficients[2],
             "sd": test.sd, "change_pct": test.change_pct, "physics_pct": test.physics_pct,
-            "as_expected": (0..3).all(|at| holds(test, at)),
+            "as_expected": is_as_expected(test),
         })
     };
     let case = |result: &CaseResult| {
@@ -166,15 +168,14 @@ fn pulse_response(test: &Test) -> Sheet {
 
 fn estimates(result: &CaseResult) -> Sheet {
     let nominal = result.tests[0].coefficients;
-    let label = |test: &Test| format!("{}", test.value);
     let empty = |title: &str| {
         let axis = format!("% of nominal, over {}{}", result.case.symbol, unit(result));
         Panel::bars(title, axis, NAMES).level(100.0, "")
     };
     let (mut ours, mut expected) = (empty("This run"), empty("Expected (no more than 2.5 % where flat)"));
     for test in &result.tests {
-        ours = ours.group(label(test), (0..3).map(|at| test.coefficients[at] / nominal[at] * 100.0));
-        expected = expected.group(label(test), (0..3).map(|at| expected_pct(test, at)));
+        ours = ours.group(test.value.to_string(), (0..3).map(|at| test.coefficients[at] / nominal[at] * 100.0));
+        expected = expected.group(test.value.to_string(), (0..3).map(|at| expected_pct(test, at)));
     }
     Sheet::new(format!("Estimates while {} changes", result.case.symbol)).columns(2).panel(ours).panel(expected)
 }

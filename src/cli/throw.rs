@@ -1,6 +1,7 @@
 //! `pointsim throw`: simulates one throw, writes its trace as CSV, and prints its true coefficients.
 
 use std::{
+    fmt::Write as _,
     io::{self, Write as _},
     path::{Path, PathBuf},
 };
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Exit, Failure, Outcome, ResultExt, argument, output};
 use crate::daemon::config::{Document, overlay};
-use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Recording, Sensors};
+use crate::simulate::{Coefficients, Condition, Conditions, Parameters, Recording, Sensors};
 use crate::throw::{Direction, OutOfRange};
 
 /// The command line of `pointsim throw`.
@@ -111,11 +112,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
     let is_stdout = arguments.out == Path::new("-");
-    let csv = csv(&recording).or_exit(Exit::Software)?;
     if is_stdout {
-        output::written(io::stdout().write_all(&csv))?;
+        output::written(io::stdout().write_all(csv(&recording).as_bytes()))?;
     } else {
-        output::file(&arguments.out, csv)?;
+        output::file(&arguments.out, csv(&recording))?;
     }
     let coefficients = worn.at_temperature(arguments.temperature_c).coefficients().or_exit(Exit::Config)?;
     let truth = Truth {
@@ -123,7 +123,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         direction,
         completed: motion.completed,
         duration_s: motion.cut_off as f64 * motion.step_s,
-        peak_current_a: peak(&motion),
+        peak_current_a: motion.current_a.iter().fold(0.0, |most, current| current.abs().max(most)),
         lead_mm: worn.lead_mm,
         stroke_mm: worn.stroke_mm,
         neutral_mm: worn.neutral_mm,
@@ -142,10 +142,6 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         output::line(summary)?;
     }
     Ok(Exit::Ok)
-}
-
-fn peak(motion: &Motion) -> f64 {
-    motion.current_a.iter().fold(0.0, |most, current| current.abs().max(most))
 }
 
 fn text(truth: &Truth, file: &Path) -> String {
@@ -175,7 +171,7 @@ fn settings(arguments: &Arguments, document: Option<&Document>) -> Result<Settin
     // The error has several lines.
     let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
     let settings = table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config);
-    // Of an error in the file, the file alone has the line.
+    // Only an error of the file alone names its line.
     match document.map(Document::deserialize::<Settings>) {
         Some(Err(error)) if settings.is_err() => Err(Failure::new(Exit::Config, error)),
         _ => settings,
@@ -214,13 +210,11 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
     Ok(condition)
 }
 
-fn csv(recording: &Recording) -> anyhow::Result<Vec<u8>> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(["time_s", "current_a", "position_mm"])?;
+fn csv(recording: &Recording) -> String {
+    let mut text = "time_s,current_a,position_mm\n".to_owned();
     let samples = recording.trace.current_a().iter().zip(recording.trace.position_mm());
     for (time_s, (current_a, position_mm)) in recording.time_s.iter().zip(samples) {
-        let row = [format!("{time_s:.7}"), format!("{current_a:.6}"), format!("{position_mm:.6}")];
-        writer.write_record(&row)?;
+        let _ = writeln!(text, "{time_s:.7},{current_a:.6},{position_mm:.6}");
     }
-    Ok(writer.into_inner()?)
+    text
 }

@@ -8,6 +8,7 @@ use super::{
     rejection::Rejection,
     settings::Settings,
     sriv::Solution,
+    start::Fitted,
     window::Window,
 };
 
@@ -52,17 +53,10 @@ pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Resul
     }
 }
 
-/// Rejects an output that departs from that of the model by more than noise and usual dry friction explain; returns the
-/// departure of an accepted one.
-pub(super) fn misfit(
-    output: &[f64],
-    model: &[f64],
-    solution: &Solution<2, 1, 3>,
-    window: &Window,
-    travel: f64,
-    lead_mm: f64,
-) -> Result<Departure, Rejection> {
-    let [b0, a1, a0] = solution.parameters;
+/// Rejects an output that departs from that of the model by more than noise and usual dry friction explain; returns the slow
+/// departure of an accepted one beyond noise \[mm\].
+pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm: f64) -> Result<f64, Rejection> {
+    let Fitted { output, model, parameters: [b0, a1, a0], .. } = *fitted;
     // Variance of the model's output for white noise of unit variance on the input, in steady state.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
     let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
@@ -87,8 +81,7 @@ pub(super) fn misfit(
         return Err(Rejection::Misfit { peak_mm: peak * lead_mm / std::f64::consts::TAU, at_s });
     }
     let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
-    let beyond = (slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU;
-    Ok(Departure { slow_mm: beyond, delay_s: 0.0, brake_sd: 0.0 })
+    Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU)
 }
 
 /// The estimate with its covariance, from an accepted solution; rejects an uncertain one. `cut_after_mm`: travel of a

@@ -7,7 +7,11 @@
 //! motor's largest and releases up to 40 ms are fitted; the interval of the scale includes every brake that fits the
 //! start.
 
-use super::{movement::samples_in, rejection::Rejection, start::free_movement};
+use super::{
+    movement::samples_in,
+    rejection::Rejection,
+    start::{Fitted, free_movement},
+};
 
 /// Length of the start \[s\].
 const START_S: f64 = 0.06;
@@ -43,25 +47,17 @@ pub(super) struct Buffers {
 
 /// Relative standard deviation of the common scale of b0, a1 and a0 by possible brakes.
 ///
-/// `noise` is the variance of the output.
-///
 /// # Errors
 /// When a brake is certain: then the scale is meaningless.
-pub(super) fn scale_sd(
-    (input, output): (&[f64], &[f64]),
-    equilibrium: Option<&[f64]>,
-    [b0, a1, a0]: [f64; 3],
-    foot: usize,
-    (interval_s, noise): (f64, f64),
-    buffers: &mut Buffers,
-) -> Result<f64, Rejection> {
+pub(super) fn scale_sd(fitted: &Fitted<'_>, buffers: &mut Buffers) -> Result<f64, Rejection> {
+    let Fitted { input, output, equilibrium, parameters: [b0, a1, a0], foot, interval_s, noise, .. } = *fitted;
     let last = samples_in(START_S, interval_s).min(output.len() - foot - 1);
     if last < LEAST_SAMPLES {
         return Ok(LARGEST_SD);
     }
     let travel = output[output.len() - 1];
     let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
-    let peak = input.iter().fold(0.0, |peak: f64, u| peak.max(*u));
+    let peak = input.iter().copied().fold(0.0, f64::max);
     let Buffers { free, after, found } = buffers;
     let equilibrium = equilibrium.map(|shift| &shift[foot..]);
     free_movement(free, (input, output), equilibrium, [a1 / b0, a0 / b0], interval_s);

@@ -4,7 +4,7 @@ use super::{
     damage::LEAST_SLIP,
     movement::{
         LARGEST_POSITION_SHARE, Level, MIN_QUIET, Movement, SD_PER_MEDIAN, every, first_difference_noise, mean,
-        median_of_magnitudes, peak,
+        median_distance, peak,
     },
     rejection::{Channel, Rejection},
     settings::Settings,
@@ -168,9 +168,7 @@ fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
     if (of(samples - quarter) - of(0)).abs() > DISPLACED_SIGMAS * sd {
         return noise_mm;
     }
-    scratch.clear();
-    scratch.extend(position[..samples].iter().map(|x| (x - centre).abs()));
-    noise_mm.max(SD_PER_MEDIAN * median_of_magnitudes(scratch))
+    noise_mm.max(SD_PER_MEDIAN * median_distance(&position[..samples], centre, scratch))
 }
 
 /// Whether a travel is shorter than that of a complete throw.
@@ -200,17 +198,16 @@ fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>)
     let Movement { current_a: current, sign, travel_mm, arrived, .. } = *movement;
     let start = movement.start();
     let Some(off) = movement.motor_off.filter(|off| *off > arrived) else { return false };
-    let progress = |k: usize| sign * (movement.position_mm[k] - movement.position.mean);
+    let progress = |k: usize| movement.progress_mm(k);
     let reach = |share: f64| (start..arrived).find(|&k| progress(k) >= share * travel_mm);
     let (Some(before), Some(last)) = (reach(1.0 - 10.0 * LAST_SHARE), reach(1.0 - LAST_SHARE)) else { return false };
     let speed = |from: usize, to: usize| (progress(to) - progress(from)) / to.saturating_sub(from).max(1) as f64;
     let rebound_mm = travel_mm - sign * (movement.end_mm - movement.position.mean);
     let push_s = (off - arrived) as f64 * movement.interval_s;
     let push_a = peak(&current[arrived..=off], movement.current.mean);
-    scratch.clear();
-    scratch.extend(current[start.midpoint(arrived)..arrived].iter().map(|i| (i - movement.current.mean).abs()));
+    let running_a = median_distance(&current[start.midpoint(arrived)..arrived], movement.current.mean, scratch);
     (PUSH_S.0..=PUSH_S.1).contains(&push_s)
-        && push_a > PUSH_FACTOR * median_of_magnitudes(scratch)
+        && push_a > PUSH_FACTOR * running_a
         && speed(last, arrived) >= SHARP_STOP_SHARE * speed(before, last)
         && rebound_mm < LARGEST_REBOUND_MM + WHOLE_SIGMAS * noise_mm
 }
@@ -248,11 +245,8 @@ pub(super) fn inrush(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> Result<
     let current = movement.current_a;
     let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
     let early = start + ((end - start) / 5).max(1);
-    let level = |i: &f64| (i - movement.current.mean).abs();
     let peak_a = peak(&current[start..early], movement.current.mean);
-    scratch.clear();
-    scratch.extend(current[early..end].iter().map(level));
-    let running_a = median_of_magnitudes(scratch);
+    let running_a = median_distance(&current[early..end], movement.current.mean, scratch);
     if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
 }
 

@@ -25,7 +25,7 @@
 use nalgebra::Matrix3;
 
 use super::{
-    filter::{Discrete, Hold},
+    filter::{Discrete, Hold, dot},
     load::{Load, STEPS},
     problem::{Problem, Signal, Sriv, Workspace},
     small::{sandwich, times},
@@ -153,7 +153,7 @@ impl Sriv<2, 1, 3> {
                 until_kept = stride;
                 if let Some(z) = kept.next() {
                     for (sum, state) in sums.iter_mut().zip(&states) {
-                        add(sum, z, stride as f64 * (row[0] * state[0] + row[1] * state[1]));
+                        add(sum, z, stride as f64 * dot(&row, state));
                     }
                 }
             }

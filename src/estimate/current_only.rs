@@ -12,9 +12,7 @@
 //! follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with a1
 //! and a0 are corrected in a few rounds.
 
-use std::ops::AddAssign as _;
-
-use nalgebra::{Matrix2, Matrix3, Matrix5, Vector3, Vector5};
+use nalgebra::{Matrix2, Matrix5, Vector5};
 
 use super::{
     brake,
@@ -24,6 +22,7 @@ use super::{
     ratios,
     rejection::Channel,
     settings::{Motor, Settings},
+    small::unit_diagonal,
     window,
 };
 use crate::throw::{Direction, Throw};
@@ -82,9 +81,8 @@ fn solve(
         normal += row * row.transpose();
         right += row * left;
     }
-    let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
-    let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse()?;
-    Some((inverse * right.component_mul(&scale)).component_mul(&scale))
+    let (scaled, scale) = unit_diagonal(&normal);
+    Some((scaled.try_inverse()? * right.component_mul(&scale)).component_mul(&scale))
 }
 
 /// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
@@ -109,8 +107,8 @@ pub(super) fn estimate(
     let integral = |values: &[f64]| {
         let mut sum = 0.0;
         let mut sums = vec![0.0];
-        sums.extend(values.windows(2).map(|w| {
-            sum += 0.5 * (w[0] + w[1]) * interval_s;
+        sums.extend(values.array_windows().map(|[before, after]| {
+            sum += 0.5 * (before + after) * interval_s;
             sum
         }));
         sums
@@ -158,17 +156,14 @@ pub(super) fn estimate(
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
     let mut estimate = ratios.estimate(None, None, start, start + last, interval_s);
-    let coefficients = Vector3::new(b0, a1, a0);
     // An error of ln b0 is common to all three; the ratios have additional errors.
-    let log = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
-        let mut log = Matrix3::repeat(scale_sd * scale_sd);
-        log.fixed_view_mut::<2, 2>(1, 1).add_assign(Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios);
-        let scale = Matrix3::from_diagonal(&coefficients);
-        scale * log * scale
+    let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
+        let of_ratios = Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios;
+        ratios::covariance([b0, a1, a0], scale_sd, of_ratios)
     };
-    estimate.covariance = log(SCALE_SD, RATIO_SD, ratios.log_covariance);
+    estimate.covariance = covariance(SCALE_SD, RATIO_SD, ratios.log_covariance);
     // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
-    estimate.systematic = log(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
+    estimate.systematic = covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
     // The errors of the ratios were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);

@@ -134,6 +134,11 @@ impl<const N: usize> Readout<N> {
         Some(Self { state, through, inverse: invert(&state)?.inverse })
     }
 
+    /// The derivative of this order of x at a sample `v`.
+    pub(super) fn read(&self, derivative: usize, state: &[f64; N], v: f64) -> f64 {
+        dot(&self.state[derivative], state) + self.through[derivative] * v
+    }
+
     /// The weights of a polynomial in derivatives of x (coefficient of the d-th at index d): on the states, and on the
     /// sample.
     pub(super) fn combined(&self, polynomial: &[f64; N]) -> ([f64; N], f64) {

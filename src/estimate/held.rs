@@ -99,8 +99,8 @@ impl Updates {
     }
 
     /// The channel with a line from each new value to the next one. Where a value is repeated for longer than usual, the
-    /// sensor measured it again: the line begins one usual distance before the next value. No line begins before and ends
-    /// behind this `start`. Longer gaps stay missing.
+    /// sensor measured it again: the line begins one usual distance before the next value. A line across the sample `start`
+    /// begins there. Longer gaps stay missing.
     fn joined(&self, values: &[f64], start: Option<usize>) -> Vec<f64> {
         let mut joined = values.to_vec();
         let mut measured = 0;

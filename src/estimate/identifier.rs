@@ -19,7 +19,7 @@ use super::{
     release,
     settings::{Motor, Settings},
     sriv::{Failure, Problem, Signal, Sriv, Workspace},
-    start,
+    start::{self, Fitted},
     window::{self, Window, offset_variance},
 };
 use crate::throw::{Direction, Throw, Trace};
@@ -34,7 +34,7 @@ const TOLERANCE: f64 = 1e-4;
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Longest interval of an unfiltered current whose rise is not resolved: the movement shows the ratios. At 250 Hz they agree
+/// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
 /// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz
 /// and its multiples) becomes a constant current.
 const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
@@ -187,16 +187,17 @@ impl Buffers {
         filter_hz: Option<f64>,
     ) -> Result<Option<Rejection>, Rejection> {
         let interval_s = movement.interval_s;
+        let filtered = filter_hz.is_some();
+        let is_raw = factor == 1 && !filtered;
         let mut doubt = course::early(movement).err();
         let rise_samples = course::rise_samples(movement);
-        if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
+        if is_raw && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { interval_s, rise_samples };
             if interval_s > LONGEST_INTERVAL_S {
                 return Err(undersampled);
             }
             doubt = doubt.or(Some(undersampled));
         }
-        let filtered = filter_hz.is_some();
         // A disturbance of the start falsifies the scale; a disturbance of the movement falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released().unwrap_or(0) as f64 * interval_s;
@@ -211,7 +212,7 @@ impl Buffers {
         };
         or_doubt(damage::spikes(movement, Channel::Current, filtered))?;
         or_doubt(damage::spikes(movement, Channel::Position, filtered))?;
-        if factor == 1 && filter_hz.is_none() {
+        if is_raw {
             let noise_a = second_difference_noise(movement.current_a, &mut self.scratch);
             or_doubt(damage::steps(movement, Channel::Current, noise_a, &mut self.scratch))?;
             if movement.position_every <= 1.0 {
@@ -307,13 +308,19 @@ impl Buffers {
         let foot = movement.start() - window.from;
         let accepted = || {
             accept(&solution, settings)?;
-            let departure =
-                misfit(&self.output, self.workspace.model_output(), &solution, window, travel, settings.lead_mm)?;
-            let (parameters, level) = (solution.parameters, (window.interval_s, window.output_noise));
-            let channels = (self.input.as_slice(), self.output.as_slice());
-            let with_model = (channels.0, channels.1, self.workspace.model_output());
-            let delay_s = lateness::check(with_model, problem.equilibrium, parameters, foot, level)?;
-            let brake_sd = brake::scale_sd(channels, problem.equilibrium, parameters, foot, level, &mut self.brakes)?;
+            let fitted = Fitted {
+                input: &self.input,
+                output: &self.output,
+                model: self.workspace.model_output(),
+                equilibrium: problem.equilibrium,
+                parameters: solution.parameters,
+                foot,
+                interval_s: window.interval_s,
+                noise: window.output_noise,
+            };
+            let slow_mm = misfit(&fitted, window, travel, settings.lead_mm)?;
+            let delay_s = lateness::check(&fitted)?;
+            let brake_sd = brake::scale_sd(&fitted, &mut self.brakes)?;
             let refined = if settings.refined {
                 model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
             } else {
@@ -329,7 +336,7 @@ impl Buffers {
                 .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
                 .ok_or(Rejection::Singular)?;
             let cut = settings.stroke_mm.is_none() && movement.ends_moving();
-            let departure = Departure { delay_s, brake_sd, ..departure };
+            let departure = Departure { slow_mm, delay_s, brake_sd };
             finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
         };
         (Some(found), accepted())
@@ -452,7 +459,7 @@ fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
     throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
 }
 
-/// What `position_mm` contains instead of a toe position, for the text of the rejection.
+/// The content of `position_mm` without a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {
     if trace.position_mm().contains(&0.0) {
         "position_mm is 0 in all samples, as without a toe sensor"

@@ -13,10 +13,10 @@
 use nalgebra::{Matrix2, Vector2};
 
 use super::{
-    filter::{Discrete, Hold},
+    filter::{Discrete, Hold, dot},
     movement::samples_in,
     rejection::Rejection,
-    start::{LEAST_SAMPLES, START_SHARE},
+    start::{Fitted, LEAST_SAMPLES, START_SHARE},
 };
 
 /// Longest start \[s\], for a toe that hardly moves.
@@ -32,14 +32,8 @@ const SCALE_STEP: f64 = 0.02;
 ///
 /// # Errors
 /// When the delay is too large.
-pub(super) fn check(
-    channels: (&[f64], &[f64], &[f64]),
-    equilibrium: Option<&[f64]>,
-    parameters: [f64; 3],
-    foot: usize,
-    (interval_s, noise): (f64, f64),
-) -> Result<f64, Rejection> {
-    match find(channels, equilibrium, parameters, foot, interval_s, noise) {
+pub(super) fn check(fitted: &Fitted<'_>) -> Result<f64, Rejection> {
+    match find(fitted) {
         Some((delay_s, sd_s)) if delay_s.abs() > LARGEST_DELAY_S.max(DELAY_SIGMAS * sd_s) => {
             Err(Rejection::LateStart { delay_ms: 1e3 * delay_s })
         }
@@ -47,16 +41,10 @@ pub(super) fn check(
     }
 }
 
-/// Computes the delay \[s\] and its standard deviation from `output` and the output of the model, both from the sample
-/// `foot` at which the motor starts; `None` if the start has too few samples. `noise` is the variance of the output.
-fn find(
-    (input, output, model): (&[f64], &[f64], &[f64]),
-    equilibrium: Option<&[f64]>,
-    [b0, a1, a0]: [f64; 3],
-    foot: usize,
-    interval_s: f64,
-    noise: f64,
-) -> Option<(f64, f64)> {
+/// Computes the delay \[s\] and its standard deviation from the measured and the modelled output; `None` if the start has too
+/// few samples.
+fn find(fitted: &Fitted<'_>) -> Option<(f64, f64)> {
+    let Fitted { input, output, model, equilibrium, parameters: [b0, a1, a0], foot, interval_s, noise } = *fitted;
     let travel = output.last()?.abs();
     let far = (foot..output.len()).find(|&k| output[k] > START_SHARE * travel)?;
     let longest = foot + samples_in(LONGEST_START_S, interval_s);
@@ -72,9 +60,8 @@ fn find(
     let mut shift_state = [0.0; 2];
     let (mut normal, mut right, mut squares) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
     for k in 0..=last {
-        let read = |row: &[f64; 2], state: &[f64; 2]| row[0] * state[0] + row[1] * state[1];
-        let from_input = read(&sampled.state[0], &state) + sampled.through[0] * input[k];
-        let x = factor * (b0 * from_input + a0 * read(&held.state[0], &shift_state));
+        let from_input = sampled.read(0, &state, input[k]);
+        let x = factor * (b0 * from_input + a0 * dot(&held.state[0], &shift_state));
         if k >= foot.max(1) {
             let row = Vector2::new((x - model[k]) / SCALE_STEP, -(model[k + 1] - model[k - 1]) / (2.0 * interval_s));
             normal += row * row.transpose();

@@ -20,7 +20,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::movement::samples_in;
+use super::{movement::samples_in, small::unit_diagonal};
 
 /// Distance of two windows \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load; with 0.05 s, 20 um of noise in
 /// the position are as large as a load that varies by 2 % within 50 ms.
@@ -133,10 +133,8 @@ impl Load {
             square += rest * rest * weight;
             (row_before, charge_before) = (*row, charge);
         }
-        // Scaled to unit diagonal, as the columns have different units.
-        let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
+        let (normal, scale) = unit_diagonal(&normal);
         let right = right.component_mul(&scale);
-        let normal = Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
         let left = (square - right.dot(&(normal.try_inverse()? * right))).max(ROUNDING * square);
         let determinant = normal.determinant().ln() - 2.0 * scale.map(f64::ln).sum();
         let likelihood = -0.5 * ((self.count - 1) as f64 * new.ln() + determinant + freedom * left.ln());

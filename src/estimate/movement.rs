@@ -11,8 +11,8 @@ const START_SHARE: f64 = 0.05;
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
-/// Largest charge of one sample of the inrush, as share of that of the throw, with which the charge is measured: how many samples
-/// of the inrush a slow recording has depends on their moments.
+/// Largest charge of one sample of the inrush, as share of that of the throw, for which the charge is known. In a slow recording
+/// the number of samples in the inrush depends on their moments.
 const SAMPLE_SHARE: f64 = 0.1;
 /// Least share of the peak of a sample that a slow recording has of the inrush.
 const INRUSH_SHARE: f64 = 0.5;
@@ -133,15 +133,14 @@ impl<'a> Movement<'a> {
         let is_clear = arrived > quiet && position_level.sd <= LARGEST_POSITION_SHARE * travel_mm;
         if let Some(off) = motor_off.filter(|off| *off > arrived && is_clear) {
             let since = arrived - (arrived - quiet) / 4;
-            scratch.clear();
-            scratch.extend(current[since..=arrived].iter().map(|i| (i - level.mean).abs()));
-            let driving = threshold(&level, peak_a).max(DRIVING_SHARE * median_of_magnitudes(scratch));
+            let before_a = median_distance(&current[since..=arrived], level.mean, scratch);
+            let driving = threshold(&level, peak_a).max(DRIVING_SHARE * before_a);
             // A mean of some samples, as single samples of a noisy detection circuit are as large as those of a motor.
             let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
             let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
             motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
         }
-        // The charge of an inrush is small; one sample of it, instead of all, would be as much as that of the throw.
+        // A slow recording may have one sample of the inrush. Its charge would be as large as that of the rest of the throw.
         let from = (quiet + usize::from(hides_inrush(interval_s))).min(len - 1);
         let on = from..motor_off.map_or(0, |off| off + 1).max(from);
         let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
@@ -211,8 +210,12 @@ impl<'a> Movement<'a> {
     /// First sample at which the toe is released.
     pub(super) fn released(&self) -> Option<usize> {
         let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
-        let progress = |k: usize| self.sign * (self.position_mm[k] - self.position.mean);
-        (self.start()..self.position_mm.len()).find(|&k| progress(k) >= least_mm)
+        (self.start()..self.position_mm.len()).find(|&k| self.progress_mm(k) >= least_mm)
+    }
+
+    /// Distance of the toe from its place at rest \[mm\], positive in the direction of the throw.
+    pub(super) fn progress_mm(&self, sample: usize) -> f64 {
+        self.sign * (self.position_mm[sample] - self.position.mean)
     }
 
     /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it.
@@ -225,8 +228,9 @@ impl<'a> Movement<'a> {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// States that only one of so many positions is measured, so that fewer of those at rest count. Lines join the others:
-    /// they have no roughness, so the noise is that at rest, or the expected one.
+    /// Sets the number of samples from one measured position to the next. Lines join the measured positions. The samples on
+    /// a line have no noise of their own: only measured positions at rest count, and the noise is that at rest, or the
+    /// expected noise.
     pub(super) fn measure_position_every(&mut self, samples: f64, expected_noise_mm: f64) {
         self.position_every = samples.max(1.0);
         self.position.samples = samples_in(self.position.samples as f64, self.position_every);
@@ -368,13 +372,8 @@ pub(super) fn samples_in(time_s: f64, interval_s: f64) -> usize {
 pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend_from_slice(values);
-    median(scratch)
-}
-
-/// Median, computed in place; 0 without values.
-pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    if values.is_empty() { 0.0 } else { *scratch.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Median of values that are not negative, computed in place; 0 without values. The bits of such values are in their
@@ -382,6 +381,13 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 pub(super) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
+}
+
+/// Median distance of values from a level, computed in the scratch buffer; 0 without values.
+pub(super) fn median_distance(values: &[f64], level: f64, scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.iter().map(|v| (v - level).abs()));
+    median_of_magnitudes(scratch)
 }
 
 /// Standard deviation over median magnitude of a normal variable.
@@ -397,7 +403,7 @@ pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) ->
 /// Standard deviation of white noise from first differences, for a mostly constant signal.
 pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
-    scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
+    scratch.extend(values.array_windows().map(|[a, b]| (b - a).abs()));
     SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
 }
 

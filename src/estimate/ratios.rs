@@ -10,8 +10,6 @@
 //! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk; a varying load and
 //! errors of the model are correlated over still longer times. So the covariance is that of a random load (see `load`).
 
-use std::ops::AddAssign;
-
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
@@ -20,6 +18,7 @@ use super::{
     load::{Load, STEPS},
     movement::samples_in,
     rejection::Rejection,
+    small::unit_diagonal,
 };
 
 /// Standard deviation of the logarithm of the common scale without information from the start.
@@ -81,21 +80,16 @@ impl Ratios {
         to: usize,
         interval_s: f64,
     ) -> Estimate {
-        let coefficients = Vector3::new(1.0, self.values[0], self.values[1]);
-        let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
-        let mut systematic = Matrix3::zeros();
-        log.fixed_view_mut::<2, 2>(1, 1).add_assign(self.log_covariance);
-        systematic.fixed_view_mut::<2, 2>(1, 1).add_assign(self.log_systematic);
-        let scale = Matrix3::from_diagonal(&coefficients);
+        let [a1, a0] = self.values;
         Estimate {
             grade: Grade::Rough,
-            b0: coefficients[0],
-            a1: coefficients[1],
-            a0: coefficients[2],
+            b0: 1.0,
+            a1,
+            a0,
             ratios_only: true,
-            covariance: scale * log * scale,
-            systematic: scale * systematic * scale,
-            offset: [0.0, coefficients[1] * self.log_offset[0], coefficients[2] * self.log_offset[1]],
+            covariance: covariance([1.0, a1, a0], SCALE_SD, self.log_covariance),
+            systematic: covariance([1.0, a1, a0], 0.0, self.log_systematic),
+            offset: [0.0, a1 * self.log_offset[0], a0 * self.log_offset[1]],
             reason,
             fit_pct: full.map_or(0.0, |full| full.fit_pct),
             iterations: full.map_or(0, |full| full.iterations),
@@ -103,6 +97,16 @@ impl Ratios {
             end_s: (to - 1) as f64 * interval_s,
         }
     }
+}
+
+/// Covariance of (b0, a1, a0) from the standard deviation of the logarithm of their common scale, and the covariance of the
+/// logarithms of their ratios.
+pub(super) fn covariance(coefficients: [f64; 3], scale_sd: f64, of_ratios: Matrix2<f64>) -> Matrix3<f64> {
+    let mut log = Matrix3::repeat(scale_sd * scale_sd);
+    let mut ratios = log.fixed_view_mut::<2, 2>(1, 1);
+    ratios += of_ratios;
+    let scale = Matrix3::from_diagonal(&Vector3::from(coefficients));
+    scale * log * scale
 }
 
 /// Half of the interval of the difference for the speed \[samples\].
@@ -142,9 +146,7 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         right += row * charge;
         later += row;
     }
-    // Scaled to unit diagonal, as the columns have different units.
-    let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
-    let scaled = Matrix4::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
+    let (scaled, scale) = unit_diagonal(&normal);
     let inverse = scaled.try_inverse()?;
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
     let found = inverse * right;

@@ -101,11 +101,9 @@ fn noise_in_instrument(
     let mut beta = [0.0; 3];
     for j in 0..len {
         let impulse = f64::from(u8::from(j == 0));
-        let read = |row: &[f64; 2], through: f64, s: &[f64; 2], v: f64| row[0] * s[0] + row[1] * s[1] + through * v;
-        let u = read(&input_row.state[0], input_row.through[0], &input_state, impulse);
-        let x = b0 * read(&model_row.state[0], model_row.through[0], &model_state, impulse);
-        let derivative = |i: usize| read(&linear.state[i], linear.through[i], &state, x);
-        for (beta, z) in beta.iter_mut().zip([u, -derivative(1), -derivative(0)]) {
+        let u = input_row.read(0, &input_state, impulse);
+        let x = b0 * model_row.read(0, &model_state, impulse);
+        for (beta, z) in beta.iter_mut().zip([u, -linear.read(1, &state, x), -linear.read(0, &state, x)]) {
             *beta -= noise.inputs[0] * b0 * reached * z * u;
         }
         filter.advance(&mut input_state, impulse);

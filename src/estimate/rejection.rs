@@ -57,7 +57,7 @@ pub enum Rejection {
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
     NoPosition {
-        /// What `position_mm` contains instead of a toe position, for the text of the rejection.
+        /// The content of `position_mm`, which is no toe position, for the text of the rejection.
         #[serde(default)]
         sent: String,
         /// Why current and supply voltage do not determine the coefficients.

@@ -1,6 +1,6 @@
 //! Dense algebra on small arrays, for the normal equations.
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, SVector};
 
 /// Inverse and reciprocal condition of a matrix.
 pub(super) struct Inverse<const P: usize> {
@@ -24,6 +24,12 @@ pub(super) fn invert<const P: usize>(matrix: &[[f64; P]; P]) -> Option<Inverse<P
     let rcond = 1.0 / (norm_1(&scaled) * norm_1(&inverse));
     let inverse = std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)] / (columns[i] * rows[j])));
     rcond.is_finite().then_some(Inverse { inverse, rcond })
+}
+
+/// The matrix of normal equations scaled to unit diagonal, as the columns have different units; and the scale of each column.
+pub(super) fn unit_diagonal<const P: usize>(normal: &SMatrix<f64, P, P>) -> (SMatrix<f64, P, P>, SVector<f64, P>) {
+    let scale = normal.diagonal().map(|square| square.sqrt().recip());
+    (SMatrix::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]), scale)
 }
 
 pub(super) fn times<const P: usize>(matrix: &[[f64; P]; P], vector: &[f64; P]) -> [f64; P] {

@@ -38,6 +38,24 @@ pub(super) struct Start {
     pub(super) gain: f64,
 }
 
+/// A movement and the model fitted to it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fitted<'a> {
+    pub(super) input: &'a [f64],
+    pub(super) output: &'a [f64],
+    /// The output of the model.
+    pub(super) model: &'a [f64],
+    /// The output at which the spring is unstressed; `None` if it is always 0.
+    pub(super) equilibrium: Option<&'a [f64]>,
+    /// b0, a1, a0.
+    pub(super) parameters: [f64; 3],
+    /// Sample at which the motor starts.
+    pub(super) foot: usize,
+    pub(super) interval_s: f64,
+    /// Variance of the noise of the output.
+    pub(super) noise: f64,
+}
+
 /// Computes F: the movement over b0 after a prompt start, for the samples of `output`.
 pub(super) fn free_movement(
     free: &mut Vec<f64>,

@@ -65,7 +65,7 @@ pub(super) struct Comparator<R> {
     baselines: [Baseline; 2],
     /// Present verdict of each direction.
     verdicts: [Option<Cause>; 2],
-    /// The calls so far: one for each new cause, as long as no direction has it already.
+    /// The calls so far: one each time a verdict is new and not the present verdict of the other direction.
     pub(super) calls: Vec<Call>,
 }
 

@@ -49,7 +49,7 @@ pub(super) struct Rules<'a> {
 #[derive(Debug, Default)]
 pub(super) struct Calls {
     pub(super) monitor: Vec<Call>,
-    /// Alarms of the monitor, without the next.
+    /// Alarms of the monitor, except those in `not_monitored`.
     pub(super) raised: usize,
     /// Alarms that the machine is not monitored, as its scatter hides a fault.
     pub(super) not_monitored: usize,

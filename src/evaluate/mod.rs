@@ -61,6 +61,7 @@ mod healthy;
 mod judge;
 mod life;
 pub mod limits;
+mod midpoint;
 mod observation;
 mod paper;
 mod parameter;

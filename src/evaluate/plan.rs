@@ -13,7 +13,7 @@ use super::{
     observation::observation,
     parameter::ParameterMachine,
     random::stream,
-    report::{Budget, Healthy, Report, Row, Tally},
+    report::{Budget, Healthy, Lives, Report, Row},
     scatter::Scatter,
     scenario::{Depth, Limits, Noise, Scenario, Situation},
     timeline::Timeline,
@@ -149,9 +149,7 @@ impl Plan {
     /// Makes the report from the outcomes of all lives, in the order of their numbers.
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
         let mut healthy = Vec::new();
-        let mut judgements = vec![Vec::new(); self.scenarios.len()];
-        let mut wrong_critical = vec![0; self.scenarios.len()];
-        let mut coverages = vec![Coverage::default(); self.scenarios.len()];
+        let mut lives = vec![Lives::default(); self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for (task, outcome) in self.tasks.iter().zip(outcomes) {
             match (*task, outcome.0) {
@@ -162,23 +160,19 @@ impl Plan {
                     add(&mut healthy, Depth::Parameter, Some(FLEETS[fleet].label), throws, alarms);
                 }
                 (Task::Row { row, .. }, Kind::Row(three, is_wrong, coverage)) => {
-                    judgements[row].push(three);
-                    coverages[row].merge(coverage);
-                    wrong_critical[row] += usize::from(is_wrong);
+                    lives[row].judgements.push(three);
+                    lives[row].coverage.merge(coverage);
+                    lives[row].wrong_critical += usize::from(is_wrong);
                 }
                 (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
                 _ => {}
             }
         }
         healthy.sort_by_key(|healthy: &Healthy| (healthy.fleet.is_some(), healthy.depth as u8));
-        let lived = (0..self.scenarios.len()).filter(|&row| !judgements[row].is_empty());
-        let rows = lived.map(|row| {
-            let tally = |rule: usize| Tally::of(judgements[row].iter().map(|three| three[rule]));
-            let tallies = [tally(0), tally(1), tally(2)];
-            Row::new(&self.scenarios[row], judgements[row].len(), wrong_critical[row], coverages[row], tallies)
-        });
+        let lived = self.scenarios.iter().zip(&lives).filter(|(_, lives)| !lives.judgements.is_empty());
+        let rows = lived.map(|(scenario, lives)| Row::new(scenario, lives)).collect();
         let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
-        Report { seed: self.seed, healthy, rows: rows.collect(), budget }
+        Report { seed: self.seed, healthy, rows, budget }
     }
 
     fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 4] {
@@ -239,7 +233,7 @@ impl Plan {
 }
 
 /// The simulated machine of a life.
-pub(super) fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
+fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
     match depth {
         Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, Scatter::USUAL))),
         Depth::Trace => Source::Trace(Box::new(TraceMachine::new(random, situation, noise, life))),

@@ -116,6 +116,16 @@ pub struct Tally {
     pub delay_p95: Option<f64>,
 }
 
+/// The judged lives of a row.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Lives {
+    /// Judgements of the monitor, the paper's rule and the CUSUM in each life.
+    pub(super) judgements: Vec<[Judgement; 3]>,
+    /// Lives in which the monitor named a healthy part at critical severity.
+    pub(super) wrong_critical: usize,
+    pub(super) coverage: Coverage,
+}
+
 impl Healthy {
     /// Results without any throws.
     pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
@@ -177,14 +187,8 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 
 impl Row {
     /// The row of a scenario after its lives were judged.
-    pub(super) fn new(
-        scenario: &Scenario,
-        trials: usize,
-        wrong_critical: usize,
-        coverage: Coverage,
-        tallies: [Tally; 3],
-    ) -> Self {
-        let [monitor, paper, cusum] = tallies;
+    pub(super) fn new(scenario: &Scenario, lives: &Lives) -> Self {
+        let [monitor, paper, cusum] = [0, 1, 2].map(|rule| Tally::of(lives.judgements.iter().map(|three| three[rule])));
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
         Self {
             depth: scenario.depth,
@@ -195,11 +199,11 @@ impl Row {
             noise: scenario.noise,
             hard: scenario.hard,
             case: scenario.situation.label(),
-            trials,
+            trials: lives.judgements.len(),
             monitor,
-            wrong_critical,
-            size_coverage: coverage.sizes.value(),
-            forecast_coverage: coverage.forecasts.value(),
+            wrong_critical: lives.wrong_critical,
+            size_coverage: lives.coverage.sizes.value(),
+            forecast_coverage: lives.coverage.forecasts.value(),
             paper,
             cusum,
         }

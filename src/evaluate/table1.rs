@@ -12,6 +12,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
+use super::midpoint::midpoint;
 use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
@@ -214,15 +215,14 @@ fn run_case(
         while estimates.len() < study.throws.max(1) {
             let trace = study.sensors.record(&motion, DIRECTION, rng)?.trace;
             match identify(identifier, &machine, &trace, &study.sensors) {
-                Ok(estimate) => estimates.push(estimate),
-                // Noise sometimes looks like a damaged trace: the throw is repeated.
-                Err(_) if refusals < study.throws => {
-                    refusals += 1;
-                    continue;
+                Ok(estimate) => {
+                    estimates.push(estimate);
+                    traces.push(trace);
                 }
+                // Noise sometimes looks like a damaged trace: the throw is repeated.
+                Err(_) if refusals < study.throws => refusals += 1,
                 Err(reason) => return Err(Failure::Refused { symbol: case.symbol, value, reason }),
             }
-            traces.push(trace);
         }
         let (coefficients, sd) = mean(&estimates);
         singles.push(estimates.iter().map(Estimate::coefficients).collect());
@@ -301,17 +301,13 @@ impl Test {
         let [b0, a1, a0] = self.coefficients;
         let h = self.trace.sample_rate_hz().recip();
         let mm_per_radian = Parameters::default().lead_mm / std::f64::consts::TAU;
-        let (mut angle, mut speed) = (0.0, 0.0);
-        let step = |pair: &[f64]| {
-            // Midpoint rule.
-            let current = 0.5 * (pair[0] + pair[1]);
-            let (mid_angle, mid_speed) =
-                (angle + 0.5 * h * speed, speed + 0.5 * h * (b0 * pair[0] - a1 * speed - a0 * angle));
-            angle += h * mid_speed;
-            speed += h * (b0 * current - a1 * mid_speed - a0 * mid_angle);
-            angle * mm_per_radian
+        let mut state = [0.0; 2];
+        let step = |[before, after]: &[f64; 2]| {
+            let acceleration = |current: f64| move |[angle, speed]: [f64; 2]| b0 * current - a1 * speed - a0 * angle;
+            state = midpoint(state, h, acceleration(*before), acceleration(0.5 * (before + after)));
+            state[0] * mm_per_radian
         };
-        std::iter::once(0.0).chain(self.trace.current_a().windows(2).map(step)).collect()
+        std::iter::once(0.0).chain(self.trace.current_a().array_windows().map(step)).collect()
     }
 }
 

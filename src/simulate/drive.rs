@@ -5,8 +5,9 @@
 //! This limits the force on an obstacle: without a clutch the motor would stall at 110 V and 27 A and press 110 kN on
 //! the rails.
 
-use super::dynamics::{SCREW, SCREW_SPEED, State, Toe};
+use super::dynamics::{SCREW, SCREW_SPEED, State, position, speed};
 use super::machine::Parameters;
+use super::rails::{MAX_MODES, Modes};
 
 /// State of the toe drive between two steps.
 #[derive(Debug, Clone, Copy)]
@@ -15,7 +16,8 @@ pub(super) struct Drive {
     stiffness: f64,
     damping: f64,
     limit_n: f64,
-    toe: Toe,
+    /// Deflection of each mode at the toe.
+    toe: [f64; MAX_MODES],
     /// Slip of the clutch so far \[m at the toe\].
     slip_m: f64,
     /// Signed force of the slipping clutch \[N\]; `None` while it holds.
@@ -23,13 +25,13 @@ pub(super) struct Drive {
 }
 
 impl Drive {
-    pub(super) fn new(parameters: &Parameters, toe: Toe) -> Self {
+    pub(super) fn new(parameters: &Parameters, modes: &Modes) -> Self {
         Self {
             metres_per_radian: parameters.metres_per_radian(),
             stiffness: parameters.drive_stiffness_n_m,
             damping: parameters.drive_damping_ns_m,
             limit_n: parameters.clutch_n,
-            toe,
+            toe: modes.toe,
             slip_m: 0.0,
             slipping_n: None,
         }
@@ -55,7 +57,7 @@ impl Drive {
     /// Speed of the screw's push relative to the toe \[m/s\].
     #[inline]
     fn relative_speed(&self, state: &State) -> f64 {
-        self.metres_per_radian * state[SCREW_SPEED] - self.toe.speed(state)
+        self.metres_per_radian * state[SCREW_SPEED] - speed(&self.toe, state)
     }
 
     /// Starts to slip if the force in the state `reached`, computed with a holding clutch, exceeds the limit. Returns
@@ -79,7 +81,7 @@ impl Drive {
         let Some(force) = self.slipping_n.filter(|force| force * self.relative_speed(reached) <= 0.0) else {
             return false;
         };
-        self.slip_m += (self.holding_force(reached, self.toe.position(reached)) - force) / self.stiffness;
+        self.slip_m += (self.holding_force(reached, position(&self.toe, reached)) - force) / self.stiffness;
         self.slipping_n = None;
         true
     }

@@ -29,9 +29,9 @@ pub(super) const MOTOR_SPEED: usize = 1;
 /// Index of theta' in the state.
 pub(super) const SCREW_SPEED: usize = 3;
 /// Index of the first q in the state.
-pub(super) const MODE: usize = 4;
+const MODE: usize = 4;
 /// Index of the first q' in the state.
-pub(super) const MODE_SPEED: usize = 4 + MAX_MODES;
+const MODE_SPEED: usize = 4 + MAX_MODES;
 
 /// A state, or the change of the state by a constant force over one step.
 pub(super) type State = [f64; STATES];
@@ -180,39 +180,27 @@ fn continuous(parameters: &Parameters, modes: &Modes, phase: Phase) -> ([State; 
     (a, b)
 }
 
-/// Position and speed of the toe as sums over the modes.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Toe {
-    shape: [f64; MAX_MODES],
+/// Position from neutral of the toe or of a chair \[m\], from the deflection of each mode there.
+#[inline]
+pub(super) fn position(shape: &[f64; MAX_MODES], state: &State) -> f64 {
+    shape.iter().zip(&state[MODE..]).map(|(shape, q)| shape * q).sum()
 }
 
-impl Toe {
-    pub(super) fn new(modes: &Modes) -> Self {
-        Self { shape: modes.toe }
-    }
+/// Speed of the toe or of a chair \[m/s\].
+#[inline]
+pub(super) fn speed(shape: &[f64; MAX_MODES], state: &State) -> f64 {
+    shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum()
+}
 
-    /// Toe position from neutral \[m\].
-    #[inline]
-    pub(super) fn position(&self, state: &State) -> f64 {
-        self.shape.iter().zip(&state[MODE..]).map(|(shape, q)| shape * q).sum()
-    }
+/// Force of a stop at `stop_m` from neutral on the `toe` \[N\].
+pub(super) fn stop_force(toe: &[f64; MAX_MODES], state: &State, stop_m: f64) -> f64 {
+    STOP_STIFFNESS_N_M * (stop_m - position(toe, state)) - STOP_DAMPING_NS_M * speed(toe, state)
+}
 
-    /// Toe speed \[m/s\].
-    #[inline]
-    pub(super) fn speed(&self, state: &State) -> f64 {
-        self.shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum()
-    }
-
-    /// Force of a stop at `stop_m` from neutral on the toe \[N\].
-    pub(super) fn stop_force(&self, state: &State, stop_m: f64) -> f64 {
-        STOP_STIFFNESS_N_M * (stop_m - self.position(state)) - STOP_DAMPING_NS_M * self.speed(state)
-    }
-
-    /// The constant part of the force of a stop at `stop_m` from neutral \[N\]. The matrix A contains the part that depends on
-    /// the state.
-    pub(super) fn stop_offset_force(stop_m: f64) -> f64 {
-        STOP_STIFFNESS_N_M * stop_m
-    }
+/// The constant part of the force of a stop at `stop_m` from neutral \[N\]. The matrix A contains the part that depends on
+/// the state.
+pub(super) fn stop_offset_force(stop_m: f64) -> f64 {
+    STOP_STIFFNESS_N_M * stop_m
 }
 
 /// State of the machine at rest with the toe at `toe_m` from neutral; the bent rails strain the drive.

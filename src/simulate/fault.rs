@@ -11,8 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::machine::Parameters;
-use super::rails::Modes;
+use super::machine::{Loads, Parameters};
 use crate::throw::OutOfRange;
 
 /// The part that a fault changes.
@@ -133,10 +132,9 @@ impl Parameters {
     /// When a parameter is out of its range.
     pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
-        let modes = self.rails.modes();
-        let loads = self.loads(&modes);
+        let loads = self.loads(&self.rails.modes());
         let mut worn = self.clone();
-        worn.add_friction(condition.friction, &modes);
+        worn.add_friction(condition.friction, &loads);
         worn.torque_constant *= condition.kt;
         worn.back_emf_constant *= condition.kt;
         let n2 = self.gear_ratio.powi(2);
@@ -153,8 +151,8 @@ impl Parameters {
         Ok(worn)
     }
 
-    fn add_friction(&mut self, ratio: f64, modes: &Modes) {
-        let loads = self.loads(modes);
+    /// Changes the friction of a machine with these loads.
+    fn add_friction(&mut self, ratio: f64, loads: &Loads) {
         if ratio < 1.0 {
             self.scale_friction(ratio);
         } else if ratio > 1.0 {

@@ -6,7 +6,7 @@
 //! forces of the previous step. While all contacts slide, which is nearly always, these forces already satisfy the law
 //! and no solution is needed.
 
-use super::dynamics::{MODE_SPEED, MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled};
+use super::dynamics::{MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled, speed};
 use super::machine::Parameters;
 use super::rails::{Chair, MAX_MODES, Modes};
 
@@ -27,7 +27,7 @@ impl Site {
         match self {
             Self::Motor => state[MOTOR_SPEED],
             Self::Screw => state[SCREW_SPEED],
-            Self::Chair(shape) => shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum(),
+            Self::Chair(shape) => speed(shape, state),
         }
     }
 
@@ -105,13 +105,13 @@ impl Friction {
         Response { effect, velocity }
     }
 
-    /// Closes or releases the brake.
-    pub(super) fn set_brake(&mut self, on: bool) {
+    /// Closes the brake.
+    pub(super) fn close_brake(&mut self) {
         let motor = &mut self.contacts[0];
-        motor.limit = motor.sliding + if on { self.brake } else { 0.0 };
-        // The force of the previous step may exceed the new limit, and Gauss-Seidel must start within the limits.
+        motor.limit = motor.sliding + self.brake;
+        // Break-away friction may have been more than the new limit, and Gauss-Seidel must start within the limits.
         motor.force = motor.force.clamp(-motor.limit, motor.limit);
-        self.effect = [f64::NAN; STATES];
+        self.forget_effect();
     }
 
     /// Adds this step's friction to `next`, the state that the step would reach without friction.

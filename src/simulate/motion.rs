@@ -11,7 +11,7 @@ use crate::throw::{
 };
 
 use super::drive::Drive;
-use super::dynamics::{MOTOR_SPEED, Phase, State, Step, Toe, add_scaled, at_rest};
+use super::dynamics::{MOTOR_SPEED, Phase, State, Step, add_scaled, at_rest, position, stop_force, stop_offset_force};
 use super::friction::{Friction, Response};
 use super::machine::{MotorKind, Parameters};
 use super::rails::Modes;
@@ -83,38 +83,18 @@ impl Parameters {
     }
 }
 
-/// The step in one phase, with the response of the friction.
-struct Kind {
-    step: Step,
-    response: Response,
-}
-
-impl Kind {
-    fn new(parameters: &Parameters, modes: &Modes, friction: &Friction, h: f64, phase: Phase) -> Self {
-        let step = Step::new(parameters, modes, h, phase);
-        let response = friction.response(&step);
-        Self { step, response }
-    }
-}
-
-/// The kinds of step, each built at the first use: a throw without stops and slipping needs only one.
-#[derive(Default)]
-struct Kinds([Option<Kind>; 4]);
-
-impl Kinds {
-    fn get(&mut self, phase: Phase, build: impl FnOnce() -> Kind) -> &Kind {
-        self.0[2 * usize::from(phase.at_stop) + usize::from(phase.slipping)].get_or_insert_with(build)
-    }
-}
-
 struct Machine<'a> {
     parameters: &'a Parameters,
     conditions: &'a Conditions,
-    direction: Direction,
+    /// Sign of the throw, see [`Direction::sign`].
+    sign: f64,
+    /// Position of the stock rail at which the throw ends \[mm from normal\].
+    end_mm: f64,
     h: f64,
-    kinds: Kinds,
+    /// The step in each phase with the response of the friction. Each is built at its first use: a throw without stops and
+    /// slipping needs only one.
+    steps: [Option<(Step, Response)>; 4],
     modes: &'a Modes,
-    toe: Toe,
     drive: Drive,
     friction: Friction,
     state: State,
@@ -136,25 +116,22 @@ impl<'a> Machine<'a> {
         conditions: &'a Conditions,
         h: f64,
     ) -> Self {
-        let friction = Friction::new(parameters, modes);
-        let toe = Toe::new(modes);
-        let start_mm = match direction {
-            Direction::NormalToReverse => 0.0,
-            Direction::ReverseToNormal => parameters.stroke_mm,
+        let (start_mm, end_mm) = match direction {
+            Direction::NormalToReverse => (0.0, parameters.stroke_mm),
+            Direction::ReverseToNormal => (parameters.stroke_mm, 0.0),
         };
         let toe_m = (start_mm - parameters.neutral_mm) / 1000.0;
-        let state = at_rest(parameters, modes, toe_m);
         Self {
             parameters,
             conditions,
-            direction,
+            sign: direction.sign(),
+            end_mm,
             h,
-            kinds: Kinds::default(),
+            steps: Default::default(),
             modes,
-            toe,
-            drive: Drive::new(parameters, toe),
-            friction,
-            state,
+            drive: Drive::new(parameters, modes),
+            friction: Friction::new(parameters, modes),
+            state: at_rest(parameters, modes, toe_m),
             toe_m,
             current: 0.0,
             decay: Decay::over(parameters.resistance_ohm * h / parameters.inductance_h),
@@ -168,10 +145,7 @@ impl<'a> Machine<'a> {
         let limit_s = self.conditions.cut_off_after_s.unwrap_or(p.timeout_s).min(p.timeout_s);
         let steps_on = steps(limit_s, self.h);
         let settle = steps(SETTLE_S, self.h);
-        let end_mm = match self.direction {
-            Direction::NormalToReverse => p.stroke_mm - p.cut_off_mm,
-            Direction::ReverseToNormal => p.cut_off_mm,
-        };
+        let cut_off_mm = self.end_mm - self.sign * p.cut_off_mm;
         let mut motion = Motion {
             step_s: self.h,
             current_a: vec![0.0],
@@ -183,15 +157,15 @@ impl<'a> Machine<'a> {
         for at in 0..steps_on + settle {
             let on = off_at.is_none();
             self.step(at, on);
-            motion.current_a.push(self.current * self.direction.sign());
+            motion.current_a.push(self.current * self.sign);
             let toe_mm = self.toe_mm();
             motion.toe_mm.push(toe_mm);
-            let arrived = (toe_mm - end_mm) * self.direction.sign() >= 0.0;
+            let arrived = (toe_mm - cut_off_mm) * self.sign >= 0.0;
             if on && (arrived || at + 1 >= steps_on) {
                 off_at = Some(at + 1);
                 motion.completed = arrived;
                 motion.cut_off = at + 1;
-                self.friction.set_brake(true);
+                self.friction.close_brake();
             }
             if off_at.is_some_and(|off| at >= off + settle) {
                 break;
@@ -207,11 +181,11 @@ impl<'a> Machine<'a> {
     fn step(&mut self, at: usize, on: bool) {
         let torque = self.armature(at, on) * self.parameters.gear_ratio;
         let mut next = self.reached(torque, on);
-        self.toe_m = self.toe.position(&next);
+        self.toe_m = position(&self.modes.toe, &next);
         if self.drive.breaks_away(&next, self.toe_m) {
             self.friction.forget_effect();
             next = self.reached(torque, on);
-            self.toe_m = self.toe.position(&next);
+            self.toe_m = position(&self.modes.toe, &next);
         }
         if self.drive.engages(&next) {
             self.friction.forget_effect();
@@ -224,8 +198,12 @@ impl<'a> Machine<'a> {
     /// The state after one step, with the motor's `torque` referred to the screw \[N m\].
     fn reached(&mut self, torque: f64, on: bool) -> State {
         let phase = Phase { at_stop: self.contact.is_some(), slipping: self.drive.slips() };
-        let build = || Kind::new(self.parameters, self.modes, &self.friction, self.h, phase);
-        let Kind { step, response } = self.kinds.get(phase, build);
+        let number = 2 * usize::from(phase.at_stop) + usize::from(phase.slipping);
+        let (step, response) = self.steps[number].get_or_insert_with(|| {
+            let step = Step::new(self.parameters, self.modes, self.h, phase);
+            let response = self.friction.response(&step);
+            (step, response)
+        });
         let mut next = step.advance(&self.state);
         add_scaled(&mut next, &step.motor, torque);
         let force = self.drive.constant_force();
@@ -233,7 +211,7 @@ impl<'a> Machine<'a> {
             add_scaled(&mut next, &step.drive, force);
         }
         if let Some(stop) = self.contact {
-            add_scaled(&mut next, &step.toe, Toe::stop_offset_force(stop));
+            add_scaled(&mut next, &step.toe, stop_offset_force(stop));
         }
         self.friction.apply(&self.state, &mut next, response, on);
         next
@@ -249,12 +227,10 @@ impl<'a> Machine<'a> {
             let phase = self.conditions.supply_phase_rad;
             let ripple = p.rectifier_ripple * (p.supply.mean(at, self.h, phase) - 1.0);
             let supply = p.supply_v * self.conditions.supply_ratio * (1.0 + ripple);
-            let driving = supply * self.direction.sign();
+            let driving = supply * self.sign;
             match p.motor {
                 MotorKind::PermanentMagnet => (p.resistance_ohm, driving - p.back_emf_constant * mid_speed),
-                MotorKind::Series => {
-                    (p.resistance_ohm + p.back_emf_constant * mid_speed * self.direction.sign(), driving)
-                }
+                MotorKind::Series => (p.resistance_ohm + p.back_emf_constant * mid_speed * self.sign, driving),
             }
         } else {
             (p.inductance_h / ARC_TIME_S, 0.0)
@@ -271,30 +247,23 @@ impl<'a> Machine<'a> {
             MotorKind::PermanentMagnet => p.torque_constant * (settled + excess * mean),
             MotorKind::Series => {
                 let square = settled * settled + 2.0 * settled * excess * mean + excess * excess * mean_square;
-                p.torque_constant * square * self.direction.sign()
+                p.torque_constant * square * self.sign
             }
         }
     }
 
     fn update_contact(&mut self) {
-        let p = self.parameters;
-        let from_neutral = |mm: f64| (mm - p.neutral_mm) / 1000.0;
         let was = self.contact;
         if let Some(stop) = was {
             // A stop only pushes: the contact ends when its force would pull.
-            if self.toe.stop_force(&self.state, stop) * self.direction.sign() > 0.0 {
+            if stop_force(&self.modes.toe, &self.state, stop) * self.sign > 0.0 {
                 self.contact = None;
             }
         } else {
             let toe_mm = self.toe_mm();
-            let beyond = |mm: f64| (toe_mm - mm) * self.direction.sign() > 0.0;
-            let far_end = match self.direction {
-                Direction::NormalToReverse => p.stroke_mm,
-                Direction::ReverseToNormal => 0.0,
-            };
-            let stop =
-                self.conditions.obstruction_mm.filter(|&mm| beyond(mm)).or(Some(far_end).filter(|&mm| beyond(mm)));
-            self.contact = stop.map(from_neutral);
+            let mut stops = self.conditions.obstruction_mm.into_iter().chain([self.end_mm]);
+            let touched = stops.find(|mm| (toe_mm - mm) * self.sign > 0.0);
+            self.contact = touched.map(|mm| (mm - self.parameters.neutral_mm) / 1000.0);
         }
         if was.is_some() != self.contact.is_some() {
             self.friction.forget_effect();

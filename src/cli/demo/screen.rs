@@ -52,7 +52,7 @@ impl Screen {
         line.bar.set_prefix(judged.health.machine.machine.to_string());
         line.bar.set_position(line.throws);
         if let (Some(direction), Some(baseline)) = (judged.health.direction, judged.health.baseline) {
-            line.baseline[direction as usize] = baseline;
+            line.baseline[direction.side()] = baseline;
         }
         let so_far: u64 = line.baseline.iter().map(|(so_far, _)| so_far).sum();
         let needed: u64 = line.baseline.iter().map(|(_, needed)| needed).sum();

@@ -9,6 +9,7 @@ use rand_distr::StandardNormal;
 use super::finding::{Finding, Row};
 use super::trial::{Bench, fit};
 use crate::estimate::{Hold, sriv::Signal};
+use crate::evaluate::midpoint::midpoint;
 use crate::simulate::{Coefficients, Parameters};
 use crate::throw::OutOfRange;
 
@@ -32,7 +33,8 @@ const LOAD_S: f64 = 0.05;
 const CURRENT_NOISE_A: f64 = 0.02;
 
 /// Source of the motor's current.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, strum::AsRefStr)]
+#[strum(serialize_all = "snake_case")]
 enum Current {
     /// A battery: only the back-EMF depends on the speed.
     Battery,
@@ -56,12 +58,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
         (20.0, 5.0, Current::Battery),
         (20.0, 5.0, Current::Controller),
     ] {
-        let from = match current {
-            Current::Battery => "battery",
-            Current::Controller => "controller",
-            Current::Replayed => "replayed",
-        };
-        let mut row = Row::new(format!("{from}, {noise_um}, {load_pct}"), throws, true);
+        let mut row = Row::new(format!("{}, {noise_um}, {load_pct}", current.as_ref()), throws, true);
         let noise = noise_um / 1000.0 * plant.radians_per_mm();
         for _ in 0..throws {
             let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);
@@ -101,7 +98,7 @@ impl Plant {
         let mut normal = || bench.rng.sample::<f64, _>(StandardNormal);
         let end = 0.95 * self.machine.stroke_mm * self.radians_per_mm();
         let back_emf = self.machine.back_emf_constant * self.machine.gear_ratio;
-        let (mut angle, mut speed, mut disturbance) = (0.0, 0.0, 0.0);
+        let ([mut angle, mut speed], mut disturbance) = ([0.0; 2], 0.0);
         let mut controller = Controller::default();
         let (mut currents, mut positions) = (Vec::new(), Vec::new());
         while angle < end && positions.len() < 20_000 {
@@ -121,12 +118,10 @@ impl Plant {
             let size = load * a1 * SPEED_RAD_S;
             disturbance = keeps * disturbance + (1.0 - keeps * keeps).sqrt() * size * normal();
             let h = INTERVAL_S / FINE as f64;
+            // Equation (12) with constant current.
+            let acceleration = |[angle, speed]: [f64; 2]| b0 * driving - a1 * speed - a0 * angle - disturbance;
             for _ in 0..FINE {
-                // Midpoint rule for equation (12) with constant current.
-                let slope = |angle: f64, speed: f64| b0 * driving - a1 * speed - a0 * angle - disturbance;
-                let (mid_angle, mid_speed) = (angle + 0.5 * h * speed, speed + 0.5 * h * slope(angle, speed));
-                angle += h * mid_speed;
-                speed += h * slope(mid_angle, mid_speed);
+                [angle, speed] = midpoint([angle, speed], h, acceleration, acceleration);
             }
         }
         (currents, positions)

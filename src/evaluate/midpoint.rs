@@ -1,0 +1,12 @@
+//! The midpoint rule for an equation of motion.
+
+/// Angle and speed after a step of `h` seconds by the midpoint rule, with the acceleration at the start and in the middle.
+pub(super) fn midpoint(
+    [angle, speed]: [f64; 2],
+    h: f64,
+    at_start: impl Fn([f64; 2]) -> f64,
+    in_middle: impl Fn([f64; 2]) -> f64,
+) -> [f64; 2] {
+    let middle = [angle + 0.5 * h * speed, speed + 0.5 * h * at_start([angle, speed])];
+    [angle + h * middle[1], speed + h * in_middle(middle)]
+}
