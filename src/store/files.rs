@@ -101,8 +101,7 @@ impl DatabaseFiles {
     }
 
     fn rename_to(&self, to: &Path) -> Result<(), StoreError> {
-        let file = self.file();
-        SUFFIXES.iter().try_for_each(|suffix| rename(&beside(&file, suffix), &beside(to, suffix)))?;
+        rename_all(&self.file(), to)?;
         if self.path.is_symlink() { remove_one(&self.path) } else { Ok(()) }
     }
 
@@ -158,7 +157,7 @@ impl DatabaseFiles {
                 continue;
             }
             let to = self.free_name(UNUSED, now);
-            SUFFIXES.iter().try_for_each(|suffix| rename(&beside(&moved, suffix), &beside(&to, suffix)))?;
+            rename_all(&moved, &to)?;
             tracing::warn!(
                 from = %moved.display(), to = %to.display(),
                 "a database that is not in use was set aside: it may be that before a backup was restored"
@@ -241,6 +240,11 @@ impl DatabaseFiles {
     pub(super) fn sync_folder(&self) -> io::Result<()> {
         File::open(folder_of(&self.path))?.sync_all()
     }
+}
+
+/// Renames a database with its log.
+fn rename_all(from: &Path, to: &Path) -> Result<(), StoreError> {
+    SUFFIXES.iter().try_for_each(|suffix| rename(&beside(from, suffix), &beside(to, suffix)))
 }
 
 /// Renames a file if it exists.
