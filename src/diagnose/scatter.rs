@@ -233,7 +233,7 @@ impl Scatter {
         let [natural, sensor] = [self.natural, self.sensor].map(|covariance| Matrix3::from(covariance)[(i, i)]);
         let share = natural / (natural + sensor).max(f64::MIN_POSITIVE);
         let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
-        ((self.throws * share).max(1.0) + usual_weight).sqrt().recip()
+        ((self.throws * share * (1.0 - self.lag1[i].powi(2))).max(1.0) + usual_weight).sqrt().recip()
     }
 
     /// Covariance of the sum of `count` innovations x - phi x before, whose estimates have the covariance `sensor`; `gaps` of
