@@ -71,8 +71,8 @@ impl Parameters {
     pub fn simulate(&self, direction: Direction, conditions: &Conditions, step_s: f64) -> Result<Motion, OutOfRange> {
         self.check()?;
         conditions.check(self.stroke_mm)?;
-        let modes = self.rails.modes();
         let machine = self.at_temperature(conditions.temperature_c);
+        let modes = machine.rails.modes();
         let motion = Machine::new(&machine, &modes, direction, conditions, step_s).run();
         // Some combinations of valid parameters cannot be integrated.
         for (key, values) in [("current_a", &motion.current_a), ("toe_mm", &motion.toe_mm)] {

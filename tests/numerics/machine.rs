@@ -143,6 +143,11 @@ fn magnet_and_back_emf_fade_together_and_rails_soften_with_heat() {
     );
     let a0 = |machine: &Parameters| machine.coefficients().unwrap().a0;
     assert!((a0(&hot) / a0(&machine) - 0.98).abs() < 1e-3);
+    let throw = |machine: &Parameters, temperature_c| {
+        let conditions = Conditions { temperature_c, ..Conditions::default() };
+        machine.simulate(Direction::NormalToReverse, &conditions, STEP_S).unwrap()
+    };
+    assert_eq!(throw(&machine, 40.0), throw(&hot, 20.0), "the movement has the coefficients of its temperature");
 }
 
 #[test]
