@@ -10,10 +10,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    database::{Known, events as events_of},
+    database::Known,
     logger::{Logger, Plan, QUICK_ALARMS},
     rig::{PATIENCE, Rig, until},
     size,
+    verdict::events as events_of,
     witness::Witness,
 };
 

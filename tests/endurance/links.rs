@@ -13,10 +13,11 @@ use pointsd::store::Reader;
 
 use crate::{
     cable::Cable,
-    database::{Known, events},
+    database::Known,
     logger::{Logger, Plan, QUICK_ALARMS},
     rig::{PATIENCE, Rig, until},
     size,
+    verdict::events,
     witness::Witness,
 };
 

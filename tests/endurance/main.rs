@@ -21,6 +21,8 @@ mod rig;
 mod shim;
 #[path = "../disk/small_disk.rs"]
 mod small_disk;
+#[path = "../disk/verdict.rs"]
+mod verdict;
 mod witness;
 
 mod backlogs;

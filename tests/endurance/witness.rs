@@ -38,11 +38,11 @@ impl Received {
 }
 
 fn throw_line(machine: &str, boot_id: &str, throw_no: u64) -> String {
-    format!("throw {machine} {boot_id} {throw_no}\n")
+    format!("judged {machine} {boot_id} {throw_no}\n")
 }
 
 fn event_line(alarm_id: &str, event_no: u32) -> String {
-    format!("event {alarm_id} {event_no}\n")
+    format!("received {alarm_id} {event_no}\n")
 }
 
 /// A subscriber that receives until it is dropped.
