@@ -8,7 +8,7 @@ use std::{
     fmt::Display,
     fs,
     io::{BufRead, BufReader},
-    net::TcpListener,
+    net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Condvar, Mutex, mpsc},
@@ -19,7 +19,7 @@ use std::{
 use pointsd::{
     bus,
     daemon::config::{Document, client_session},
-    simulate::{Fleet, FleetSettings},
+    simulate::{Fault, Fleet, FleetFault, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
     wire::{self, Alarm, encode_throw},
@@ -96,8 +96,7 @@ impl Rig {
 
     /// The daemon listens on the same port at every start, so that clients can connect again.
     pub(crate) fn same_port(self) -> Self {
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
+        Self { listen: format!("tcp/{}", free_address()), ..self }
     }
 
     /// The daemon has the port of another rig's daemon.
@@ -258,7 +257,7 @@ impl Daemon {
     }
 
     pub(crate) fn signal(&self, signal: &str) {
-        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
+        send_signal(signal, self.id());
     }
 
     pub(crate) fn id(&self) -> u32 {
@@ -393,6 +392,15 @@ impl Drop for Daemon {
     }
 }
 
+pub(crate) fn send_signal(signal: &str, process: u32) {
+    assert!(Command::new("kill").args([signal, &process.to_string()]).status().unwrap().success());
+}
+
+/// An address at which nothing listens at present.
+pub(crate) fn free_address() -> SocketAddr {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
 /// Another program, which ends with the test.
 pub(crate) struct Program(pub(crate) Child);
 
@@ -436,12 +444,16 @@ pub(crate) fn ends(exit: i32, command: &mut Command) -> String {
 
 /// Real throws of one simulated machine.
 pub(crate) fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
-    throws_of(&FleetSettings::default(), boot_id, count)
+    simulated(Vec::new(), boot_id, count)
 }
 
-/// Throws of the first machine of a fleet.
-pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec<Throw> {
-    let settings = FleetSettings { machines: 1, ..fleet.clone() };
+/// Throws of this machine with a fault.
+pub(crate) fn faulty_throws(fault: Fault, boot_id: &str, count: u64) -> Vec<Throw> {
+    simulated(vec![FleetFault { machine: 0, fault }], boot_id, count)
+}
+
+fn simulated(faults: Vec<FleetFault>, boot_id: &str, count: u64) -> Vec<Throw> {
+    let settings = FleetSettings { machines: 1, faults, ..FleetSettings::default() };
     let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)

@@ -7,11 +7,11 @@ use pointsd::{
     diagnose::AlarmState,
     store::{Dropped, Found, Settings, Spooled, Store, StoreError, ThrowRow},
 };
-use sqlx::{Connection, SqliteConnection};
+use sqlx::Connection;
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, settings, spooled,
-    throw,
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, settings,
+    spooled, throw,
 };
 
 /// Spools and judges throws `first` to `last`, received one minute after another.
@@ -411,14 +411,6 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
             .expect("the writer goes on without its rows");
         assert_eq!(path.exists(), replaced, "no empty database takes its place");
     }
-}
-
-/// A slow reader: a connection that keeps the present state.
-async fn reading(store: &Store) -> SqliteConnection {
-    let mut holder = outsider(store.path()).await;
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-    sqlx::query("SELECT count(*) FROM throw").fetch_one(&mut holder).await.unwrap();
-    holder
 }
 
 /// After the end of a slow reader the log has its bound again, also if the database could not move away from it.

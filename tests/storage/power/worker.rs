@@ -9,14 +9,12 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use crate::given::{at, event, judgement, machine, outcome, reading, throw};
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState},
     store::{Judgement, Settings, Spooled, Store, ThrowRow},
     wire::alarm_id,
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
-
-use crate::given::{at, event, judgement, machine, outcome, throw};
 
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
 /// Throws of each machine.
@@ -64,7 +62,7 @@ async fn run() {
         life.await.unwrap();
     }
     let holder = match std::env::var_os(HOLDER) {
-        Some(_) => Some(hold(&store).await),
+        Some(_) => Some(reading(&store).await),
         None => None,
     };
     let rest = MACHINES
@@ -86,14 +84,6 @@ async fn open(folder: &Path) -> Option<Store> {
         }
     }
     None
-}
-
-async fn hold(store: &Store) -> SqliteConnection {
-    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut holder = SqliteConnection::connect_with(&options).await.unwrap();
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
-    holder
 }
 
 async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str, first: u64, last: u64) {
