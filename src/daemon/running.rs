@@ -348,6 +348,7 @@ impl Starting {
             give_up: self.stops.give_up.clone(),
             undecoded: 0,
             unstored: Vec::new(),
+            storing_fails: false,
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
         // Ends with the receiving loop: the next start fetches the rest.

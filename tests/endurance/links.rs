@@ -22,7 +22,7 @@ use crate::{
 };
 
 const MACHINES: usize = 20;
-/// Throws of each machine in the backlog of its logger, as in the shipped configuration.
+/// Throws of each machine in the backlog of its logger: more than a cut costs.
 const BACKLOG: usize = 64;
 
 /// Length of a cut, and throws per second.
