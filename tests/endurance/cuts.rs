@@ -9,8 +9,8 @@ use crate::{
     database::inspect,
     logger::{Logger, Plan, QUICK_ALARMS},
     replay::{Disk, Record, cut_at_random, read_log, without_commit_syncs},
-    rig::Rig,
-    shim, size,
+    rig::{Rig, size},
+    shim,
     verdict::Verdict,
     witness::Witness,
 };

@@ -10,7 +10,7 @@ use pointsd::{
 
 use crate::{
     logger,
-    rig::Rig,
+    rig::{PATIENCE, Rig, until},
     verdict::{self, Verdict},
 };
 
@@ -34,6 +34,9 @@ fn open_gaps(rig: &Rig) -> Vec<(String, String, RangeInclusive<u64>)> {
     let numbers = |gap: &serde_json::Value| gap["first"].as_u64().unwrap()..=gap["last"].as_u64().unwrap();
     gaps.iter().map(|gap| (text(gap, "machine"), text(gap, "boot_id"), numbers(gap))).collect()
 }
+
+/// Last published number of each machine and boot id.
+pub(crate) type Published = BTreeMap<(String, String), u64>;
 
 /// Stored and missing throw numbers of each machine and boot id.
 #[derive(Default)]
@@ -62,10 +65,21 @@ impl Known {
         all.sort_unstable();
         all
     }
+}
 
-    /// Whether numbers up to `last` are neither stored nor missing. The last number alone shows nothing: it may have
-    /// arrived live while an earlier one is still being fetched from the backlog.
-    pub(crate) fn is_behind(&self, who: &(String, String), last: u64) -> bool {
-        (self.all(who).len() as u64) < last
-    }
+/// Waits until all published throws are stored or missing, judged, and published with their events. `published` has the
+/// last number of each machine and boot id. That number alone shows nothing: it may have arrived live while an earlier one
+/// is still being fetched from the backlog.
+pub(crate) async fn settled(rig: &Rig, reader: &Reader, published: &Published) -> Known {
+    until(5 * PATIENCE, async || {
+        let known = Known::of(rig, reader).await;
+        let behind: Vec<_> = published.iter().filter(|(who, last)| (known.all(who).len() as u64) < **last).collect();
+        let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
+        let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
+        if behind.is_empty() && waiting + unpublished == 0 {
+            return Ok(known);
+        }
+        Err(format!("behind: {behind:?}; {waiting} unjudged, {unpublished} unpublished"))
+    })
+    .await
 }

@@ -15,8 +15,8 @@ use tokio::runtime::Runtime;
 use crate::{
     database::inspect,
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{NotStarted, PATIENCE, Rig},
-    shim, size,
+    rig::{NotStarted, PATIENCE, Rig, size},
+    shim,
     verdict::Verdict,
     witness::{Received, Witness},
 };

@@ -20,8 +20,7 @@ use zenoh::{Wait, qos::CongestionControl, sample::Sample};
 
 use crate::{
     logger::{self, QUICK_ALARMS},
-    rig::{self, Daemon, PATIENCE, Rig, until},
-    size,
+    rig::{self, Daemon, PATIENCE, Rig, size, until},
 };
 
 /// Size of a throw of another machine in the database \[bytes\].

@@ -37,8 +37,3 @@ mod poison;
 mod retention;
 mod slow;
 mod soak;
-
-/// The number in an environment variable, or the default of a short run.
-fn size(variable: &str, usual: usize) -> usize {
-    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
-}

@@ -22,8 +22,7 @@ use zenoh::{Session, bytes::Encoding as ContentType};
 
 use crate::{
     gauge::{Usage, peak_mib, status},
-    rig::{PATIENCE, Rig, matched, put, stub, throws, until},
-    size,
+    rig::{PATIENCE, Rig, matched, put, size, stub, throws, until},
 };
 
 const GOOD: &str = "points/v1/good/1/throw";

@@ -23,8 +23,7 @@ use zenoh::{Session, pubsub::Publisher};
 
 use crate::{
     gauge::{mib, peak_mib, status},
-    rig::{self, PATIENCE, Program, Rig, matched, throws},
-    size,
+    rig::{self, PATIENCE, Program, Rig, matched, size, throws},
 };
 
 const KEY: &str = "points/v1/north/21B/throw";

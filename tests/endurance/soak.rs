@@ -27,8 +27,8 @@ use zenoh::Session;
 use crate::{
     cable::Cable,
     gauge::{Heap, Usage, mib, status},
-    rig::{Daemon, PATIENCE, Program, Rig, pointsim, send_signal},
-    shim, size,
+    rig::{Daemon, PATIENCE, Program, Rig, pointsim, send_signal, size},
+    shim,
 };
 
 const MACHINES: u32 = 20;

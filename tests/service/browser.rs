@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use crate::{
     http::{address, small_history},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, Program},
+    rig::{PATIENCE, Program, has},
 };
 
 /// A running browser.
@@ -33,8 +33,7 @@ struct Tab(String);
 impl Browser {
     /// Starts the browser; `None`, with a message, without chromium.
     fn start(profile: &Path) -> Option<Self> {
-        if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
-            println!("skipped: chromium is not installed");
+        if !has("chromium") {
             return None;
         }
         // The protocol has descriptor 3 for messages to the browser and 4 for messages from it.

@@ -11,19 +11,10 @@ use std::{
 use crate::{
     http::{KEY, WEB, address, exchange, get},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, Program, free_address, stub, until},
+    rig::{PATIENCE, Program, free_address, has, stub, until},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
-
-/// Whether a program of the package exists; prints a line if it does not.
-fn has(program: &str) -> bool {
-    let is_there = Command::new(program).arg("--version").output().is_ok();
-    if !is_there {
-        println!("skipped: {program} is not installed (Debian package prometheus)");
-    }
-    is_there
-}
 
 /// Words in a text that begin with `pointsd_`: names of metrics.
 fn names(text: &str) -> BTreeSet<String> {

@@ -32,6 +32,20 @@ use zenoh::{
 /// Longest wait for an event, sufficient on a loaded computer.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
+/// The number in an environment variable, or that of a short run.
+pub(crate) fn size(variable: &str, usual: usize) -> usize {
+    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
+}
+
+/// Whether a program is installed; prints a line if it is not.
+pub(crate) fn has(program: &str) -> bool {
+    let is_there = Command::new(program).arg("--version").output().is_ok();
+    if !is_there {
+        println!("skipped: {program} is not installed");
+    }
+    is_there
+}
+
 /// A folder with a configuration and a database.
 pub(crate) struct Rig {
     folder: PathBuf,

@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{
 use crate::{
     http::{address, get},
     operators::logger,
-    rig::{Daemon, PATIENCE, Program, Rig, ends, free_address},
+    rig::{Daemon, PATIENCE, Program, Rig, ends, free_address, has},
 };
 
 const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
@@ -316,8 +316,7 @@ fn mail_server() -> (SocketAddr, mpsc::Receiver<String>) {
 /// The receiver of `deploy/`: an alarm becomes an e-mail.
 #[test]
 fn an_alarm_becomes_a_mail() {
-    if Command::new("python3").arg("--version").output().is_err() {
-        println!("skipped: python3 is not installed");
+    if !has("python3") {
         return;
     }
     let (mail, mails) = mail_server();

@@ -527,15 +527,6 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     store.close().await.unwrap();
 }
 
-#[test]
-fn settings_are_checked_and_unknown_keys_refused() {
-    assert_eq!(Settings::default().check_ranges(), Ok(()));
-    let wrong = Settings { max_size_mib: 1, ..Settings::default() };
-    assert_eq!(wrong.check_ranges().unwrap_err().to_string(), "max_size_mib is 1, must be 16 to 1048576 MiB");
-    let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
-    assert!(unknown.contains("max_sise_mib"), "{unknown}");
-}
-
 /// Three hundred alarms with two events each; all but the first are closed.
 const OLD_ALARMS: [&str; 3] = [
     "INSERT INTO machine (site, machine) VALUES ('north', '21B')",
