@@ -17,11 +17,14 @@ use crate::given::{
 /// Spools and judges throws `first` to `last`, received one minute after another.
 async fn judged(store: &Store, first: u64, last: u64) {
     for throw_no in first..=last {
-        let received_at = at(60 * i64::try_from(throw_no).unwrap());
-        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
-        let Spooled::New(row) = answer else { panic!("{throw_no}") };
-        judge(store, judgement(row, "21B")).await.unwrap();
+        judged_at(store, throw_no, at(60 * i64::try_from(throw_no).unwrap())).await;
     }
+}
+
+async fn judged_at(store: &Store, throw_no: u64, received_at: Timestamp) {
+    let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
+    let Spooled::New(row) = answer else { panic!("{throw_no}") };
+    judge(store, judgement(row, "21B")).await.unwrap();
 }
 
 #[tokio::test]
@@ -125,9 +128,8 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         Settings { max_traces: 100, ..Settings::default() },
         Settings { max_throws: 100, ..Settings::default() },
     ] {
-        let folder = tempfile::tempdir().unwrap();
-        let bounds = Settings { ballast_mib: 1, low_disk_mib: 0, path: folder.path().join("points.db"), ..bounds };
-        let store = Store::open(&bounds, at(0)).await.unwrap().store;
+        let with_bounds = |Settings { path, .. }| Settings { ballast_mib: 1, low_disk_mib: 0, path, ..bounds.clone() };
+        let (_folder, store) = fresh_with(with_bounds).await;
         judged(&store, 1, 40).await;
         let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
         for answer in store.spool_all(&flood).await {
@@ -170,9 +172,7 @@ async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     let day = |days: i64| at(86_400 * days);
     let times = [day(4000), day(0), Timestamp::UNIX_EPOCH, day(10), day(4000), Timestamp::UNIX_EPOCH, day(50)];
     for (throw_no, received_at) in (1..).zip(times) {
-        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
-        let Spooled::New(row) = answer else { panic!("{throw_no}") };
-        judge(&store, judgement(row, "21B")).await.unwrap();
+        judged_at(&store, throw_no, received_at).await;
     }
     let mut left = Vec::new();
     for now in [day(29), day(35), day(45), day(79), day(81)] {
@@ -365,11 +365,11 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         // The daemon does the same every 5 s.
         let noticed = async {
             while store.trouble(None).is_none() {
-                tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+                tokio::time::sleep(Duration::from_millis(100)).await;
                 store.outbox_sent(&[]).await.unwrap();
             }
         };
-        tokio::time::timeout(std::time::Duration::from_secs(10), noticed).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(10), noticed).await.unwrap();
         let (severity, said) = store.trouble(None).unwrap();
         assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("deleted or replaced"), "{said}");
         judged(&store, 31, 40).await;
@@ -471,7 +471,7 @@ async fn a_backup_restored_in_place_of_the_link_and_files_with_a_number_delete_n
     fs::copy(&moved, &path).unwrap();
 
     for _ in 0..2 {
-        Store::open(&settings(folder.path()), at(0)).await.unwrap().store.close().await.unwrap();
+        open(folder.path()).await.store.close().await.unwrap();
     }
     assert!(numbered.iter().all(|copy| fs::read(copy).unwrap() == history));
     let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path());
