@@ -23,16 +23,17 @@ const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 const ERROR: usize = 200;
 
 /// End of a page.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Ending {
     /// All replies arrived.
+    #[default]
     Complete,
     /// A timeout or an error: the logger may have more throws.
     Broken,
 }
 
 /// The replies of a logger to a query for a page.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Page {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
@@ -42,15 +43,10 @@ pub(crate) struct Page {
     pub error: Option<String>,
 }
 
-struct Collected {
-    page: Page,
-    bytes: usize,
-}
-
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
 pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
-    let empty = Page { messages: Vec::new(), ignored: 0, ending: Ending::Complete, error: None };
-    let collected = Arc::new(Mutex::new(Collected { page: empty, bytes: 0 }));
+    // The page so far, and its size.
+    let collected = Arc::new(Mutex::new((Page::default(), 0)));
     // Zenoh drops the callback, and the sender with it, after the last reply.
     let (open, ended) = oneshot::channel::<()>();
     let collecting = Arc::clone(&collected);
@@ -58,7 +54,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let on_reply = move |reply: Reply| {
         let _open = &open;
         let mut collecting = collecting.lock();
-        let Collected { page, bytes } = &mut *collecting;
+        let (page, bytes) = &mut *collecting;
         let sample = match reply.into_result() {
             Ok(sample) => sample,
             Err(reply) => {
@@ -87,8 +83,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     });
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
-    let mut collected = collected.lock();
-    let Page { messages, ignored, error, .. } = &mut collected.page;
-    let ending = if has_ended && error.is_none() { Ending::Complete } else { Ending::Broken };
-    Page { messages: std::mem::take(messages), ignored: *ignored, ending, error: error.take() }
+    let (page, _) = std::mem::take(&mut *collected.lock());
+    let ending = if has_ended && page.error.is_none() { Ending::Complete } else { Ending::Broken };
+    Page { ending, ..page }
 }

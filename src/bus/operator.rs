@@ -181,7 +181,7 @@ pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Ve
 
 /// Whether a daemon of this name runs.
 pub(crate) async fn is_running(session: &Session, monitor: &MachineId) -> Result<bool, OperatorError> {
-    Ok(!alive(session, &monitor_alive_key(&monitor.site, &monitor.machine)).await?.is_empty())
+    Ok(!alive(session, &monitor_alive_key(monitor)).await?.is_empty())
 }
 
 /// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.

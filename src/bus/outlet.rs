@@ -4,15 +4,16 @@
 
 use std::{
     collections::HashMap,
-    convert::Infallible,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
-    thread,
 };
 
-use tokio::sync::{mpsc, oneshot};
+use tokio::{
+    sync::{mpsc, oneshot},
+    task::{self, JoinHandle},
+};
 use zenoh::{
     Session, Wait,
     bytes::Encoding,
@@ -68,14 +69,14 @@ pub(crate) struct Outlet {
 }
 
 impl Outlet {
-    /// Starts the threads, which end when they have published their queues. Close the session only after their ends, which
-    /// the receivers wait for: a put to a closing session panics in zenoh.
-    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, [oneshot::Receiver<Infallible>; 2])> {
-        let counters = Arc::new(OutletCounters::default());
+    /// Starts the threads, which end when they have published their queues. Close the session only after their ends: a put
+    /// to a closing session panics in zenoh.
+    pub(crate) fn start(session: &Session) -> (Self, [JoinHandle<()>; 2]) {
+        let counters = Arc::<OutletCounters>::default();
         // With a priority of their own alarms do not wait in zenoh behind health.
-        let (alarms, first) = publisher("alarms", session, Priority::InteractiveHigh, ALARMS, &counters)?;
-        let (healths, second) = publisher("publish", session, Priority::Data, QUEUE, &counters)?;
-        Ok((Self { alarms, healths, counters }, [first, second]))
+        let (alarms, first) = publisher(session, Priority::InteractiveHigh, ALARMS, &counters);
+        let (healths, second) = publisher(session, Priority::Data, QUEUE, &counters);
+        (Self { alarms, healths, counters }, [first, second])
     }
 
     /// Counters of published, dropped and refused messages, shared with the threads.
@@ -106,20 +107,14 @@ impl Outlet {
 
 /// Starts a publishing thread; returns its queue and its end.
 fn publisher(
-    name: &str,
     session: &Session,
     priority: Priority,
     capacity: usize,
     counters: &Arc<OutletCounters>,
-) -> std::io::Result<(mpsc::Sender<Job>, oneshot::Receiver<Infallible>)> {
+) -> (mpsc::Sender<Job>, JoinHandle<()>) {
     let (jobs, inbox) = mpsc::channel(capacity);
     let (session, counters) = (session.clone(), Arc::clone(counters));
-    let (running, end) = oneshot::channel();
-    thread::Builder::new().name(name.into()).spawn(move || {
-        run(&session, inbox, priority, &counters);
-        drop(running);
-    })?;
-    Ok((jobs, end))
+    (jobs, task::spawn_blocking(move || run(&session, inbox, priority, &counters)))
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {

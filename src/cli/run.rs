@@ -52,7 +52,6 @@ pub(super) fn start_failure(error: StartError) -> Failure {
         StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
         StartError::Bus(error) if !error.may_pass() => Exit::Config,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
-        StartError::Thread(_) => Exit::Software,
     };
     Failure::new(exit, error)
 }

@@ -22,7 +22,7 @@ use super::{
 use crate::{
     bus::{self, Ending, Limits},
     store::{Cursor, StoreError, seldom},
-    throw::{MachineId, ThrowRef},
+    throw::{MachineId, Throw, ThrowRef},
     wire::{self, BacklogQuery, Kind},
 };
 
@@ -260,12 +260,7 @@ impl Querier {
 
     /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the
     /// logger sent no message at all.
-    async fn page(
-        &self,
-        machine: &MachineId,
-        cursor: &Cursor,
-        limit: usize,
-    ) -> (Option<Vec<crate::throw::Throw>>, Ending, bool) {
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, Ending, bool) {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         if let Some(error) = &answer.error {
@@ -296,7 +291,7 @@ fn page_limit(cursor: &Cursor, size: usize) -> usize {
 }
 
 /// Removes throws that are not after the previous throw of their boot.
-fn keep_order(throws: &mut Vec<crate::throw::Throw>, after: Option<&ThrowRef>) {
+fn keep_order(throws: &mut Vec<Throw>, after: Option<&ThrowRef>) {
     let mut last = after.cloned();
     throws.retain(|throw| {
         let follows =

@@ -8,26 +8,21 @@ use std::{
 
 use jiff::Timestamp;
 
-use super::{dating::Dating, status::Standing};
+use super::{
+    dating::Dating,
+    health::{TWO_LOGGERS, health, observation, repeated},
+    status::Standing,
+};
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing,
-        Observation, Parameters, Present, Settings, Severity, Verdict,
+        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
+        Settings, Severity,
     },
-    estimate::{Features, Identification, Rejection},
+    estimate::{Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name, ThrowRef},
-    wire::{Alarm, Health, json},
+    wire::{Alarm, json},
 };
-
-/// `quality` of a throw whose stored trace cannot be read.
-const UNREADABLE: &str = "unreadable_trace";
-/// `quality` of a throw with a repeated trace.
-const REPEATED: &str = "repeated_trace";
-/// `quality` of a throw of a machine as which two loggers publish.
-const TWO_LOGGERS: &str = "two_loggers";
-/// `quality` of a throw that made the estimator or the diagnosis panic.
-const ESTIMATOR_FAILED: &str = "estimator_failed";
 
 /// Time between two ticks of the monitors, which need at least one a minute.
 pub(super) const TICK: Duration = Duration::from_secs(5);
@@ -118,8 +113,8 @@ impl Fleet {
         outcomes
     }
 
-    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not evaluated: the defect must not stop the judgement of
-    /// all other machines, again after each restart.
+    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not evaluated:
+    /// the defect must not stop the judgement of all other machines, again after each restart.
     pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,
@@ -349,69 +344,6 @@ impl Fleet {
 /// The name of a machine in texts: maintainers read them away from any table.
 fn name_of(id: &MachineId) -> String {
     if id.machine.as_str() == ALL_MACHINES { format!("All machines of {}", id.site) } else { id.to_string() }
-}
-
-fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {
-    let unread = || Observation::without_trace(stored.id.clone(), stored.started_at);
-    let observation = match (stored.throw.as_ref().ok(), found) {
-        (Some(throw), Some(found)) => Observation::of(throw, found),
-        (Some(throw), None) => {
-            Observation { direction: throw.direction, temperature_c: throw.temperature_c, ..unread() }
-        }
-        (None, _) => unread(),
-    };
-    Observation { throw: stored.id.clone(), received_at: Some(stored.received_at), ..observation }
-}
-
-/// Code and sentence of a throw with a repeated trace.
-fn repeated() -> (&'static str, String) {
-    (REPEATED, "the machine sent the same trace before; two real throws are never identical".to_owned())
-}
-
-/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence.
-fn health(
-    stored: &StoredThrow,
-    found: Option<&Identification>,
-    withheld: Option<(&'static str, String)>,
-    verdict: &Verdict,
-    throws_since_baseline: u64,
-) -> Health {
-    let (quality, detail) = match (&stored.throw, found) {
-        (_, Some(found)) => (found.quality(), found.detail()),
-        (Err(unreadable), None) => (UNREADABLE, Some(unreadable.to_string())),
-        (Ok(_), None) if let Some((code, sentence)) = withheld => (code, Some(sentence)),
-        (Ok(_), None) => {
-            let detail = "the estimator or the diagnosis failed on this throw: please report it, with the throw";
-            (ESTIMATOR_FAILED, Some(detail.to_owned()))
-        }
-    };
-    let Present { state, drifts, caveats } = &verdict.present;
-    let health = Health {
-        direction: stored.throw.as_ref().ok().and_then(|throw| throw.direction),
-        change_pct: verdict.change_pct,
-        state: Some(*state),
-        drift: drifts.first().copied(),
-        drifts: drifts.clone(),
-        caveats: caveats.clone(),
-        baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
-        throws_since_baseline,
-        ..Health::rejected(stored.machine.clone(), stored.id.clone(), stored.started_at, quality, detail)
-    };
-    let Some(found) = found else { return health };
-    let Features { duration_s, peak_current_a, mean_current_a, .. } = found.features;
-    let health = Health { direction: found.direction, duration_s, peak_current_a, mean_current_a, ..health };
-    let Ok(estimate) = &found.outcome else { return health };
-    let ([a1_per_b0, a0_per_b0], [a1_per_b0_sd, a0_per_b0_sd]) = (estimate.ratios(), estimate.ratios_sd());
-    Health {
-        coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
-        sd: (!estimate.ratios_only).then(|| estimate.sd()),
-        fit_pct: Some(estimate.fit_pct),
-        a1_per_b0: Some(a1_per_b0),
-        a1_per_b0_sd: Some(a1_per_b0_sd),
-        a0_per_b0: Some(a0_per_b0),
-        a0_per_b0_sd: Some(a0_per_b0_sd),
-        ..health
-    }
 }
 
 /// The outcome with the present monitor, if it is to be stored, and the new events.

@@ -424,6 +424,7 @@ impl JudgeLoop {
         Ok(())
     }
 
+    /// Applies a command; returns whether it was applied, and a sentence for the operator.
     async fn apply_command(
         &mut self,
         machine: &MachineId,
@@ -441,27 +442,25 @@ impl JudgeLoop {
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
         }
-        Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
-            None => (false, format!("no machine {machine} is known here: it has sent no throw yet, or was retired")),
-            Some(Err(error)) => (false, error.to_string()),
-            Some(Ok((outcome, confirmation))) => {
-                let stored = self.record(outcome).await?;
-                if !stored {
-                    self.judge.fleet.store_again(machine);
-                }
-                self.update_standing();
-                if stored {
-                    tracing::info!(%machine, ?command, "operator's command applied");
-                    (true, confirmation)
-                } else {
-                    (
-                        false,
-                        "the database did not store the command, which is in effect until the daemon restarts"
-                            .to_owned(),
-                    )
-                }
+        let (outcome, confirmation) = match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
+            None => {
+                let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
+                return Ok((false, text));
             }
-        })
+            Some(Err(error)) => return Ok((false, error.to_string())),
+            Some(Ok(applied)) => applied,
+        };
+        let is_stored = self.record(outcome).await?;
+        if !is_stored {
+            self.judge.fleet.store_again(machine);
+        }
+        self.update_standing();
+        if !is_stored {
+            let text = "the database did not store the command, which is in effect until the daemon restarts";
+            return Ok((false, text.to_owned()));
+        }
+        tracing::info!(%machine, ?command, "operator's command applied");
+        Ok((true, confirmation))
     }
 
     async fn pause(&self) {

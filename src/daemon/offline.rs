@@ -8,34 +8,14 @@ use tokio::sync::watch;
 use super::{
     clock,
     config::Config,
+    error::StartError,
     judge::{Judge, Judged},
-    lock::{DatabaseLock, LockError},
+    lock::DatabaseLock,
 };
 use crate::{
-    bus::BusError,
     store::{Spooled, Store, StoreError},
     throw::{MachineId, Throw, ThrowRef},
 };
-
-/// An error at the start of the daemon.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// The database cannot be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// Zenoh cannot be used.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// Another process uses the database.
-    #[error(transparent)]
-    Lock(#[from] LockError),
-    /// The webhook cannot be used.
-    #[error("[webhook]: {0}")]
-    Webhook(String),
-    /// The operating system did not start a thread.
-    #[error("cannot start the publishing thread: {0}")]
-    Thread(#[from] std::io::Error),
-}
 
 /// Throws stored before they are judged together, to save commits.
 const GROUP: usize = 64;

@@ -5,7 +5,7 @@ use std::{
     collections::{HashMap, HashSet},
     hash::{DefaultHasher, Hash, Hasher},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::Duration,
 };
 
@@ -167,6 +167,8 @@ pub(super) struct ReceiveLoop {
     /// Received messages that are not decoded yet.
     pub(super) undecoded: u64,
     pub(super) unstored: Vec<Received>,
+    /// Whether the last write failed, so that the log has one line about it.
+    pub(super) storing_fails: bool,
 }
 
 impl ReceiveLoop {
@@ -231,12 +233,18 @@ impl ReceiveLoop {
             }
             self.spooled.notify_one();
             if let Some(error) = error {
-                self.storing_fails(&error);
+                self.intake.status.heartbeats.beat(TaskName::Receive);
+                if !std::mem::replace(&mut self.storing_fails, true) {
+                    tracing::error!(%error, "storing throws failed; retrying");
+                }
                 self.quarantine_the_unstorable(&error).await;
             }
             if self.unstored.is_empty() {
                 // The database has stored or quarantined each of them.
-                return self.storing_works();
+                if std::mem::take(&mut self.storing_fails) {
+                    tracing::info!("the database accepts throws again; waiting throws are stored");
+                }
+                return;
             }
             time::sleep(pause).await;
             pause = (2 * pause).min(LONGEST_PAUSE);
@@ -247,19 +255,6 @@ impl ReceiveLoop {
         match spooled {
             Spooled::New(_) => self.intake.status.edit().stored += 1,
             Spooled::Duplicate => self.intake.status.edit().duplicates += 1,
-        }
-    }
-
-    fn storing_works(&self) {
-        if self.intake.status.storing_fails.swap(false, Relaxed) {
-            tracing::info!("the database accepts throws again; waiting throws are stored");
-        }
-    }
-
-    fn storing_fails(&self, error: &StoreError) {
-        self.intake.status.heartbeats.beat(TaskName::Receive);
-        if !self.intake.status.storing_fails.swap(true, Relaxed) {
-            tracing::error!(%error, "storing throws failed; retrying");
         }
     }
 

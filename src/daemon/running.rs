@@ -1,10 +1,13 @@
 //! The running daemon: start, and interface for other parts of the process.
 
-use std::{collections::HashSet, convert::Infallible, sync::Arc};
+use std::{collections::HashSet, sync::Arc};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
-use tokio::sync::{Notify, broadcast, mpsc, oneshot, watch};
+use tokio::{
+    sync::{Notify, broadcast, mpsc, watch},
+    task::JoinHandle,
+};
 use tokio_util::sync::CancellationToken;
 use zenoh::{Session, liveliness::LivelinessToken};
 
@@ -13,10 +16,10 @@ use super::{
     backlog::{Backlog, Querier},
     clock,
     config::Config,
+    error::StartError,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
     lock::DatabaseLock,
-    offline::StartError,
     orders::{Order, Orders},
     peers::Peers,
     presence,
@@ -55,7 +58,7 @@ pub struct Daemon {
     orders: Orders,
     pub(super) tasks: Tasks,
     pub(super) stops: Stops,
-    pub(super) publishing: [oneshot::Receiver<Infallible>; 2],
+    pub(super) publishing: [JoinHandle<()>; 2],
     pub(super) alive: LivelinessToken,
     pub(super) lock: DatabaseLock,
 }
@@ -143,7 +146,7 @@ impl Daemon {
         let (watchers, _) = broadcast::channel(WATCHED);
         let (orders, commands) = Orders::new();
         let (alive, loggers) = watch::channel(HashSet::new());
-        let (outlet, publishing) = Outlet::start(&start.session)?;
+        let (outlet, publishing) = Outlet::start(&start.session);
 
         start.notify_webhook().await?;
         // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
@@ -157,8 +160,7 @@ impl Daemon {
             .tasks
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
         start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
-        let monitor = &start.config.monitor;
-        let own = monitor.as_machine();
+        let own = start.config.monitor.as_machine();
         match bus::is_running(&start.session, &own).await {
             Ok(true) => tracing::warn!(
                 "another daemon with the name {own} is connected: give each its own monitor.site and monitor.id, or stop one"
@@ -166,7 +168,7 @@ impl Daemon {
             Ok(false) => {}
             Err(error) => tracing::debug!(%error, "looking for a daemon of the same name failed"),
         }
-        let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
+        let alive = bus::declare_alive(&start.session, &monitor_alive_key(&own)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
         Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, publishing, alive, lock })
     }
@@ -227,7 +229,7 @@ impl Daemon {
             ("web", old.web != new.web),
             ("webhook", old.webhook != new.webhook),
             ("log", old.log != new.log),
-            ("zenoh", old.zenoh_text() != new.zenoh_text()),
+            ("zenoh", old.zenoh.to_string() != new.zenoh.to_string()),
         ];
         let config = Config { diagnosis: new.diagnosis, machines: new.machines, ..Config::clone(&old) };
         self.config.send_replace(Arc::new(config));
@@ -348,6 +350,7 @@ impl Starting {
             give_up: self.stops.give_up.clone(),
             undecoded: 0,
             unstored: Vec::new(),
+            storing_fails: false,
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
         // Ends with the receiving loop: the next start fetches the rest.
@@ -357,9 +360,8 @@ impl Starting {
 
     /// Starts the answers to queries and commands.
     async fn answer(&mut self, orders: &Orders, sources: &StatusSources) -> Result<(), BusError> {
-        let monitor = &self.config.monitor;
-        let own_machine = monitor.as_machine();
-        let key = monitor_status_key(&monitor.site, &monitor.id);
+        let own_machine = self.config.monitor.as_machine();
+        let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
         let itself = Commander { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };

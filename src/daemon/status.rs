@@ -2,10 +2,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
-    },
+    sync::{Arc, atomic::Ordering::Relaxed},
 };
 
 use parking_lot::{Mutex, MutexGuard};
@@ -36,7 +33,6 @@ pub(crate) struct Status {
     /// Of each machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
-    pub storing_fails: AtomicBool,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -155,8 +151,8 @@ impl Status {
         *self.refused.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
-    /// Counts a message of a machine that is no valid throw.
-    /// Of unknown machines at most [`UNKNOWN`] are counted, as any sender can invent names.
+    /// Counts a message of a machine that is no valid throw. Of unknown machines at most [`UNKNOWN`] are counted, as any
+    /// sender can invent names.
     pub(super) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str) {
         let mut invalid = self.invalid.lock();
         if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {

@@ -53,7 +53,7 @@ impl Daemon {
         drop((alive, tasks));
         let ended = async {
             for end in publishing {
-                // Always an error: a thread sends nothing, and drops the sender when it ends.
+                // An error is a panic, which is in the log.
                 let _ = end.await;
             }
         };

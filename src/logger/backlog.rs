@@ -69,7 +69,8 @@ impl AnswerThread {
         let queryable = session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
-                // With a full queue the query gets no reply, and the daemon retries.
+                // With a full queue the query ends without a reply, like that to a logger without newer throws. A daemon has
+                // at most eight queries at a time, so that the queue never fills.
                 let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
             })
             .wait()?;

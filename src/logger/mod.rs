@@ -91,12 +91,9 @@ impl Logger {
         let (sender, done) = oneshot::channel();
         let runtime = Handle::current();
         thread::Builder::new().name("logger".into()).spawn(move || {
-            let (outcome, sources) = match publishing.run(sources) {
-                Ok((throws, sources)) => (Ok(throws), sources),
-                Err(error) => (Err(error), Vec::new()),
-            };
             // Fails if the logger was dropped.
-            let _ = sender.send(outcome);
+            let _ = sender.send(publishing.run(&mut sources));
+            // A daemon may still read the backlogs.
             runtime.block_on(publishing.stop.cancelled());
             drop((sources, tokens));
         })?;

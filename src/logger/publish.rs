@@ -54,11 +54,10 @@ pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'
 }
 
 impl Publishing {
-    /// Publishes the throws of all machines in turn. Returns the number of throws of each machine, and the sources,
-    /// whose backlogs a daemon may still read.
-    pub(super) fn run(&self, mut sources: Vec<Source>) -> Result<(u64, Vec<Source>), LoggerError> {
+    /// Publishes the throws of all machines in turn. Returns the number of throws of each machine.
+    pub(super) fn run(&self, sources: &mut [Source]) -> Result<u64, LoggerError> {
         if self.settings.wait_for_monitor {
-            self.wait_for_monitor(&sources)?;
+            self.wait_for_monitor(sources)?;
         }
         let started_at = self.settings.begin(clock::now());
         let start = clock::monotonic();
@@ -72,7 +71,7 @@ impl Publishing {
                 let due = (round as f64 + share) * interval.as_secs_f64();
                 let (throw, message) = self.message(source.machine.next_throw()?, started_at, round as f64 + share);
                 if !self.wait_until(start + Duration::from_secs_f64(due)) {
-                    return Ok((round, sources));
+                    return Ok(round);
                 }
                 // The backlog comes first: a daemon may ask for the throw as soon as it is published.
                 source.backlog.keep(throw, message.clone());
@@ -80,7 +79,7 @@ impl Publishing {
                 self.published.fetch_add(1, Relaxed);
             }
         }
-        Ok((last, sources))
+        Ok(last)
     }
 
     fn wait_for_monitor(&self, sources: &[Source]) -> Result<(), LoggerError> {

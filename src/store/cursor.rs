@@ -16,14 +16,10 @@ pub(super) struct ThrowPosition {
     pub(super) throw_no: i64,
 }
 
-impl ThrowPosition {
-    /// The position before all throws.
-    pub(super) const BEGINNING: Self = Self { boot_row: None, position: i64::MIN, throw_no: -1 };
-}
-
+/// The position before all throws.
 impl Default for ThrowPosition {
     fn default() -> Self {
-        Self::BEGINNING
+        Self { boot_row: None, position: i64::MIN, throw_no: -1 }
     }
 }
 

@@ -52,7 +52,7 @@ impl Write for Page {
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<PageStored> {
         let (machine_row, _) = machine_row(connection, &self.machine).await?;
         let at_us = self.at.as_microsecond();
-        let mut last = ThrowPosition::BEGINNING;
+        let mut last = ThrowPosition::default();
         if let Some(after) = &self.after
             && let Some(boot) = boot(connection, machine_row, &after.boot_id).await?
         {
@@ -120,7 +120,7 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: ThrowP
 /// The last throw of the last boot.
 async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<ThrowPosition> {
     let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
-    Ok(boot.as_ref().map_or(ThrowPosition::BEGINNING, Boot::last))
+    Ok(boot.as_ref().map(Boot::last).unwrap_or_default())
 }
 
 /// The throws awaited at a query are in no backlog.
@@ -144,6 +144,7 @@ impl Write for WriteOff {
     }
 }
 
+/// The cursor of a machine.
 pub(super) async fn current(connection: &mut SqliteConnection, machine: &MachineId) -> sqlx::Result<Cursor> {
     let row: Option<(i64, bool)> = sqlx::query_as(sql::MACHINE_BACKLOG)
         .bind(machine.site.as_str())

@@ -208,7 +208,7 @@ impl Write for DropRows {
 
 impl Store {
     /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
-    /// few seconds; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
+    /// second; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.

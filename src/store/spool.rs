@@ -383,7 +383,7 @@ impl NewBoot<'_> {
             sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
             cursor::open(connection, self.machine_row, before.last(), self.at_us).await?;
         } else if begins_later || !is_last {
-            cursor::open(connection, self.machine_row, ThrowPosition::BEGINNING, self.at_us).await?;
+            cursor::open(connection, self.machine_row, ThrowPosition::default(), self.at_us).await?;
         }
         Ok(boot)
     }

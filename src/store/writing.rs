@@ -49,19 +49,15 @@ impl WritingConnection {
         if jobs.is_empty() {
             return;
         }
-        let Err(first) = self.transaction(&mut jobs, false).await else {
+        if self.transaction(&mut jobs, false).await.is_ok() {
             answer(jobs, || Ok(()));
             self.notice_replaced_files().await;
             return self.bound_log().await;
-        };
-        self.recover(&first).await;
+        }
         match self.transaction(&mut jobs, true).await {
             Ok(()) => answer(jobs, || Ok(())),
             Err(error) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
-            Err(error) => {
-                self.recover(&error).await;
-                answer(jobs, || Err(store_error(&error)));
-            }
+            Err(error) => answer(jobs, || Err(store_error(&error))),
         }
     }
 
@@ -70,15 +66,21 @@ impl WritingConnection {
         for job in jobs {
             let mut alone = [job];
             let outcome = self.transaction(&mut alone, true).await;
-            if let Err(error) = &outcome {
-                self.recover(error).await;
-            }
             let [job] = alone;
             job.answer(outcome.map_err(|error| store_error(&error)));
         }
     }
 
+    /// Runs the jobs in one transaction; replaces the connection after an error, as its transaction may still be open.
     async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> sqlx::Result<()> {
+        let outcome = self.run(jobs, repeated).await;
+        if let Err(error) = &outcome {
+            self.recover(error).await;
+        }
+        outcome
+    }
+
+    async fn run(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> sqlx::Result<()> {
         let connection = self.connected().await?;
         sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
         for job in jobs {

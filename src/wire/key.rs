@@ -34,9 +34,10 @@ pub fn every_key(kind: Kind) -> String {
     format!("{PREFIX}*/*/{}", kind.as_ref())
 }
 
-/// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.
-pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
-    format!("{PREFIX}{site}/monitor/{id}/alive")
+/// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a monitor is that of a
+/// machine.
+pub fn monitor_alive_key(MachineId { site, machine }: &MachineId) -> String {
+    format!("{PREFIX}{site}/monitor/{machine}/alive")
 }
 
 /// Key expression of the liveliness tokens of all monitors.
@@ -50,8 +51,8 @@ pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
 }
 
 /// The key of a monitor's status: `points/v1/{site}/monitor/{id}/status`.
-pub fn monitor_status_key(site: &Name, id: &Name) -> String {
-    format!("{PREFIX}{site}/monitor/{id}/status")
+pub fn monitor_status_key(MachineId { site, machine }: &MachineId) -> String {
+    format!("{PREFIX}{site}/monitor/{machine}/status")
 }
 
 /// Parses a key into machine and kind.
@@ -158,11 +159,11 @@ mod tests {
         for &kind in Kind::VARIANTS {
             assert_eq!(parse_key(&machine_key(&machine, kind)).unwrap(), (machine.clone(), kind));
         }
-        let (site, id) = ("north".parse().unwrap(), "cabinet-7".parse().unwrap());
-        assert_eq!(monitor_alive_key(&site, &id), "points/v1/north/monitor/cabinet-7/alive");
-        let monitor = parse_monitor_key(&monitor_alive_key(&site, &id)).unwrap();
-        assert_eq!(monitor.to_string(), "north/cabinet-7");
-        assert_eq!(parse_monitor_key(&monitor_status_key(&site, &id)).unwrap(), monitor);
+        let monitor = MachineId::new("north", "cabinet-7").unwrap();
+        assert_eq!(monitor_alive_key(&monitor), "points/v1/north/monitor/cabinet-7/alive");
+        for key in [monitor_alive_key(&monitor), monitor_status_key(&monitor)] {
+            assert_eq!(parse_monitor_key(&key), Some(monitor.clone()));
+        }
         assert_eq!(parse_monitor_key("points/v1/north/cabinet-7/alive"), None);
     }
 

@@ -12,7 +12,10 @@ use tokio::{
 };
 use zenoh::{Wait, query::ConsolidationMode};
 
-use super::site::*;
+use super::{
+    rig::{listen, matched},
+    site::*,
+};
 
 const ALARM: &str = "points/v1/north/21A/alarm";
 const HEALTH: &str = "points/v1/north/21A/health";
@@ -25,9 +28,7 @@ async fn each_logger_publishes_for_its_own_machine_only() {
     let (cabinet, endpoint) = cabinet().await;
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
-    let (own, foreign) = (throw_publisher(&logger, THROW_A).await, throw_publisher(&logger, THROW_B).await);
-    until_heard(&own).await;
-    until_heard(&foreign).await;
+    let (own, foreign) = (matched(&logger, THROW_A).await, matched(&logger, THROW_B).await);
 
     // A link keeps the order: after the second message the first cannot arrive any more.
     foreign.put("forged").await.unwrap();
@@ -35,8 +36,7 @@ async fn each_logger_publishes_for_its_own_machine_only() {
     assert_eq!(next(&throws).await, (THROW_A.to_owned(), b"true".to_vec()));
 
     let other = client("logger.north.21B", &endpoint).await;
-    let publisher = throw_publisher(&other, THROW_B).await;
-    until_heard(&publisher).await;
+    let publisher = matched(&other, THROW_B).await;
     publisher.put("also true").await.unwrap();
     assert_eq!(next(&throws).await, (THROW_B.to_owned(), b"also true".to_vec()));
     assert!(tokio::time::timeout(SILENCE, throws.recv_async()).await.is_err(), "the forged throw came late");
@@ -128,8 +128,8 @@ async fn a_certificate_in_an_unlisted_name_gets_nothing() {
     // A session receives its own messages, so a second session of the guest publishes.
     let publisher = client("guest", &endpoint).await;
     let viewer = client("viewer", &endpoint).await;
-    let (messages, viewed) = (guest.declare_subscriber("**").await.unwrap(), viewer_of(&viewer).await);
-    let alarms = guest.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    let (messages, viewed) = (guest.declare_subscriber("**").await.unwrap(), listen(&viewer).await);
+    let alarms = listen(&guest).await;
 
     publisher.put(THROW_A, "forged").await.unwrap();
     publisher.put(ALARM, "forged").await.unwrap();
@@ -158,7 +158,7 @@ async fn a_viewer_reads_and_an_operator_commands() {
     let operator = client("operator", &endpoint).await;
 
     for reader in [&viewer, &operator] {
-        let alarms = viewer_of(reader).await;
+        let alarms = listen(reader).await;
         publish_until(&cabinet, ALARM, &alarms).await;
         assert_eq!(ask(reader, "points/v1/**/health?limit=1", None).await, [HEALTH]);
         assert_eq!(ask(reader, "points/v1/north/*/alarm", None).await, [ALARM]);
@@ -190,7 +190,7 @@ async fn a_logger_neither_reads_alarms_nor_commands() {
     let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
     let logger = client("logger.north.21A", &endpoint).await;
     let viewer = client("viewer", &endpoint).await;
-    let (messages, viewed) = (viewer_of(&logger).await, viewer_of(&viewer).await);
+    let (messages, viewed) = (listen(&logger).await, listen(&viewer).await);
     publish_until(&cabinet, ALARM, &viewed).await;
     assert!(tokio::time::timeout(SILENCE, messages.recv_async()).await.is_err());
     assert!(ask(&logger, HEALTH, None).await.is_empty());
@@ -205,9 +205,7 @@ async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
     // Without a backlog, so that a rejected message is not requested again.
-    let publisher =
-        logger.declare_publisher(THROW_A).congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
-    until_heard(&publisher).await;
+    let publisher = matched(&logger, THROW_A).await;
     // At the limit; above it; above the limit of a fragmented message.
     for (size, taken) in [(LIMIT, true), (LIMIT + 1, false), (64, true), (3 * LIMIT, false), (65, true)] {
         publisher.put(vec![7_u8; size]).await.unwrap();
@@ -284,14 +282,8 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
     until("the end of a link frees its place", async || gets_a_link(logger.clone()).await).await;
 }
 
-async fn viewer_of(session: &zenoh::Session) -> Alarms {
-    session.declare_subscriber("points/v1/**/alarm").await.unwrap()
-}
-
-type Alarms = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
-
 /// Publishes until `reader` receives the alarm, because a new subscription takes some time to spread.
-async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Alarms) {
+async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Subscriber) {
     until("a reader gets the alarm", async || {
         session.put(key, "{}").wait().unwrap();
         tokio::time::timeout(Duration::from_millis(50), reader.recv_async()).await.is_ok()

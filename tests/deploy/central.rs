@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use super::site::*;
+use super::{rig::matched, site::*};
 
 const NORTH: &str = "points/v1/north/21A/alarm";
 const SOUTH: &str = "points/v1/south/21A/alarm";
@@ -40,8 +40,7 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     assert_eq!(commands.load(Ordering::SeqCst), 1);
 
     let logger = client("logger.north.21A", &loggers).await;
-    let publisher = throw_publisher(&logger, THROW_A).await;
-    until_heard(&publisher).await;
+    let publisher = matched(&logger, THROW_A).await;
     publisher.put("a throw").await.unwrap();
     assert_eq!(next(&throws).await.0, THROW_A);
     assert!(tokio::time::timeout(SILENCE, curious.recv_async()).await.is_err(), "a throw left the cabinet");

@@ -1,17 +1,15 @@
 //! The real daemon with the shipped cabinet configuration: a logger sends a throw over TLS, an alarm is raised, an
 //! operator acknowledges it, and a viewer cannot.
 
-use std::{
-    fs,
-    net::TcpListener,
-    path::Path,
-    process::{Child, Command, Output, Stdio},
-};
+use std::{fs, path::Path, process::Stdio};
 
 use serde_json::Value;
 use zenoh::Session;
 
-use super::site::*;
+use super::{
+    rig::{Program, ends, free_address, matched, pointsd},
+    site::*,
+};
 
 const ALARM: &str = "points/v1/north/21A/alarm";
 const COMMAND: &str = "points/v1/north/21A/command";
@@ -23,24 +21,6 @@ fn configured(folder: &Path, address: &str) -> String {
     let text = replaced(&text, "/var/lib/pointsd/", &format!("{}/", folder.display()));
     // One throw without an estimate raises an alarm.
     format!("{text}\n[diagnosis]\nnot_monitored_throws = 1\n")
-}
-
-/// A daemon that is stopped at the end of the test, also after a failure.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn start(config: &Path) -> Running {
-    Running(pointsd(&["run", "--config"]).arg(config).stderr(Stdio::inherit()).spawn().unwrap())
-}
-
-fn free_address() -> String {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
 /// The JSON replies to a query.
@@ -77,9 +57,10 @@ async fn until_answered(session: &Session, selector: &str) -> Vec<Value> {
 async fn the_real_daemon_takes_commands_from_operators_only() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("pointsd.toml");
-    let address = free_address();
+    let address = free_address().to_string();
     fs::write(&config, configured(folder.path(), &address)).unwrap();
-    let _daemon = start(&config);
+    let daemon = pointsd(&["run", "--config"]).arg(&config).stderr(Stdio::inherit()).spawn();
+    let _daemon = Program(daemon.unwrap());
     let endpoint = format!("tls/{address}");
 
     let viewer = client("viewer", &endpoint).await;
@@ -92,8 +73,7 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     .await;
 
     let logger = client("logger.north.21A", &endpoint).await;
-    let publisher = throw_publisher(&logger, THROW_A).await;
-    until_heard(&publisher).await;
+    let publisher = matched(&logger, THROW_A).await;
     until("the daemon knows that it is connected", async || {
         until_answered(&viewer, STATUS).await[0]["connected"] == true
     })
@@ -110,14 +90,13 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     assert_eq!(unmoved.as_ref(), Some(&raised), "a viewer's command changed the alarm");
 
     // The program with `operator.toml` from INSTALL.md.
-    assert_eq!(pointsd_ack(folder.path(), &endpoint), Some(0));
+    acknowledge(folder.path(), &endpoint);
     let reply = ask_json(&operator, COMMAND, Some(ack)).await;
     assert_eq!(reply[0]["done"], false, "acknowledged a moment before: {reply:?}");
     let acknowledged = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
     let question = "SELECT state, by_whom FROM alarm_events WHERE by_whom IS NOT NULL";
-    let kept =
-        pointsd(&["sql", "--json", question, "--database"]).arg(folder.path().join("points.db")).output().unwrap();
-    let kept: Value = serde_json::from_slice(&kept.stdout).unwrap();
+    let kept = ends(0, pointsd(&["sql", "--json", question, "--database"]).arg(folder.path().join("points.db")));
+    let kept: Value = serde_json::from_str(&kept).unwrap();
     assert_eq!(kept, serde_json::json!([{"state": "active_acknowledged", "by_whom": "test"}]));
     assert_eq!(
         (&acknowledged["alarm_id"], &acknowledged["state"]),
@@ -125,14 +104,8 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     );
 }
 
-fn pointsd(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
-    command.args(arguments);
-    command
-}
-
-/// Exit code of `pointsd ack` with the configuration from INSTALL.md.
-fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
+/// Runs `pointsd ack` with the configuration from INSTALL.md.
+fn acknowledge(folder: &Path, endpoint: &str) {
     let page = read("INSTALL.md");
     let (_, rest) = page.split_once("```toml\n").expect("the page shows operator.toml");
     let (text, _) = rest.split_once("```").expect("it ends");
@@ -141,7 +114,7 @@ fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
     let config = folder.join("operator.toml");
     fs::write(&config, text).unwrap();
     let ack = ["ack", "north/21A", "not_monitored", "--by", "test", "--config"];
-    pointsd(&ack).arg(config).output().unwrap().status.code()
+    ends(0, pointsd(&ack).arg(config));
 }
 
 /// A throw without movement.
@@ -153,10 +126,6 @@ fn still_machine() -> Value {
     })
 }
 
-fn check(config: &Path) -> Output {
-    pointsd(&["check", "--config"]).arg(config).output().unwrap()
-}
-
 #[test]
 fn every_shipped_configuration_of_pointsd_is_right() {
     let folder = tempfile::tempdir().unwrap();
@@ -164,8 +133,7 @@ fn every_shipped_configuration_of_pointsd_is_right() {
     for text in [configured(folder.path(), "127.0.0.1:7447"), installed] {
         let config = folder.path().join("pointsd.toml");
         fs::write(&config, text).unwrap();
-        let output = check(&config);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        ends(0, pointsd(&["check", "--config"]).arg(&config));
     }
 }
 
@@ -176,8 +144,6 @@ fn a_missing_key_file_is_a_wrong_configuration_and_is_named() {
     let whole = configured(folder.path(), "127.0.0.1:7447");
     let key = railway().folder("cabinet.north").join("key.pem");
     fs::write(&config, replaced(&whole, &key.display().to_string(), "/nowhere/key.pem")).unwrap();
-    let output = check(&config);
-    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(78), "{complaint}");
+    let complaint = ends(78, pointsd(&["check", "--config"]).arg(&config));
     assert!(complaint.contains("zenoh.transport.link.tls.") && complaint.contains("/nowhere/key.pem"), "{complaint}");
 }

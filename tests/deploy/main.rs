@@ -1,16 +1,19 @@
 //! The files of `deploy/`: units, certificates, and the zenoh configurations under attack, over TLS on loopback.
 
-#[cfg(test)]
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::disallowed_methods,
+    reason = "helpers of tests outside #[test]"
+)]
+
 mod access;
-#[cfg(test)]
 mod central;
-#[cfg(test)]
 mod daemon;
-#[cfg(test)]
 mod documents;
-#[cfg(test)]
+#[path = "../service/rig.rs"]
+mod rig;
 mod shipped;
-#[cfg(test)]
 mod site;
-#[cfg(test)]
 mod units;

@@ -4,12 +4,17 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::Command,
-    sync::OnceLock,
+    sync::{
+        Arc, OnceLock,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::Duration,
 };
 
 use tempfile::TempDir;
-use zenoh::{Config, Session, handlers::FifoChannelHandler, query::Reply};
+use zenoh::{Config, Session, Wait, handlers::FifoChannelHandler, query::Reply, sample::Sample};
+
+use super::rig;
 
 /// Time limit for an expected event on a busy computer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
@@ -45,8 +50,7 @@ impl Authority {
 
     fn certify(folder: &Path, names: &[&str], days: &str) {
         let script = deploy("make-test-certificates");
-        let output = Command::new(script).arg(folder).args(names).env("DAYS", days).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        rig::ends(0, Command::new(script).arg(folder).args(names).env("DAYS", days));
     }
 
     /// Folder of a certificate that expires at once.
@@ -136,39 +140,16 @@ pub(crate) async fn gets_a_link(mut config: Config) -> bool {
     zenoh::open(config).await.is_ok()
 }
 
-pub(crate) type Publisher = zenoh::pubsub::Publisher<'static>;
-pub(crate) type Subscriber = zenoh::pubsub::Subscriber<FifoChannelHandler<zenoh::sample::Sample>>;
-
-/// A publisher of throws with the settings of a logger.
-pub(crate) async fn throw_publisher(session: &Session, key: &'static str) -> Publisher {
-    session.declare_publisher(key).await.unwrap()
-}
+pub(crate) type Subscriber = zenoh::pubsub::Subscriber<FifoChannelHandler<Sample>>;
 
 /// A subscriber to all throws with the settings of the daemon.
 pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
     session.declare_subscriber("points/v1/*/*/throw").await.unwrap()
 }
 
-/// Waits until the publisher has a subscriber.
-pub(crate) async fn until_heard(publisher: &Publisher) {
-    tokio::time::timeout(PATIENCE, async {
-        let matching = publisher.matching_listener().await.unwrap();
-        while !publisher.matching_status().await.unwrap().matching() {
-            let _ = matching.recv_async().await;
-        }
-    })
-    .await
-    .expect("the cabinet's subscription reaches the logger");
-}
-
 /// Asks until something has happened that must happen, and of which no event tells.
 pub(crate) async fn until(what: &str, mut happens: impl AsyncFnMut() -> bool) {
-    let wait = async {
-        while !happens().await {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, wait).await.unwrap_or_else(|_| panic!("not in time: {what}"));
+    rig::until(PATIENCE, async || if happens().await { Ok(()) } else { Err(what) }).await;
 }
 
 /// The next sample: its key and payload.
@@ -204,18 +185,13 @@ async fn keys(replies: FifoChannelHandler<Reply>) -> Vec<String> {
 }
 
 /// Answers queries on `key` with a reply on `reply_key`, and counts the queries.
-pub(crate) async fn answer(
-    session: &Session,
-    key: &'static str,
-    reply_key: &'static str,
-) -> std::sync::Arc<std::sync::atomic::AtomicUsize> {
-    let count = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
-    let counter = count.clone();
+pub(crate) async fn answer(session: &Session, key: &'static str, reply_key: &'static str) -> Arc<AtomicUsize> {
+    let count = Arc::<AtomicUsize>::default();
+    let counter = Arc::clone(&count);
     session
         .declare_queryable(key)
         .callback(move |query| {
-            use zenoh::Wait;
-            counter.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+            counter.fetch_add(1, Ordering::SeqCst);
             let _ = query.reply(reply_key, "{}").wait();
         })
         .background()

@@ -6,11 +6,12 @@
 use std::{path::Path, time::Duration};
 
 use crate::{
-    database::{Verdict, inspect},
+    database::inspect,
     logger::{Logger, Plan, QUICK_ALARMS},
     replay::{Disk, Record, cut_at_random, read_log, without_commit_syncs},
-    rig::Rig,
-    shim, size,
+    rig::{Rig, size},
+    shim,
+    verdict::Verdict,
     witness::Witness,
 };
 

@@ -13,10 +13,11 @@ use std::{
 use tokio::runtime::Runtime;
 
 use crate::{
-    database::{Verdict, inspect},
+    database::inspect,
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{NotStarted, PATIENCE, Rig},
-    shim, size,
+    rig::{NotStarted, PATIENCE, Rig, size},
+    shim,
+    verdict::Verdict,
     witness::{Received, Witness},
 };
 

@@ -20,8 +20,7 @@ use zenoh::{Wait, qos::CongestionControl, sample::Sample};
 
 use crate::{
     logger::{self, QUICK_ALARMS},
-    rig::{self, Daemon, PATIENCE, Rig},
-    size,
+    rig::{self, Daemon, PATIENCE, Rig, size, until},
 };
 
 /// Size of a throw of another machine in the database \[bytes\].
@@ -94,11 +93,11 @@ async fn one_logger_at_full_speed_harms_no_other() {
         send(number).await;
     }
     let all_judged = async || {
-        let deadline = Instant::now() + PATIENCE;
-        while !sent.lock().unwrap().is_empty() {
-            assert!(Instant::now() < deadline, "never judged: {:?}", sent.lock().unwrap().keys());
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        until(PATIENCE, async || {
+            let sent = sent.lock().unwrap();
+            if sent.is_empty() { Ok(()) } else { Err(format!("never judged: {:?}", sent.keys())) }
+        })
+        .await;
     };
     all_judged().await;
     waits.lock().unwrap().clear();

@@ -1,10 +1,11 @@
 //! A full disk during operation, and free space again: without a crash, a loss or a restart.
 
 use crate::{
-    database::{Verdict, inspect},
+    database::inspect,
     logger::{Logger, Plan, QUICK_ALARMS},
     rig::Rig,
     small_disk::SmallDisk,
+    verdict::Verdict,
     witness::Witness,
 };
 

@@ -58,8 +58,10 @@ impl Heap {
     }
 }
 
-/// Size of a file \[MiB\]; 0 if it does not exist.
-pub(crate) fn mib(file: &Path) -> f64 {
+/// Size of the database file, or of that with a suffix \[MiB\]; 0 if it does not exist. The database may be behind a link.
+pub(crate) fn mib(database: &Path, suffix: &str) -> f64 {
+    let mut file = fs::canonicalize(database).unwrap().into_os_string();
+    file.push(suffix);
     fs::metadata(file).map_or(0.0, |file| file.len() as f64 / f64::from(1 << 20))
 }
 

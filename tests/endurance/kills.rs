@@ -10,10 +10,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    database::{Known, events as events_of},
+    database::{Published, settled},
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{PATIENCE, Rig, until},
-    size,
+    rig::{Rig, size},
+    verdict::events as events_of,
     witness::Witness,
 };
 
@@ -50,17 +50,8 @@ async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
     let reader = Reader::open(&rig.database()).await.unwrap();
     let who = |name: &str| (name.to_owned(), "b1".to_owned());
     let machines = (1..=REMEMBERED).map(|number| (who(&format!("m{number}")), silent.published));
-    let machines: Vec<_> = machines.chain([(who("f1"), forgotten.published)]).collect();
-    let settled = until(5 * PATIENCE, async || {
-        let known = Known::of(&rig, &reader).await;
-        let unknown = machines.iter().filter(|(who, last)| known.is_behind(who, *last)).count();
-        let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
-        if unknown + waiting == 0 {
-            return Ok(known);
-        }
-        Err(format!("{unknown} machines behind, {waiting} unjudged"))
-    })
-    .await;
+    let machines: Published = machines.chain([(who("f1"), forgotten.published)]).collect();
+    let settled = settled(&rig, &reader, &machines).await;
     let events = events_of(&reader).await;
     witness.until("every alarm event", |received| received.events.len() >= events.len()).await;
     plain.until("every alarm event, without asking,", |received| received.events.len() >= events.len()).await;

@@ -13,15 +13,15 @@ use pointsd::store::Reader;
 
 use crate::{
     cable::Cable,
-    database::{Known, events},
+    database::{Published, settled},
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{PATIENCE, Rig, until},
-    size,
+    rig::{Rig, size},
+    verdict::events,
     witness::Witness,
 };
 
 const MACHINES: usize = 20;
-/// Throws of each machine in the backlog of its logger, as in the shipped configuration.
+/// Throws of each machine in the backlog of its logger: more than a cut costs.
 const BACKLOG: usize = 64;
 
 /// Length of a cut, and throws per second.
@@ -46,9 +46,6 @@ async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
     [remembers, Logger::start(endpoint, plan("f", 1, 1, rate / 10.0)).await]
 }
 
-/// Last published number of each machine and boot id.
-type Published = BTreeMap<(String, String), u64>;
-
 /// Stops the loggers; their backlogs reply until the returned values are dropped.
 fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Published) -> [crate::logger::Silent; 2] {
     let silent = [remembers.stop(), forgets.stop()];
@@ -70,17 +67,7 @@ fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, with_backlog: bool) -> 
 /// Waits until all throws are stored or missing, judged and published; checks and prints the result.
 async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str) {
     let reader = Reader::open(&rig.database()).await.unwrap();
-    let known = until(3 * PATIENCE, async || {
-        let known = Known::of(rig, &reader).await;
-        let behind: Vec<_> = published.iter().filter(|(who, last)| known.is_behind(who, **last)).collect();
-        let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
-        let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
-        if behind.is_empty() && waiting + unpublished == 0 {
-            return Ok(known);
-        }
-        Err(format!("behind: {behind:?}; {waiting} unjudged, {unpublished} unpublished"))
-    })
-    .await;
+    let known = settled(rig, &reader, published).await;
     let events = events(&reader).await;
     witness.until("every alarm event", |received| received.events.len() >= events.len()).await;
     let received = witness.received();

@@ -13,7 +13,7 @@ use std::{
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, Part, Shape},
     throw::{MachineId, Throw, ThrowRef, Trace},
     wire::{self, BacklogQuery, Encoding, Kind},
 };
@@ -110,9 +110,7 @@ fn simulated() -> &'static (Vec<Throw>, Vec<Throw>) {
     static THROWS: OnceLock<(Vec<Throw>, Vec<Throw>)> = OnceLock::new();
     THROWS.get_or_init(|| {
         let friction = Fault { part: Part::Friction, shape: Shape::Step, size_pct: 50.0, from_throw: 0 };
-        let worn =
-            FleetSettings { faults: vec![FleetFault { machine: 0, fault: friction }], ..FleetSettings::default() };
-        (rig::throws_of(&FleetSettings::default(), "any", PHASE), rig::throws_of(&worn, "any", PHASE))
+        (rig::throws("any", PHASE), rig::faulty_throws(friction, "any", PHASE))
     })
 }
 

@@ -21,6 +21,8 @@ mod rig;
 mod shim;
 #[path = "../disk/small_disk.rs"]
 mod small_disk;
+#[path = "../disk/verdict.rs"]
+mod verdict;
 mod witness;
 
 mod backlogs;
@@ -35,8 +37,3 @@ mod poison;
 mod retention;
 mod slow;
 mod soak;
-
-/// The number in an environment variable, or the default of a short run.
-fn size(variable: &str, usual: usize) -> usize {
-    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
-}

@@ -5,14 +5,11 @@
 
 use std::{
     collections::BTreeMap,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
-    },
     time::{Duration, Instant},
 };
 
 use pointsd::{
+    daemon::StatusReport,
     store::{Reader, ThrowRow},
     throw::Throw,
     wire::{self, Encoding},
@@ -21,12 +18,11 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
-use zenoh::{Session, bytes::Encoding as ContentType, qos::CongestionControl};
+use zenoh::{Session, bytes::Encoding as ContentType};
 
 use crate::{
-    gauge::{Usage, status},
-    rig::{PATIENCE, Rig, matched, stub, throws},
-    size,
+    gauge::{Usage, peak_mib, status},
+    rig::{PATIENCE, Rig, matched, put, size, stub, throws, until},
 };
 
 const GOOD: &str = "points/v1/good/1/throw";
@@ -153,38 +149,17 @@ impl Poison {
     }
 }
 
-/// Samples the memory of the daemon until `stop` is set; returns the maximum \[MiB\].
-fn watch(process: u32, stop: Arc<AtomicBool>) -> std::thread::JoinHandle<f64> {
-    std::thread::spawn(move || {
-        let mut most = 0.0_f64;
-        while !stop.load(Relaxed) {
-            most = most.max(Usage::of(process).rss_mib);
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        most
-    })
-}
-
-async fn put(session: &Session, (key, content_type, payload): Message) {
-    session.put(key, payload).encoding(content_type).congestion_control(CongestionControl::Block).await.unwrap();
-}
-
-/// Interval of the status queries.
-const PACE: Duration = Duration::from_millis(10);
-
 /// Waits until the daemon has received and handled `sent` messages.
-async fn until_handled(session: &Session, sent: u64) -> pointsd::daemon::StatusReport {
-    let deadline = Instant::now() + PATIENCE;
-    loop {
-        if let Some(now) = status(session).await {
-            let handled = now.stored + now.duplicates + now.quarantined + now.lost + now.dropped;
-            if now.received >= sent && handled >= now.received {
-                return now;
-            }
-        }
-        assert!(Instant::now() < deadline, "{sent} messages sent: {:?}", status(session).await);
-        tokio::time::sleep(PACE).await;
-    }
+async fn until_handled(session: &Session, sent: u64) -> StatusReport {
+    let is_handled = |now: &StatusReport| {
+        let handled = now.stored + now.duplicates + now.quarantined + now.lost + now.dropped;
+        now.received >= sent && handled >= now.received
+    };
+    until(PATIENCE, async || {
+        let now = status(session).await;
+        now.clone().filter(is_handled).ok_or_else(|| format!("{sent} messages sent: {now:?}"))
+    })
+    .await
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -197,8 +172,6 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
     let mut good = throws("boot", 40).into_iter().cycle();
     let publisher = matched(&session, GOOD).await;
     let mut poison = Poison { rng: ChaCha8Rng::seed_from_u64(14), like: good.next().unwrap(), number: 0 };
-    let stop = Arc::new(AtomicBool::new(false));
-    let memory = watch(daemon.id(), Arc::clone(&stop));
     let (mut sent, mut published) = (0_u64, 0_u64);
     let start = Instant::now();
     for number in 0..messages {
@@ -208,7 +181,8 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             throw.id.throw_no = published;
             publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
         } else {
-            put(&session, poison.next()).await;
+            let (key, content_type, payload) = poison.next();
+            put(&session, &key, content_type, payload).await;
         }
         sent += 1;
         if number % ROUND == ROUND - 1 {
@@ -219,13 +193,13 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             for bytes in [17 << 20, 31 << 20, 100 << 20] {
                 let payload =
                     wire::encode_throw(Encoding::Cbor, &poison.like).into_iter().cycle().take(bytes).collect();
-                put(&session, (GOOD.to_owned(), ContentType::APPLICATION_CBOR, payload)).await;
+                put(&session, GOOD, ContentType::APPLICATION_CBOR, payload).await;
             }
             session.delete(GOOD).await.unwrap();
             // The daemon may have closed the link: wait until it replies and receives again.
             sent = until_handled(&session, 0).await.received;
             while !publisher.matching_status().await.unwrap().matching() {
-                tokio::time::sleep(PACE).await;
+                tokio::time::sleep(Duration::from_millis(10)).await;
             }
         }
     }
@@ -236,9 +210,8 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         }
     };
     let seconds = start.elapsed().as_secs_f64();
-    stop.store(true, Relaxed);
-    let most = memory.join().unwrap();
     assert!(daemon.is_running(), "it has ended: {:?}", daemon.log());
+    let most = peak_mib(daemon.id());
 
     let mut stored: BTreeMap<u64, usize> = BTreeMap::new();
     let reader = Reader::open(&rig.database()).await.unwrap();

@@ -2,7 +2,7 @@
 //! and memory and the write-ahead log stay within their limits. `POINTSD_SLOW_THROWS` sets the number of throws.
 
 use std::{
-    env, fs,
+    env,
     io::{BufRead, BufReader, Lines},
     process::{ChildStdout, Command, Stdio},
     sync::{
@@ -22,9 +22,8 @@ use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use zenoh::{Session, pubsub::Publisher};
 
 use crate::{
-    gauge::{Usage, mib, status},
-    rig::{self, PATIENCE, Program, Rig, matched, throws},
-    size,
+    gauge::{mib, peak_mib, status},
+    rig::{self, PATIENCE, Program, Rig, matched, size, throws},
 };
 
 const KEY: &str = "points/v1/north/21B/throw";
@@ -87,22 +86,13 @@ async fn hang() {
     std::process::exit(1);
 }
 
-/// Maxima during the ingestion of throws.
-#[derive(Debug, Default, Clone, Copy)]
-struct Most {
-    rss_mib: f64,
-    log_mib: f64,
-}
-
-fn watch(process: u32, rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<Most> {
-    let path = rig.database();
+/// Samples the size of the log until `stop` is set; returns the largest \[MiB\].
+fn watch_log(rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<f64> {
+    let database = rig.database();
     thread::spawn(move || {
-        let mut most = Most::default();
+        let mut most = 0.0_f64;
         while !stop.load(Relaxed) {
-            let file = fs::canonicalize(&path).unwrap();
-            let log = file.with_file_name(format!("{}-wal", file.file_name().unwrap().to_str().unwrap()));
-            most.rss_mib = most.rss_mib.max(Usage::of(process).rss_mib);
-            most.log_mib = most.log_mib.max(mib(&log));
+            most = most.max(mib(&database, "-wal"));
             thread::sleep(Duration::from_millis(10));
         }
         most
@@ -163,12 +153,8 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
         Source { session: &session, publisher, like: throws("boot", 40).into_iter().cycle(), published: 0 };
     source.rates(100).await;
 
-    let look = |stop: &Arc<AtomicBool>| watch(daemon.id(), &rig, Arc::clone(stop));
-    let stop = Arc::new(AtomicBool::new(false));
-    let watching = look(&stop);
     let without = source.rates(count).await;
-    stop.store(true, Relaxed);
-    let before = watching.join().unwrap();
+    let before_mib = peak_mib(daemon.id());
 
     let mut hanging = Hanging::start(&daemon.endpoint);
     hanging.until(LISTENS);
@@ -181,11 +167,11 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     let rows: i64 =
         sqlx::query_scalar("SELECT count(*) FROM health_history").fetch_one(&mut *transaction).await.unwrap();
 
-    stop.store(false, Relaxed);
-    let watching = look(&stop);
+    let stop = Arc::new(AtomicBool::new(false));
+    let watching = watch_log(&rig, Arc::clone(&stop));
     let with = source.rates(count).await;
     stop.store(true, Relaxed);
-    let after = watching.join().unwrap();
+    let (log_mib, after_mib) = (watching.join().unwrap(), peak_mib(daemon.id()));
     let seen: i64 =
         sqlx::query_scalar("SELECT count(*) FROM health_history").fetch_one(&mut *transaction).await.unwrap();
     drop(hanging);
@@ -196,21 +182,13 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     let ratio = [with[0] / without[0], with[1] / without[1]];
     println!(
         "stored {:.0}/s and judged {:.0}/s without, {:.0}/s and {:.0}/s with a subscriber and an SQL reader that hang: \
-         ratios {:.2} and {:.2}; memory at most {:.1} MiB without, {:.1} MiB with; log at most {:.1} and {:.1} MiB; {end:?}",
-        without[0],
-        without[1],
-        with[0],
-        with[1],
-        ratio[0],
-        ratio[1],
-        before.rss_mib,
-        after.rss_mib,
-        before.log_mib,
-        after.log_mib
+         ratios {:.2} and {:.2}; memory at most {before_mib:.1} MiB without, {after_mib:.1} MiB with; log at most \
+         {log_mib:.1} MiB; {end:?}",
+        without[0], without[1], with[0], with[1], ratio[0], ratio[1]
     );
     assert_eq!(rows, seen, "the reader did not keep its state");
     assert_eq!((end.stored, end.dropped, end.lost), (source.published, 0, 0));
     assert!(ratio.iter().all(|ratio| *ratio > 1.0 / NOISE), "ingestion is slowed: {ratio:?}");
-    assert!(after.rss_mib < before.rss_mib + MEMORY_MIB, "memory grows to {:.0} MiB", after.rss_mib);
-    assert!(after.log_mib < LOG_MIB + GROUP_MIB, "the log grows to {:.0} MiB", after.log_mib);
+    assert!(after_mib < before_mib + MEMORY_MIB, "memory grows to {after_mib:.0} MiB");
+    assert!(log_mib < LOG_MIB + GROUP_MIB, "the log grows to {log_mib:.0} MiB");
 }

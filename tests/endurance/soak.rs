@@ -13,7 +13,7 @@ use std::{
     fs,
     io::{BufRead, BufReader, Write},
     path::PathBuf,
-    process::{Child, Command, Stdio},
+    process::Stdio,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
@@ -27,8 +27,8 @@ use zenoh::Session;
 use crate::{
     cable::Cable,
     gauge::{Heap, Usage, mib, status},
-    rig::{Daemon, PATIENCE, Rig, pointsim},
-    shim, size,
+    rig::{Daemon, PATIENCE, Program, Rig, pointsim, send_signal, size},
+    shim,
 };
 
 const MACHINES: u32 = 20;
@@ -129,7 +129,7 @@ impl Plan {
 }
 
 /// A running `pointsim run`.
-struct Logger(Child);
+struct Logger(Program);
 
 impl Logger {
     fn start(rig: &Rig, endpoint: &str) -> Self {
@@ -145,25 +145,18 @@ impl Logger {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        Self(child)
+        Self(Program(child))
     }
 
     /// Stops it; returns the number of published throws.
     fn stop(mut self) -> u64 {
-        assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
-        let lines = BufReader::new(self.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+        let Self(Program(child)) = &mut self;
+        send_signal("-TERM", child.id());
+        let lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
         let last = lines.filter(|line| line.contains("stopped")).last().expect("a line about its stop");
         let (_, published) = last.split_once("published=").expect("the number of published throws");
-        assert!(self.0.wait().unwrap().success());
+        assert!(child.wait().unwrap().success());
         published.trim().parse().unwrap()
-    }
-}
-
-impl Drop for Logger {
-    fn drop(&mut self) {
-        // A failed test must end it too.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -242,14 +235,12 @@ fn heap_file(rig: &Rig) -> PathBuf {
 async fn sample(rig: &Rig, daemon: &Daemon, session: &Session, at: Duration, link: bool) -> Option<Sample> {
     let report = status(session).await?;
     let handled = report.stored + report.duplicates + report.quarantined + report.lost + report.dropped;
-    let database = fs::canonicalize(rig.database()).unwrap();
-    let log = database.with_file_name(format!("{}-wal", database.file_name()?.to_str()?));
     Some(Sample {
         at_s: at.as_secs_f64(),
         usage: Usage::of(daemon.id()),
         heap: Heap::told_to(&heap_file(rig)),
-        database_mib: mib(&database),
-        log_mib: mib(&log),
+        database_mib: mib(&rig.database(), ""),
+        log_mib: mib(&rig.database(), "-wal"),
         waiting: report.received.saturating_sub(handled),
         unjudged: report.stored.saturating_sub(report.judged),
         stored: report.stored,

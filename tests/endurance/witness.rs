@@ -6,7 +6,6 @@ use std::{
     io::Write,
     path::Path,
     sync::{Arc, Mutex, MutexGuard},
-    time::Duration,
 };
 
 use pointsd::wire::{Alarm, Health};
@@ -38,11 +37,11 @@ impl Received {
 }
 
 fn throw_line(machine: &str, boot_id: &str, throw_no: u64) -> String {
-    format!("throw {machine} {boot_id} {throw_no}\n")
+    format!("judged {machine} {boot_id} {throw_no}\n")
 }
 
 fn event_line(alarm_id: &str, event_no: u32) -> String {
-    format!("event {alarm_id} {event_no}\n")
+    format!("received {alarm_id} {event_no}\n")
 }
 
 /// A subscriber that receives until it is dropped.
@@ -101,19 +100,17 @@ impl Witness {
 
     /// Waits until the received messages fulfil a condition.
     pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Received) -> bool) {
-        let waiting = async {
-            while !is_heard(&self.received()) {
-                tokio::time::sleep(Duration::from_millis(20)).await;
+        rig::until(rig::PATIENCE, async || {
+            let received = self.received();
+            let (throws, events) = (received.health.len(), &received.events);
+            let is_heard = is_heard(&received);
+            if is_heard {
+                Ok(())
+            } else {
+                Err(format!("not received: {what}; received: {throws} throws and {events:?}"))
             }
-        };
-        let waited = tokio::time::timeout(rig::PATIENCE, waiting).await;
-        let received = self.received();
-        assert!(
-            waited.is_ok(),
-            "not received: {what}; received: {} throws and {:?}",
-            received.health.len(),
-            received.events
-        );
+        })
+        .await;
     }
 }
 

@@ -20,17 +20,20 @@ use crate::{
     rig::{PATIENCE, Rig, matched, put, stub},
 };
 
-/// A logger whose backlog has these messages with their throw numbers, oldest first.
-async fn keep(session: &Session, key: &'static str, kept: Vec<(u64, Vec<u8>)>) {
-    let ids: Vec<ThrowRef> =
-        kept.iter().map(|(throw_no, _)| ThrowRef { boot_id: "boot".to_owned(), throw_no: *throw_no }).collect();
+/// Answers for the backlog of a logger with these messages, oldest first.
+pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowRef, Vec<u8>)>) {
     let on_query = move |query: zenoh::query::Query| {
         let wanted = BacklogQuery::parse(query.parameters().as_str());
-        for (_, message) in kept.iter().skip(wanted.start(ids.iter())).take(wanted.limit) {
+        let start = wanted.start(kept.iter().map(|(throw, _)| throw));
+        for (_, message) in kept.iter().skip(start).take(wanted.limit) {
             query.reply(key, message.clone()).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
         }
     };
     session.declare_queryable(key).callback(on_query).background().await.unwrap();
+}
+
+fn id(throw_no: u64) -> ThrowRef {
+    ThrowRef { boot_id: "boot".to_owned(), throw_no }
 }
 
 /// The pages of the second machine have one throw, because its throws are long.
@@ -45,9 +48,9 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
             throw.trace = Trace::new(20_000.0, vec![0.0; samples], vec![0.0; samples]).unwrap();
             encode_throw(Encoding::Cbor, &throw)
         };
-        let mut kept: Vec<_> = (2..=5).map(|throw_no| (throw_no, b"no throw".to_vec())).collect();
+        let mut kept: Vec<_> = (2..=5).map(|throw_no| (id(throw_no), b"no throw".to_vec())).collect();
         kept[0].1 = vec![0; 3 << 20];
-        kept.extend((6..=11).map(|throw_no| (throw_no, message(throw_no, 20))));
+        kept.extend((6..=11).map(|throw_no| (id(throw_no), message(throw_no, 20))));
         keep(&session, key, kept).await;
         drop(matched(&session, key).await);
         for throw_no in [1, 12] {
@@ -149,7 +152,7 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
 async fn a_message_that_is_no_throw_is_in_quarantine_once() {
     let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
-    keep(&session, KEY, vec![(2, b"no throw".to_vec())]).await;
+    keep(&session, KEY, vec![(id(2), b"no throw".to_vec())]).await;
     drop(matched(&session, KEY).await);
     for throw_no in [1, 3] {
         put(&session, KEY, ContentType::APPLICATION_CBOR, encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await;

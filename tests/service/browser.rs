@@ -13,9 +13,9 @@ use std::{
 use serde_json::{Value, json};
 
 use crate::{
-    http::address,
+    http::{address, small_history},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, Program},
+    rig::{PATIENCE, Program, has},
 };
 
 /// A running browser.
@@ -33,8 +33,7 @@ struct Tab(String);
 impl Browser {
     /// Starts the browser; `None`, with a message, without chromium.
     fn start(profile: &Path) -> Option<Self> {
-        if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
-            println!("skipped: chromium is not installed");
+        if !has("chromium") {
             return None;
         }
         // The protocol has descriptor 3 for messages to the browser and 4 for messages from it.
@@ -58,6 +57,7 @@ impl Browser {
         Some(Self { _program: Program(child), input, messages, last_id: 0 })
     }
 
+    /// Calls a method. Fails if a script has failed since the last call, or a page violated its policy.
     fn call(&mut self, tab: Option<&Tab>, method: &str, parameters: &Value) -> Value {
         self.last_id += 1;
         let mut message = json!({"id": self.last_id, "method": method, "params": parameters});
@@ -67,6 +67,8 @@ impl Browser {
         write!(self.input, "{message}\0").unwrap();
         loop {
             let mut answer = self.messages.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("no answer to {message}"));
+            let is_violation = answer["params"]["entry"]["source"] == "security";
+            assert!(answer["method"] != "Runtime.exceptionThrown" && !is_violation, "{answer}");
             if answer["id"] == self.last_id {
                 assert!(answer["error"].is_null(), "{message}: {answer}");
                 return answer["result"].take();
@@ -78,7 +80,11 @@ impl Browser {
         let target = self.call(None, "Target.createTarget", &json!({"url": url}));
         let session =
             self.call(None, "Target.attachToTarget", &json!({"targetId": target["targetId"], "flatten": true}));
-        Tab(session["sessionId"].as_str().unwrap().to_owned())
+        let tab = Tab(session["sessionId"].as_str().unwrap().to_owned());
+        for reports in ["Runtime.enable", "Log.enable"] {
+            self.call(Some(&tab), reports, &json!({}));
+        }
+        tab
     }
 
     /// The value of an expression; `None` while the page changes.
@@ -158,6 +164,23 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     browser.until(&fleet, "document.querySelector('ul.alarms').innerText.includes('acknowledged by A. Meyer')");
     assert_eq!(browser.value(&fleet, "window.untouched"), Some(true.into()));
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
+}
+
+/// A boot id that could be a script is text, and a page that gets no answer says so.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_page_shows_hostile_names_as_text_and_says_when_the_daemon_is_gone() {
+    let (rig, daemon, address) = small_history().await;
+    let Some(mut browser) = Browser::start(&rig.folder().join("browser")) else { return };
+    let machine = browser.open(&format!("http://{address}/machines/north/21B"));
+    let link = "document.readyState == 'complete' && document.querySelector('a[href*=\"%3Cscript%3E\"]') != null";
+    browser.until(&machine, link);
+    let html = browser.value(&machine, "document.documentElement.outerHTML").unwrap();
+    assert!(!html.as_str().unwrap().contains("<script>alert"), "{html}");
+    let fleet = browser.open(&format!("http://{address}/"));
+    browser.until(&fleet, "document.body.innerText.includes('baseline 1 of 50')");
+    daemon.kill();
+    browser.until(&fleet, "document.body.innerText.includes('No answer since')");
+    browser.until(&fleet, "document.body.innerText.includes('baseline 1 of 50')");
 }
 
 /// The chart of friction, among those that the page's script made.

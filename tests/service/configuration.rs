@@ -5,12 +5,11 @@ use std::{
     io::{BufRead as _, BufReader},
     net::TcpListener,
     os::unix::fs::PermissionsExt as _,
-    process::{Command, Stdio},
-    thread,
-    time::{Duration, Instant},
+    process::Stdio,
+    time::Duration,
 };
 
-use crate::rig::{PATIENCE, Rig, ends, pointsd, pointsim};
+use crate::rig::{PATIENCE, Rig, ends, pointsd, pointsim, send_signal, until};
 
 #[test]
 fn a_wrong_configuration_is_named_with_file_line_and_key() {
@@ -130,11 +129,7 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
         let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
         u64::from_str_radix(caught.trim(), 16).unwrap() >> 14 & 1 == 1
     };
-    let deadline = Instant::now() + PATIENCE;
-    while !listens() {
-        assert!(Instant::now() < deadline, "{:?}", daemon.log());
-        thread::sleep(Duration::from_millis(5));
-    }
+    until(PATIENCE, async || if listens() { Ok(()) } else { Err(format!("{:?}", daemon.log())) }).await;
     daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
 }
@@ -155,7 +150,7 @@ fn a_client_without_its_router_says_so_and_can_be_stopped() {
     let mut line = String::new();
     BufReader::new(logger.stderr.take().unwrap()).read_line(&mut line).unwrap();
     assert!(line.contains("no router answers at"), "{line}");
-    assert!(Command::new("kill").args(["-INT", &logger.id().to_string()]).status().unwrap().success());
+    send_signal("-INT", logger.id());
     assert!(logger.wait().unwrap().success());
 
     // The daemon is ready as soon as its router is back.

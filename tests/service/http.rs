@@ -5,7 +5,7 @@ use std::{
     net::TcpStream,
 };
 
-use crate::rig::{Daemon, PATIENCE, Rig, stub, throws};
+use crate::rig::{Daemon, PATIENCE, Rig, stub, throws, until};
 
 pub(crate) const KEY: &str = "points/v1/north/21B/throw";
 pub(crate) const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
@@ -65,6 +65,15 @@ pub(crate) fn ask(address: &str, method: &str, path: &str, host: &str) -> Answer
 
 pub(crate) fn get(address: &str, path: &str) -> Answer {
     ask(address, "GET", path, address)
+}
+
+/// Waits until a page contains these words.
+pub(crate) async fn until_page(address: &str, path: &str, words: &str) {
+    until(PATIENCE, async || {
+        let page = get(address, path).body;
+        if page.contains(words) { Ok(()) } else { Err(page) }
+    })
+    .await;
 }
 
 /// A daemon with throws of one machine: two good ones, and a rejected one with a hostile boot id.

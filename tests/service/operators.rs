@@ -12,6 +12,7 @@ use zenoh::Wait;
 
 use crate::{
     http::KEY,
+    region::router,
     rig::{Daemon, PATIENCE, Rig, ends, listen, next, pointsd, pointsim, stub, throws},
 };
 
@@ -206,14 +207,7 @@ async fn without_a_daemon_operators_get_an_error() {
         );
     }
     // A router without a daemon behind it.
-    let mut config = zenoh::Config::default();
-    for (key, value) in
-        [("mode", "\"router\""), ("listen/endpoints", "[\"tcp/127.0.0.1:0\"]"), ("scouting/multicast/enabled", "false")]
-    {
-        config.insert_json5(key, value).unwrap();
-    }
-    let router = zenoh::open(config).await.unwrap();
-    let endpoint = router.info().locators().await.first().unwrap().to_string();
+    let (_router, endpoint) = router().await;
     for (arguments, (code, said)) in COMMANDS.iter().zip(all_commands(&endpoint)) {
         assert_eq!(code, Some(69), "{arguments:?}: {said}");
         assert!(said.starts_with("error: no daemon answers"), "{arguments:?}: {said}");

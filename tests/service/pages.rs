@@ -13,17 +13,13 @@ use pointsd::{
 use crate::{
     http::{self, WEB, address, check_nesting, exchange, exchange_bytes, get, small_history},
     questions::large,
-    rig::{Rig, ends, pointsd, throws},
+    rig::{Rig, ends, pointsd, size, throws},
 };
 
 /// Limit of a page or view. The README gives 100 ms for a release build on a computer without other work.
 const LIMIT: Duration = Duration::from_secs(2);
 /// Requests for each page, the first after the changes to the database.
 const TIMES: usize = 5;
-
-fn number(variable: &str, default: u64) -> u64 {
-    std::env::var(variable).map_or(default, |value| value.parse().unwrap())
-}
 
 /// Turns alarms and machines of `large` into complete ones: messages that the pages can read, states with drifts.
 const COMPLETE: [&str; 2] = [
@@ -43,7 +39,7 @@ const COMPLETE: [&str; 2] = [
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "takes a minute; prints a table"]
 async fn times_of_pages_and_views() {
-    let (machines, rows) = (number("POINTSD_MACHINES", 20_000), number("POINTSD_ROWS", 1_000_000));
+    let (machines, rows) = (size("POINTSD_MACHINES", 20_000), size("POINTSD_ROWS", 1_000_000));
     let rig = Rig::with("[web]\nlisten = \"127.0.0.1:0\"\n[subscribe]\nmax_machines = 100000\n")
         .store("ballast_mib = 0\nmax_size_mib = 100000\nmax_throws = 100000000\nmax_alarms = 10000000\n");
     large(&rig, machines, rows).await;

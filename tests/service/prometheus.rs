@@ -5,28 +5,16 @@ use std::{
     collections::BTreeSet,
     fs,
     io::Write,
-    net::TcpListener,
     process::{Command, Stdio},
-    thread,
-    time::{Duration, Instant},
 };
 
 use crate::{
     http::{KEY, WEB, address, exchange, get},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, Program, stub},
+    rig::{PATIENCE, Program, free_address, has, stub, until},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
-
-/// Whether a program of the package exists; prints a line if it does not.
-fn has(program: &str) -> bool {
-    let is_there = Command::new(program).arg("--version").output().is_ok();
-    if !is_there {
-        println!("skipped: {program} is not installed (Debian package prometheus)");
-    }
-    is_there
-}
 
 /// Words in a text that begin with `pointsd_`: names of metrics.
 fn names(text: &str) -> BTreeSet<String> {
@@ -91,7 +79,7 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
         address(&daemon)
     );
     fs::write(&config, text).unwrap();
-    let place = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let place = free_address().to_string();
     let prometheus = Command::new("prometheus")
         .arg(format!("--config.file={}", config.display()))
         .arg(format!("--storage.tsdb.path={}", rig.folder().join("tsdb").display()))
@@ -100,19 +88,15 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
         .spawn()
         .unwrap();
     let _prometheus = Program(prometheus);
-    let deadline = Instant::now() + PATIENCE;
-    let fired = loop {
+    let fired = until(PATIENCE, async || {
         let rules = Command::new("promtool").args(["query", "instant", &format!("http://{place}"), "ALERTS"]).output();
         let text = String::from_utf8(rules.unwrap().stdout).unwrap();
         let is_fired = text.contains("alertname=\"PointMachineCritical\"") && text.contains("alertstate=\"firing\"");
-        if is_fired || Instant::now() > deadline {
-            break if is_fired { Ok(text) } else { Err(text) };
-        }
-        thread::sleep(Duration::from_millis(200));
-    };
+        if is_fired { Ok(text) } else { Err(text) }
+    })
+    .await;
     let rules = format!("GET /api/v1/rules HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
     let rules = exchange(&place, &rules);
-    let fired = fired.unwrap();
     assert!(fired.contains("cause=\"kt\"") && !fired.contains("PointsdDown"), "{fired}");
     assert!(rules.contains("\"health\":\"ok\"") && !rules.contains("\"health\":\"err\""), "{rules}");
 }

@@ -42,11 +42,11 @@ with zenoh.open(config) as session:
 "#;
 
 fn has_python() -> bool {
-    has("import zenoh", "pip install eclipse-zenoh")
+    can("import zenoh", "pip install eclipse-zenoh")
 }
 
 /// Whether Python can run a line; if not, says how to get what is missing.
-fn has(line: &str, install: &str) -> bool {
+fn can(line: &str, install: &str) -> bool {
     let probe = Command::new("python3").args(["-c", line]).output();
     let is_there = probe.is_ok_and(|output| output.status.success());
     if !is_there {
@@ -109,7 +109,7 @@ fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
 /// The decoder of the README reads a channel of 32-bit floats, as from CBOR, and one of 64-bit floats, as from JSON.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_readme_decodes_the_traces_in_the_database() {
-    if !has("import pcodec, numpy", "pip install pcodec numpy") {
+    if !can("import pcodec, numpy", "pip install pcodec numpy") {
         return;
     }
     let (rig, daemon) = Rig::running();

@@ -2,12 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use crate::rig::Rig;
+use crate::rig::{Rig, size};
 
 /// Number of throws in the database; set by `POINTSD_ROWS=1000000`.
-const ROWS: u64 = 50_000;
+const ROWS: usize = 50_000;
 /// Number of machines of these throws.
-const MACHINES: u64 = 500;
+const MACHINES: usize = 500;
 /// Time limit of a query: as stated in the README, plus the start of the program on a loaded computer.
 const LIMIT: Duration = Duration::from_secs(2);
 
@@ -18,7 +18,7 @@ fn questions() -> Vec<String> {
 }
 
 /// Fills a database with this number of machines and throws, with alarms, rejected throws, baselines and commands.
-pub(crate) async fn large(rig: &Rig, machines: u64, rows: u64) {
+pub(crate) async fn large(rig: &Rig, machines: usize, rows: usize) {
     rig.start().terminate();
     for statement in [
         format!(
@@ -66,7 +66,7 @@ pub(crate) async fn large(rig: &Rig, machines: u64, rows: u64) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn twelve_questions_are_answered_in_time() {
-    let rows = std::env::var("POINTSD_ROWS").map_or(ROWS, |rows| rows.parse().unwrap());
+    let rows = size("POINTSD_ROWS", ROWS);
     let rig = Rig::new();
     large(&rig, MACHINES, rows).await;
     let questions = questions();

@@ -45,7 +45,7 @@ async fn until_machines(session: &Session, expected: &[&str]) {
 }
 
 /// A router without a daemon, and its endpoint.
-async fn router() -> (Session, String) {
+pub(crate) async fn router() -> (Session, String) {
     let config =
         "{ mode: 'router', listen: { endpoints: ['tcp/127.0.0.1:0'] }, scouting: { multicast: { enabled: false } } }";
     let router = zenoh::open(zenoh::Config::from_json5(config).unwrap()).await.unwrap();

@@ -8,7 +8,7 @@ use std::{
     fmt::Display,
     fs,
     io::{BufRead, BufReader},
-    net::TcpListener,
+    net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Condvar, Mutex, mpsc},
@@ -19,7 +19,7 @@ use std::{
 use pointsd::{
     bus,
     daemon::config::{Document, client_session},
-    simulate::{Fleet, FleetSettings},
+    simulate::{Fault, Fleet, FleetFault, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
     wire::{self, Alarm, encode_throw},
@@ -31,6 +31,20 @@ use zenoh::{
 
 /// Longest wait for an event, sufficient on a loaded computer.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
+
+/// The number in an environment variable, or that of a short run.
+pub(crate) fn size(variable: &str, usual: usize) -> usize {
+    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
+}
+
+/// Whether a program is installed; prints a line if it is not.
+pub(crate) fn has(program: &str) -> bool {
+    let is_there = Command::new(program).arg("--version").output().is_ok();
+    if !is_there {
+        println!("skipped: {program} is not installed");
+    }
+    is_there
+}
 
 /// A folder with a configuration and a database.
 pub(crate) struct Rig {
@@ -96,8 +110,7 @@ impl Rig {
 
     /// The daemon listens on the same port at every start, so that clients can connect again.
     pub(crate) fn same_port(self) -> Self {
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
+        Self { listen: format!("tcp/{}", free_address()), ..self }
     }
 
     /// The daemon has the port of another rig's daemon.
@@ -258,7 +271,7 @@ impl Daemon {
     }
 
     pub(crate) fn signal(&self, signal: &str) {
-        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
+        send_signal(signal, self.id());
     }
 
     pub(crate) fn id(&self) -> u32 {
@@ -393,6 +406,15 @@ impl Drop for Daemon {
     }
 }
 
+pub(crate) fn send_signal(signal: &str, process: u32) {
+    assert!(Command::new("kill").args([signal, &process.to_string()]).status().unwrap().success());
+}
+
+/// An address at which nothing listens at present.
+pub(crate) fn free_address() -> SocketAddr {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
 /// Another program, which ends with the test.
 pub(crate) struct Program(pub(crate) Child);
 
@@ -436,12 +458,16 @@ pub(crate) fn ends(exit: i32, command: &mut Command) -> String {
 
 /// Real throws of one simulated machine.
 pub(crate) fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
-    throws_of(&FleetSettings::default(), boot_id, count)
+    simulated(Vec::new(), boot_id, count)
 }
 
-/// Throws of the first machine of a fleet.
-pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec<Throw> {
-    let settings = FleetSettings { machines: 1, ..fleet.clone() };
+/// Throws of this machine with a fault.
+pub(crate) fn faulty_throws(fault: Fault, boot_id: &str, count: u64) -> Vec<Throw> {
+    simulated(vec![FleetFault { machine: 0, fault }], boot_id, count)
+}
+
+fn simulated(faults: Vec<FleetFault>, boot_id: &str, count: u64) -> Vec<Throw> {
+    let settings = FleetSettings { machines: 1, faults, ..FleetSettings::default() };
     let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)

@@ -4,13 +4,13 @@
 use std::{fs, os::unix::fs::FileExt, time::Instant};
 
 use pointsd::{
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, Part, Shape},
     throw::Throw,
 };
 
 use crate::{
     http::{KEY, address, get},
-    rig::{Daemon, PATIENCE, Rig, throws_of},
+    rig::{Daemon, PATIENCE, Rig, faulty_throws},
 };
 
 /// Healthy throws for the baseline.
@@ -134,8 +134,7 @@ async fn a_problem_that_hides_faults_shows_within_twenty_throws() {
 
 async fn show(row: &'static Row) {
     let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -15.0, from_throw: HEALTHY as u64 };
-    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
-    let all = throws_of(&fleet, "boot", (HEALTHY + WITHIN) as u64);
+    let all = faulty_throws(fault, "boot", (HEALTHY + WITHIN) as u64);
     let (sound, weak) = all.split_at(HEALTHY);
     let (rig, daemon) = Rig::running_with(CONFIG);
     let logger = daemon.logger(KEY).await;

@@ -12,7 +12,7 @@ use std::{
 use pointsd::{
     bus,
     daemon::config::{Document, client_session},
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, Part, Shape},
     throw::Throw,
     wire::{Encoding, encode_throw},
 };
@@ -21,7 +21,7 @@ use zenoh::bytes::Encoding as ContentType;
 
 use crate::{
     http::KEY,
-    rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of},
+    rig::{Daemon, PATIENCE, Rig, faulty_throws, matched, pointsim, put, stub, throws},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -248,8 +248,7 @@ const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";
 fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
     let shape = ramp.map_or(Shape::Step, |throws| Shape::Ramp { throws });
     let fault = Fault { part: Part::Kt, shape, size_pct: -20.0, from_throw };
-    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
-    throws_of(&fleet, "boot", count)
+    faulty_throws(fault, "boot", count)
 }
 
 /// Publishes throws, and waits until each is judged.

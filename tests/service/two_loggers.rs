@@ -4,18 +4,17 @@
 
 use std::{fs, path::PathBuf};
 
-use jiff::{SignedDuration, Timestamp};
-use pointsd::{
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
-    throw::{Throw, ThrowRef},
-    wire::{BacklogQuery, Encoding, encode_throw},
-};
-use zenoh::{Session, Wait, bytes::Encoding as ContentType};
-
 use crate::{
+    backlogs::keep,
     faketime,
     http::KEY,
-    rig::{Daemon, Rig, Sender, throws, throws_of},
+    rig::{Daemon, Rig, Sender, faulty_throws, throws},
+};
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    simulate::{Fault, Part, Shape},
+    throw::{Throw, ThrowRef},
+    wire::{Encoding, encode_throw},
 };
 
 /// Throws of each direction in a baseline.
@@ -108,8 +107,7 @@ fn boots<const N: usize>(counts: [(&str, u64); N]) -> [Vec<Throw>; N] {
 /// Throws of a machine of the same type with a stronger motor.
 fn of_another_machine(boot_id: &str, count: u64) -> Vec<Throw> {
     let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: 25.0, from_throw: 0 };
-    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
-    throws_of(&fleet, boot_id, count)
+    faulty_throws(fault, boot_id, count)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -181,19 +179,6 @@ async fn a_baseline_of_two_machines_is_not_used() {
     assert_eq!(bench.state(), "healthy");
 }
 
-/// Answers for the backlog of a logger with these throws, oldest first.
-async fn keep(session: &Session, throws: Vec<Throw>) {
-    let on_query = move |query: zenoh::query::Query| {
-        let wanted = BacklogQuery::parse(query.parameters().as_str());
-        let start = wanted.start(throws.iter().map(|throw| &throw.id));
-        for throw in throws.iter().skip(start).take(wanted.limit) {
-            let message = encode_throw(Encoding::Cbor, throw);
-            query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
-        }
-    };
-    session.declare_queryable(KEY).callback(on_query).background().await.unwrap();
-}
-
 /// A router, or the logger itself, sends throws from before a restart between those from after it, some of them twice, and
 /// the clock jumped at the restart.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -237,7 +222,9 @@ async fn pages_of_older_boots_are_of_one_logger() {
     let session = bench.daemon().client().await;
     let (away, most) = kept.split_at(40);
     for (part, from) in [(away, 0), (most, 6)] {
-        keep(&session, [away, if part == most { most } else { &[] }].concat()).await;
+        let message = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));
+        let so_far = if part == most { &kept } else { away };
+        keep(&session, KEY, so_far.iter().map(message).collect()).await;
         bench.judged += part.len();
         let logger = bench.logger().await;
         bench.live(&logger, &third[from..from + 6]).await;

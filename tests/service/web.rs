@@ -11,7 +11,7 @@ use pointsd::throw::{Throw, Trace};
 
 use crate::{
     faketime,
-    http::{Answer, KEY, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
+    http::{Answer, KEY, WEB, address, ask, check_nesting, exchange, get, history_in, small_history, until_page},
     rig::{PATIENCE, Program, Rig, pointsd, stub},
 };
 
@@ -129,11 +129,7 @@ async fn every_page_shows_the_problems_of_the_daemon() {
     let silence = "No logger is connected";
     let own_alarm = "Alarm of the daemon itself: pointsd loses data: its database was broken and was set aside";
     let fresh = "/machines/north/21B?span=all";
-    let deadline = Instant::now() + PATIENCE;
-    while !get(&address, fresh).body.contains(own_alarm) {
-        assert!(Instant::now() < deadline, "{}", get(&address, fresh).body);
-        thread::sleep(Duration::from_millis(50));
-    }
+    until_page(&address, fresh, own_alarm).await;
     for path in ["/", "/machines/north/21B", "/machines/north/21B/throws/boot/2", "/machines/fleet/pointsd"] {
         let page = get(&address, path);
         let banner = page.body.split("<main>").next().unwrap();
@@ -375,8 +371,8 @@ async fn a_command_from_a_page_waits_until_it_is_applied() {
     assert_eq!(rig.sql("SELECT * FROM operator_commands").len(), 1);
 }
 
-#[test]
-fn the_demo_names_its_dashboard() {
+#[tokio::test]
+async fn the_demo_names_its_dashboard() {
     let folder = tempfile::tempdir().unwrap();
     let demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
     let mut demo = Program(demo);
@@ -391,9 +387,5 @@ fn the_demo_names_its_dashboard() {
         );
     }
     let address = line.trim().strip_prefix("In a browser: http://").unwrap().trim_end_matches('/');
-    let deadline = Instant::now() + PATIENCE;
-    while !get(address, "/").body.contains("baseline") {
-        assert!(Instant::now() < deadline, "no throw is shown");
-        thread::sleep(Duration::from_millis(50));
-    }
+    until_page(address, "/", "baseline").await;
 }

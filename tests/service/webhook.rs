@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{
 use crate::{
     http::{address, get},
     operators::logger,
-    rig::{Daemon, PATIENCE, Program, Rig, ends},
+    rig::{Daemon, PATIENCE, Program, Rig, ends, free_address, has},
 };
 
 const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
@@ -109,11 +109,6 @@ fn read(stream: &mut impl BufRead) -> Option<Post> {
     Some(Post { head, body: serde_json::from_slice(&body).unwrap() })
 }
 
-/// An address at which nothing listens at present.
-fn free() -> SocketAddr {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
-}
-
 fn rig(url: &str, more: &str) -> Rig {
     Rig::with(&format!("[webhook]\nurl = \"{url}\"\n{more}\n"))
 }
@@ -129,7 +124,7 @@ fn pending(rig: &Rig) -> i64 {
 
 #[test]
 fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
-    let address = free();
+    let address = free_address();
     let rig = rig(&format!("http://{address}/points?to=north"), "authorization = \"Bearer secret\"");
     let daemon = rig.start();
     weak_motor(&daemon);
@@ -321,8 +316,7 @@ fn mail_server() -> (SocketAddr, mpsc::Receiver<String>) {
 /// The receiver of `deploy/`: an alarm becomes an e-mail.
 #[test]
 fn an_alarm_becomes_a_mail() {
-    if Command::new("python3").arg("--version").output().is_err() {
-        println!("skipped: python3 is not installed");
+    if !has("python3") {
         return;
     }
     let (mail, mails) = mail_server();

@@ -5,14 +5,14 @@ use std::{fs, process::Command};
 use pointsd::store::{DiskLevel, Dropped, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
-    given::{at, judge, judgement, machine, settings, spooled, throw},
+    given::{at, judge, judgement, machine, open, settings, spooled, throw},
     small_disk::SmallDisk,
 };
 
 #[tokio::test]
 async fn sql_reads_a_stopped_database_where_nothing_may_be_written() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let store = Store::open(&settings(disk.folder()), at(0)).await.unwrap().store;
+    let store = open(disk.folder()).await.store;
     spooled(&store, "21B", "b1", 1).await;
     let path = store.path().to_owned();
     store.close().await.unwrap();

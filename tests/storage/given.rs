@@ -191,6 +191,15 @@ pub(crate) async fn outsider(database: impl AsRef<Path>) -> SqliteConnection {
     SqliteConnection::connect_with(&options).await.unwrap()
 }
 
+/// A connection of another program that keeps reading the present state.
+pub(crate) async fn reading(store: &Store) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut holder = SqliteConnection::connect_with(&options).await.unwrap();
+    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
+    holder
+}
+
 /// Changes the database as another program.
 pub(crate) async fn change<const N: usize>(database: impl AsRef<Path>, statements: [&'static str; N]) {
     let mut outsider = outsider(database).await;

@@ -7,21 +7,24 @@ use pointsd::{
     diagnose::AlarmState,
     store::{Dropped, Found, Settings, Spooled, Store, StoreError, ThrowRow},
 };
-use sqlx::{Connection, SqliteConnection};
+use sqlx::Connection;
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, settings, spooled,
-    throw,
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, settings,
+    spooled, throw,
 };
 
 /// Spools and judges throws `first` to `last`, received one minute after another.
 async fn judged(store: &Store, first: u64, last: u64) {
     for throw_no in first..=last {
-        let received_at = at(60 * i64::try_from(throw_no).unwrap());
-        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
-        let Spooled::New(row) = answer else { panic!("{throw_no}") };
-        judge(store, judgement(row, "21B")).await.unwrap();
+        judged_at(store, throw_no, at(60 * i64::try_from(throw_no).unwrap())).await;
     }
+}
+
+async fn judged_at(store: &Store, throw_no: u64, received_at: Timestamp) {
+    let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
+    let Spooled::New(row) = answer else { panic!("{throw_no}") };
+    judge(store, judgement(row, "21B")).await.unwrap();
 }
 
 #[tokio::test]
@@ -125,9 +128,8 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         Settings { max_traces: 100, ..Settings::default() },
         Settings { max_throws: 100, ..Settings::default() },
     ] {
-        let folder = tempfile::tempdir().unwrap();
-        let bounds = Settings { ballast_mib: 1, low_disk_mib: 0, path: folder.path().join("points.db"), ..bounds };
-        let store = Store::open(&bounds, at(0)).await.unwrap().store;
+        let with_bounds = |Settings { path, .. }| Settings { ballast_mib: 1, low_disk_mib: 0, path, ..bounds.clone() };
+        let (_folder, store) = fresh_with(with_bounds).await;
         judged(&store, 1, 40).await;
         let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
         for answer in store.spool_all(&flood).await {
@@ -170,9 +172,7 @@ async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     let day = |days: i64| at(86_400 * days);
     let times = [day(4000), day(0), Timestamp::UNIX_EPOCH, day(10), day(4000), Timestamp::UNIX_EPOCH, day(50)];
     for (throw_no, received_at) in (1..).zip(times) {
-        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
-        let Spooled::New(row) = answer else { panic!("{throw_no}") };
-        judge(&store, judgement(row, "21B")).await.unwrap();
+        judged_at(&store, throw_no, received_at).await;
     }
     let mut left = Vec::new();
     for now in [day(29), day(35), day(45), day(79), day(81)] {
@@ -365,11 +365,11 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         // The daemon does the same every 5 s.
         let noticed = async {
             while store.trouble(None).is_none() {
-                tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+                tokio::time::sleep(Duration::from_millis(100)).await;
                 store.outbox_sent(&[]).await.unwrap();
             }
         };
-        tokio::time::timeout(std::time::Duration::from_secs(10), noticed).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(10), noticed).await.unwrap();
         let (severity, said) = store.trouble(None).unwrap();
         assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("deleted or replaced"), "{said}");
         judged(&store, 31, 40).await;
@@ -411,14 +411,6 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
             .expect("the writer goes on without its rows");
         assert_eq!(path.exists(), replaced, "no empty database takes its place");
     }
-}
-
-/// A slow reader: a connection that keeps the present state.
-async fn reading(store: &Store) -> SqliteConnection {
-    let mut holder = outsider(store.path()).await;
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-    sqlx::query("SELECT count(*) FROM throw").fetch_one(&mut holder).await.unwrap();
-    holder
 }
 
 /// After the end of a slow reader the log has its bound again, also if the database could not move away from it.
@@ -479,7 +471,7 @@ async fn a_backup_restored_in_place_of_the_link_and_files_with_a_number_delete_n
     fs::copy(&moved, &path).unwrap();
 
     for _ in 0..2 {
-        Store::open(&settings(folder.path()), at(0)).await.unwrap().store.close().await.unwrap();
+        open(folder.path()).await.store.close().await.unwrap();
     }
     assert!(numbered.iter().all(|copy| fs::read(copy).unwrap() == history));
     let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path());
@@ -533,15 +525,6 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     assert!(store.is_copying(), "no progress was recorded");
     holder.close().await.unwrap();
     store.close().await.unwrap();
-}
-
-#[test]
-fn settings_are_checked_and_unknown_keys_refused() {
-    assert_eq!(Settings::default().check_ranges(), Ok(()));
-    let wrong = Settings { max_size_mib: 1, ..Settings::default() };
-    assert_eq!(wrong.check_ranges().unwrap_err().to_string(), "max_size_mib is 1, must be 16 to 1048576 MiB");
-    let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
-    assert!(unknown.contains("max_sise_mib"), "{unknown}");
 }
 
 /// Three hundred alarms with two events each; all but the first are closed.

@@ -12,7 +12,7 @@ use sqlx::Connection;
 use tokio::time::timeout;
 
 use crate::given::{
-    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, settings, spooled,
+    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, spooled,
 };
 
 const PAGE: u64 = 4096;
@@ -49,7 +49,7 @@ fn break_pages(file: &Path, number: u64, seed: u64) {
 }
 
 async fn salvaged(folder: &Path) -> (Store, Salvaged) {
-    let opened = Store::open(&settings(folder), at(0)).await.unwrap();
+    let opened = open(folder).await;
     let Found::SetAside { salvaged, .. } = opened.report.found else { panic!("{:?}", opened.report) };
     (opened.store, salvaged)
 }
@@ -70,7 +70,7 @@ async fn readable_rows_of_a_broken_database_are_kept() {
             if matches!(fs::read(&file), Ok(bytes) if bytes == fs::read(whole.path().join("points.db")).unwrap()) {
                 continue;
             }
-            let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();
+            let opened = open(folder.path()).await;
             let Found::SetAside { salvaged, .. } = &opened.report.found else {
                 // The page was free, or the check does not read it.
                 (machines, alarms, throws, traces) = (machines + 10, alarms + 10, throws + all, traces + all);

@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use pointsd::{
+    diagnose::AlarmState,
     store::{Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
 
-use crate::given::{at, change, fresh, gaps, machine, open, pending, query, spooled, throw};
+use crate::given::{alarm, at, change, fresh, gaps, machine, open, pending, query, spooled, throw};
 
 #[tokio::test]
 async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
@@ -301,4 +302,22 @@ async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
     assert_eq!(judged(70, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
     // After the clock was set back no throw waits for the earlier time.
     assert_eq!(judged(-1000, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
+}
+
+/// Writes that come together share a transaction. One that the database refuses costs none of the others.
+#[tokio::test]
+async fn a_refused_write_costs_no_other_write_of_its_group() {
+    let (_folder, store) = fresh().await;
+    let refuse = "CREATE TRIGGER refuse BEFORE INSERT ON throw WHEN NEW.throw_no = 99 \
+                  BEGIN SELECT RAISE(ABORT, 'refused'); END";
+    change(store.path(), [refuse]).await;
+    let (name, bad, good) = (machine("21B"), throw("b1", 99), throw("b1", 1));
+    let (before, refused, after) = tokio::join!(
+        store.record(alarm(1, AlarmState::ActiveUnacknowledged)),
+        store.spool(&name, &bad, at(0)),
+        store.spool(&name, &good, at(0)),
+    );
+    assert!(matches!(refused, Err(StoreError::Refused(_))), "{refused:?}");
+    assert!(before.is_ok(), "{before:?}");
+    assert!(matches!(after, Ok(Spooled::New(_))), "{after:?}");
 }

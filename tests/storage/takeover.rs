@@ -11,12 +11,12 @@ use pointsd::{
         config::{Config, Document},
     },
     diagnose::{AlarmState, Cause, MachineMonitor, MachineState},
-    store::{Found, Reader, Selector, Store},
+    store::{Found, Reader, Selector},
     throw::{Direction, MachineId},
 };
 use sqlx::Connection;
 
-use crate::given::{at, outsider, query, settings};
+use crate::given::{open, outsider, query};
 
 async fn released(folder: &Path) {
     let mut connection = outsider(folder.join("points.db")).await;
@@ -32,7 +32,7 @@ fn name(number: u32) -> MachineId {
 async fn a_database_of_the_previous_version_is_migrated_with_everything() {
     let folder = tempfile::tempdir().unwrap();
     released(folder.path()).await;
-    let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();
+    let opened = open(folder.path()).await;
     assert_eq!(opened.report.found, Found::WithoutLog);
     assert!(opened.report.upgraded_by > 0);
     let (store, everything) = (opened.store, Selector::default());

@@ -207,11 +207,6 @@ impl Config {
         other.chain(web).chain(webhook).collect()
     }
 
-    /// The zenoh section as text, to detect changes.
-    pub(crate) fn zenoh_text(&self) -> String {
-        self.zenoh.to_string()
-    }
-
     /// Checks a document.
     ///
     /// # Errors

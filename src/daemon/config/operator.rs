@@ -2,7 +2,10 @@
 
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, Document, section, zenoh as sessions};
+use super::{
+    Config, ConfigError, Document, section,
+    zenoh::{self as sessions, find},
+};
 use crate::throw::MachineId;
 
 /// Sections of a daemon's file.
@@ -152,11 +155,6 @@ fn from_here(endpoint: &str) -> Option<String> {
         host => host,
     };
     (port != "0").then(|| format!("{protocol}/{host}:{port}"))
-}
-
-fn find<'a>(table: &'a Table, path: &[&str]) -> Option<&'a Value> {
-    let (last, above) = path.split_last()?;
-    above.iter().try_fold(table, |table, key| table.get(*key)?.as_table())?.get(*last)
 }
 
 fn set(table: &mut Table, section: &str, key: &str, value: Value) {

@@ -72,8 +72,14 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
     }
 }
 
+/// The value at a path of keys.
+pub(super) fn find<'a>(table: &'a Table, path: &[&str]) -> Option<&'a Value> {
+    let (last, above) = path.split_last()?;
+    above.iter().try_fold(table, |table, key| table.get(*key)?.as_table())?.get(*last)
+}
+
 fn tls(section: &Table) -> Option<&Table> {
-    ["transport", "link", "tls"].iter().try_fold(section, |table, key| table.get(*key).and_then(Value::as_table))
+    find(section, &["transport", "link", "tls"])?.as_table()
 }
 
 fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {

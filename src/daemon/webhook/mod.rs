@@ -16,8 +16,8 @@ use tokio::{sync::Notify, time};
 use super::{
     clock,
     config::{Config, Webhook},
+    error::StartError,
     heartbeat::TaskName,
-    offline::StartError,
     status::Status,
 };
 use crate::{
@@ -88,23 +88,21 @@ impl Notifier {
                 self.sent = (clock::monotonic(), 0);
             }
             let is_flood = self.sent.1 >= self.settings.max_messages;
-            let pending = self.pending(BATCH).await;
-            let message = match pending.first() {
-                None => {
-                    self.wait(self.outbox.notified()).await;
-                    continue;
-                }
-                Some((row, alarm)) if !is_flood => Message { body: body(alarm), events: 1, last: *row },
-                Some(_) => {
-                    self.wait(time::sleep_until((self.sent.0 + self.period).into())).await;
-                    match self.summary(&self.pending(ALL).await) {
-                        Some(summary) => summary,
-                        None => continue,
-                    }
-                }
-            };
-            self.sent.1 += 1;
-            self.deliver(message).await;
+            let mut pending = self.pending(BATCH).await;
+            if pending.is_empty() {
+                self.wait(self.outbox.notified()).await;
+                continue;
+            }
+            if is_flood {
+                self.wait(time::sleep_until((self.sent.0 + self.period).into())).await;
+                pending = self.pending(ALL).await;
+            } else {
+                pending.truncate(1);
+            }
+            if let Some(message) = self.message(&pending) {
+                self.sent.1 += 1;
+                self.deliver(message).await;
+            }
         }
     }
 
@@ -138,8 +136,8 @@ impl Notifier {
         }
     }
 
-    /// All events in one message; one event as it is.
-    fn summary(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
+    /// All events in one message, one event as it is; `None` without an event.
+    fn message(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
         let alarms: Vec<&Alarm> = pending.iter().map(|(_, alarm)| alarm).collect();
         let body = match &*alarms {
             [alarm] => body(alarm),

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use super::{
-    Acknowledged, Verdict, inspect,
+    inspect,
     replay::{Disk, Record, cut_at_random, read_log},
     shim,
+    verdict::Verdict,
     worker::{self, HOLDER, NORMAL, THROWS},
 };
 
@@ -27,14 +28,7 @@ async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdi
     assert_eq!(moved, variables.iter().any(|(name, _)| *name == HOLDER), "the database moves behind a reader, only");
 
     let mut total = Verdict::default();
-    let check = async |disk: &Disk, folder: &Path| {
-        let verdict = inspect(folder, &Acknowledged::of_lines(&disk.acknowledged)).await;
-        total.lost += verdict.lost;
-        total.duplicated += verdict.duplicated;
-        total.unreadable += verdict.unreadable;
-        total.given_up += verdict.given_up;
-        total.notes.extend(verdict.notes);
-    };
+    let check = async |disk: &Disk, folder: &Path| inspect(folder, &disk.acknowledged, &mut total).await;
     cut_at_random(&records, &database, cuts, seed, check).await;
     let Verdict { lost, duplicated, unreadable, .. } = &total;
     println!(

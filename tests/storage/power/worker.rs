@@ -9,13 +9,12 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use crate::given::{at, event, judgement, machine, outcome, reading, throw};
 use pointsd::{
-    diagnose::AlarmState,
+    diagnose::{AlarmEvent, AlarmState},
     store::{Judgement, Settings, Spooled, Store, ThrowRow},
+    wire::alarm_id,
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
-
-use crate::given::{at, event, judgement, machine, outcome, throw};
 
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
 /// Throws of each machine.
@@ -34,8 +33,8 @@ const TRIES: usize = 3;
 struct Acknowledge(Arc<Mutex<File>>);
 
 impl Acknowledge {
-    fn say(&self, what: &str, machine: &str, number: u64) {
-        self.0.lock().unwrap().write_all(format!("{what} {machine} {number}\n").as_bytes()).unwrap();
+    fn say(&self, line: &str) {
+        self.0.lock().unwrap().write_all(format!("{line}\n").as_bytes()).unwrap();
     }
 }
 
@@ -63,7 +62,7 @@ async fn run() {
         life.await.unwrap();
     }
     let holder = match std::env::var_os(HOLDER) {
-        Some(_) => Some(hold(&store).await),
+        Some(_) => Some(reading(&store).await),
         None => None,
     };
     let rest = MACHINES
@@ -87,28 +86,18 @@ async fn open(folder: &Path) -> Option<Store> {
     None
 }
 
-async fn hold(store: &Store) -> SqliteConnection {
-    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut holder = SqliteConnection::connect_with(&options).await.unwrap();
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
-    holder
-}
-
 async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str, first: u64, last: u64) {
     for throw_no in first..=last {
         let Some(row) = spool(&store, name, throw_no).await else { continue };
-        acknowledge.say("throw", name, throw_no);
+        acknowledge.say(&format!("stored {name} b1 {throw_no}"));
         let Some(row) = row else { continue };
-        let event_no = u32::try_from(throw_no / 5).unwrap();
-        let events =
-            if throw_no % 5 == 0 { vec![event(event_no, AlarmState::ActiveUnacknowledged)] } else { Vec::new() };
-        let outcome = outcome(name, events);
-        let judged = Judgement { outcome, ..judgement(row, name) };
+        let raised = event(u32::try_from(throw_no / 5).unwrap(), AlarmState::ActiveUnacknowledged);
+        let raised: Vec<_> = Some(raised).filter(|_| throw_no % 5 == 0).into_iter().collect();
+        let judged = Judgement { outcome: outcome(name, raised.clone()), ..judgement(row, name) };
         if judge(&store, &judged).await {
-            acknowledge.say("judged", name, throw_no);
-            if throw_no % 5 == 0 {
-                acknowledge.say("event", name, u64::from(event_no));
+            acknowledge.say(&format!("judged {name} b1 {throw_no}"));
+            for AlarmEvent { cause, raised_at, event_no, .. } in raised {
+                acknowledge.say(&format!("raised {} {event_no}", alarm_id(&machine(name), cause, raised_at)));
             }
         }
     }
