@@ -277,10 +277,10 @@ impl Scatter {
     }
 
     /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
-    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws is nearly normal
-    /// with variance 1/n (Fisher). With the measured variance of the innovations, a larger correlation also means a
-    /// larger variance of one throw. Each coefficient has a third of the probability. Few throws are not enough for this: see
-    /// [`super::persistence`].
+    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation phi from n throws is nearly normal
+    /// with variance 1 / (n (1 - phi^2)), as that of the correlation is (1 - phi^2) / n (Bartlett). With the measured variance
+    /// of the innovations, a larger correlation also means a larger variance of one throw. Each coefficient has a third of the
+    /// probability. Few throws are not enough for this: see [`super::persistence`].
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
