@@ -262,6 +262,25 @@ fn sizes_hold(seeds: std::ops::Range<u64>) {
     }
 }
 
+/// A failed sensor of the supply voltage is a fault of its own: nothing else is named by an impossible voltage.
+#[test]
+fn an_impossible_supply_voltage_names_only_its_sensor() {
+    let failed: [fn(Throw) -> Throw; 3] = [
+        |throw| Throw { supply_v: Some(0.0), ..throw },
+        |throw| Throw { supply_v: Some(-110.0), ..throw },
+        |throw| Throw { supply_v: Some(10_000.0), ..throw },
+    ];
+    for logger in failed {
+        let mut drive = Drive::new(77, true);
+        drive.events(100, State::SOUND);
+        drive.logger = logger;
+        let events = drive.events(40, State::SOUND);
+        let of: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
+        assert_eq!(of, [(Cause::Sensor, Some(SensorChannel::Supply))], "{events:#?}");
+        assert!(events[0].text.contains("is impossible"), "{}", events[0].text);
+    }
+}
+
 #[test]
 fn the_size_of_a_sensor_or_supply_fault_is_within_its_interval() {
     sizes_hold(400..403);
