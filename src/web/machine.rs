@@ -22,7 +22,7 @@ use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
     store::{Choice, CommandRow, Reader, StoreError, Window},
-    throw::{Direction, MachineId, utc, without_digits},
+    throw::{Direction, MachineId, counted, utc, without_digits},
     wire::{Alarm, Health},
 };
 
@@ -372,7 +372,12 @@ fn drawn(directions: &Directions) -> String {
         return "No throw with a known direction.".to_owned();
     };
     let [there, back] = directions.each_ref().map(|(_, rows)| rows.len());
-    format!("{} to {}; drawn are {there} throws normal to reverse and {back} back.", utc(&first), utc(&last))
+    format!(
+        "{} to {}; drawn are {} normal to reverse and {back} back.",
+        utc(&first),
+        utc(&last),
+        counted(there, "throw")
+    )
 }
 
 fn drawn_throws(directions: &Directions) -> String {
