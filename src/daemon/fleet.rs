@@ -11,8 +11,8 @@ use jiff::Timestamp;
 use super::{dating::Dating, status::Standing};
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing,
-        Observation, Parameters, Present, Settings, Severity, Verdict,
+        AlarmEvent, AlarmState, Away, BaselineRecord, Command, CommandError, Common, Irregularity, MachineMonitor,
+        Missing, Observation, Parameters, Present, Settings, Severity, Verdict,
     },
     estimate::{Features, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -180,7 +180,8 @@ impl Fleet {
         events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         let outcome = Outcome { command, ..outcome };
-        let health = health(stored, identification.as_ref(), withheld, &verdict, since_baseline);
+        let baseline = observation.direction.and_then(|direction| monitor.baseline(direction));
+        let health = health(stored, identification.as_ref(), withheld, &verdict, (baseline.as_ref(), since_baseline));
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
@@ -368,13 +369,14 @@ fn repeated() -> (&'static str, String) {
     (REPEATED, "the machine sent the same trace before; two real throws are never identical".to_owned())
 }
 
-/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence.
+/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence. The baseline is that in
+/// use after the throw, with the number of throws since it was complete.
 fn health(
     stored: &StoredThrow,
     found: Option<&Identification>,
     withheld: Option<(&'static str, String)>,
     verdict: &Verdict,
-    throws_since_baseline: u64,
+    (baseline, throws_since_baseline): (Option<&BaselineRecord>, u64),
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
         (_, Some(found)) => (found.quality(), found.detail()),
@@ -402,6 +404,8 @@ fn health(
     let health = Health { direction: found.direction, duration_s, peak_current_a, mean_current_a, ..health };
     let Ok(estimate) = &found.outcome else { return health };
     let ([a1_per_b0, a0_per_b0], [a1_per_b0_sd, a0_per_b0_sd]) = (estimate.ratios(), estimate.ratios_sd());
+    let ratio_changes = baseline.filter(|_| verdict.change_pct.is_none());
+    let ratio_changes = ratio_changes.map(|baseline| baseline.ratio_changes_pct([a1_per_b0, a0_per_b0]));
     Health {
         coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
         sd: (!estimate.ratios_only).then(|| estimate.sd()),
@@ -410,6 +414,8 @@ fn health(
         a1_per_b0_sd: Some(a1_per_b0_sd),
         a0_per_b0: Some(a0_per_b0),
         a0_per_b0_sd: Some(a0_per_b0_sd),
+        a1_per_b0_pct: ratio_changes.map(|changes| changes[0]),
+        a0_per_b0_pct: ratio_changes.map(|changes| changes[1]),
         ..health
     }
 }

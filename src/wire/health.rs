@@ -46,6 +46,10 @@ pub struct Health {
     pub a0_per_b0: Option<f64>,
     /// Standard deviation of `a0_per_b0`.
     pub a0_per_b0_sd: Option<f64>,
+    /// Change of `a1_per_b0` from the baseline \[%\], with the effect of the temperature; `None` if `change_pct` is known.
+    pub a1_per_b0_pct: Option<f64>,
+    /// Change of `a0_per_b0` from the baseline \[%\]; see `a1_per_b0_pct`.
+    pub a0_per_b0_pct: Option<f64>,
     /// Duration of the movement \[s\].
     pub duration_s: Option<f64>,
     /// Largest magnitude of the current \[A\].
@@ -102,6 +106,8 @@ impl Health {
             a1_per_b0_sd: None,
             a0_per_b0: None,
             a0_per_b0_sd: None,
+            a1_per_b0_pct: None,
+            a0_per_b0_pct: None,
             duration_s: None,
             peak_current_a: None,
             mean_current_a: None,
