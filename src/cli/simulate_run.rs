@@ -168,11 +168,11 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
         "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
     } else {
         format!(
-            "the daemons found serve other machines: {}; correct logger.site, or subscribe.key of a daemon",
+            "the daemons found serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
             daemons.join(", ")
         )
     };
-    tracing::warn!(site = %machine.site, "no daemon serves this site, so its throws are not judged. {found}");
+    tracing::warn!(site = %machine.site, "no daemon serves this site, so its throws are not judged: {found}");
 }
 
 /// Waits until all throws are published, and judged by a daemon.

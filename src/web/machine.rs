@@ -325,6 +325,11 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
 
 /// Reason why a throw has no changes from the baseline.
 fn without(row: &Health) -> String {
+    if let Some(changes) = row.present_ratio_changes_pct() {
+        let [friction, stiffness] = changes.map(|change| state::signed(change, 1));
+        let ratios = format!("friction per motor {friction} %, stiffness per motor {stiffness} %");
+        return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
+    }
     match row.quality.as_str() {
         _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
         "rough" => format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row)),
