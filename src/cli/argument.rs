@@ -7,7 +7,7 @@ use strum::VariantArray as _;
 use super::{Exit, Failure};
 use crate::{
     daemon::{clock, config::check_endpoint},
-    diagnose::{Cause, MachineState, Severity},
+    diagnose::{Cause, LONGEST_SHELVING_DAYS, MachineState, Severity},
     estimate::Motor,
     simulate::Part,
     throw::{Direction, MachineId},
@@ -69,11 +69,18 @@ pub(super) fn moment(text: &str) -> Result<Timestamp, String> {
     date.or_else(|| text.parse().ok()).ok_or_else(wrong)
 }
 
-/// A length of time as 90m, 8h, 3d or 2w. A day has 24 hours.
+/// A length of time as 90m, 8h, 3d or 2w, up to the longest that a daemon may allow. A day has 24 hours.
 fn length(text: &str) -> Result<SignedDuration, String> {
     let length = text.parse::<Span>().and_then(|span| span.to_duration(SpanRelativeTo::days_are_24_hours()));
-    let length = length.ok().filter(SignedDuration::is_positive);
-    length.ok_or_else(|| format!("{text:?} is not a length of time, as 90m, 8h or 3d"))
+    let allowed =
+        |length: &SignedDuration| length.is_positive() && length.as_secs_f64() <= 86_400.0 * LONGEST_SHELVING_DAYS;
+    let wrong = || {
+        format!(
+            "{text:?} is not a length of time above 0 and up to {LONGEST_SHELVING_DAYS} days, as 90m, 8h, 3d or 2w; a daemon \
+             allows longest_shelving_days (31 by default)"
+        )
+    };
+    length.ok().filter(allowed).ok_or_else(wrong)
 }
 
 /// The options of a shelving or a maintenance: its reason and its end, or that it ends now.
@@ -107,5 +114,20 @@ impl Window {
         };
         let until = self.until.map_or_else(from_now, Ok)?;
         Ok(Some((self.why.clone().unwrap_or_default(), until)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_length_out_of_range_is_refused_with_the_range() {
+        assert_eq!(length("90m"), Ok(SignedDuration::from_mins(90)));
+        assert!(length("3660d").is_ok());
+        for text in ["0h", "-3h", "3661d", "99999999w", "soon"] {
+            let error = length(text).unwrap_err();
+            assert!(error.contains("above 0 and up to 3660 days"), "{text}: {error}");
+        }
     }
 }

@@ -51,7 +51,7 @@ impl Location {
     }
 }
 
-/// The failure of opening a database for reading: it cannot be opened, or is of another version.
+/// The failure of reading a database: it cannot be opened, or the content of the file or the statement is not usable.
 pub(super) fn cannot_open(error: StoreError) -> Failure {
     let exit = if matches!(error, StoreError::Open { .. }) { Exit::NoInput } else { Exit::Data };
     Failure::new(exit, error)

@@ -14,7 +14,7 @@ use serde_json::json;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, argument, output, recording,
-    run::{load, start_failure},
+    run::{load, located},
     runtime,
 };
 use crate::{
@@ -38,8 +38,9 @@ const EXPORT_FOLDERS: usize = 4;
 /// number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the traces or in the
 /// folder above; without this line it has the time of the file.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
-/// the database cannot be used; 78 the configuration is invalid. Files before an invalid one are imported.
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be
+/// read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing is imported if a
+/// file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
 pub(super) struct Arguments {
@@ -74,10 +75,16 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     if let Some(problem) = config.monitor.reserves(&arguments.machine) {
         return Err(Failure::new(Exit::Usage, anyhow::anyhow!("--machine {}: {problem}", arguments.machine)));
     }
+    let mut exports = Exports::default();
+    // No database is created for a missing file or a first one that is invalid.
+    let missing = |file: &&PathBuf| file.as_path() != Path::new("-") && fs::metadata(file).is_err();
+    let checked = arguments.files.iter().find(missing).unwrap_or(&arguments.files[0]);
+    let first = read(arguments, 0, checked, &mut exports)?;
     runtime::block_on(async {
-        let mut pipeline = Offline::open(config).await.map_err(start_failure)?;
+        let config_file = arguments.config.as_deref();
+        let mut pipeline = Offline::open(config).await.map_err(|error| located(error, config_file))?;
         let mut count = Count::default();
-        let outcome = import(arguments, &mut pipeline, &mut count).await;
+        let outcome = import(arguments, first, &mut exports, &mut pipeline, &mut count).await;
         let rest = pipeline.judge().await.or_exit(Exit::Io)?;
         let printed = report(arguments, &rest, &mut count);
         pipeline.close().await.or_exit(Exit::Io)?;
@@ -94,11 +101,19 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count) -> Outcome {
-    let mut exports = Exports::default();
+/// Imports the files; `first` are the throws of the first one.
+async fn import(
+    arguments: &Arguments,
+    first: Vec<Throw>,
+    exports: &mut Exports,
+    pipeline: &mut Offline,
+    count: &mut Count,
+) -> Outcome {
+    let mut first = Some(first);
     let mut last = pipeline.last_start(&arguments.machine).await.or_exit(Exit::Io)?;
     for (number, file) in arguments.files.iter().enumerate() {
-        for throw in read(arguments, number, file, &mut exports)? {
+        let throws = first.take().map_or_else(|| read(arguments, number, file, exports), Ok)?;
+        for throw in throws {
             // The time of a CSV file changes when it is copied; the store would take it for another throw.
             if !is_json(file) && pipeline.has(&arguments.machine, &throw.id).await.or_exit(Exit::Io)? {
                 count.known += 1;

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     logger::{Load, Loaded, quantile},
-    throw::{MachineId, Name},
+    throw::{MachineId, Name, counted},
 };
 
 /// Machines of a site. Zenoh compares a new key with those of all sites and of all machines of its site.
@@ -102,10 +102,12 @@ fn report(throws: u64, rate: f64, loaded: &Loaded, as_json: bool) -> Outcome {
             _ => String::new(),
         };
         let alarms = loaded.alarm_latencies.len();
-        let latency = latency("health", health_ms) + &latency(&format!("alarm ({alarms} alarms)"), alarm_ms);
+        let latency =
+            latency("health", health_ms) + &latency(&format!("alarm ({})", counted(alarms, "alarm")), alarm_ms);
         output::line(format!(
-            "published {throws} throws, {published_per_s:.0} a second\njudged {judged}, {} of them before the last was published, \
+            "published {}, {published_per_s:.0} a second\njudged {judged}, {} of them before the last was published, \
              the last {behind_s:.1} s after it{latency}",
+            counted(throws, "throw"),
             loaded.judged_meanwhile
         ))?;
     }

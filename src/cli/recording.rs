@@ -13,7 +13,7 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 
 use super::{Exit, Failure, ResultExt};
-use crate::throw::Trace;
+use crate::throw::{Trace, counted};
 
 const TIME: &str = "time_s";
 const CURRENT: &str = "current_a";
@@ -132,7 +132,7 @@ impl Columns {
     fn evenly(self) -> anyhow::Result<Recording> {
         let len = self.time_s.len();
         if len < 2 {
-            bail!("the file has {len} samples, too few for a throw");
+            bail!("the file has {}, too few for a throw", counted(len, "sample"));
         }
         let interval_s = self.interval_s()?;
         let start_s = self.time_s[0];

@@ -20,7 +20,7 @@ use crate::{
     daemon::Offline,
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
-    throw::MachineId,
+    throw::{MachineId, counted},
     wire::Alarm,
 };
 
@@ -34,7 +34,7 @@ const BATCH: u32 = 16;
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, or is of another version; 66 there is no
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or the file is none of pointsd; 66 there is no
 /// database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
@@ -138,7 +138,7 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
             new.take(&stored.machine, &throw, stored.received_at).await?;
             replayed.throws += 1;
             replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
-            progress.set_message(format!("{} throws", replayed.throws));
+            progress.set_message(counted(replayed.throws, "throw"));
             progress.inc(1);
         }
     }
@@ -222,9 +222,9 @@ fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'stat
 }
 
 fn sentences(report: &Report) -> String {
-    let mut lines = vec![format!("{} throws run again into {}", report.throws, report.database.display())];
+    let mut lines = vec![format!("{} run again into {}", counted(report.throws, "throw"), report.database.display())];
     if report.without_trace > 0 {
-        lines.push(format!("{} stored throws were left out: their traces were removed", report.without_trace));
+        lines.push(format!("left out, as the trace was removed: {}", counted(report.without_trace, "stored throw")));
     }
     if report.alarms.is_empty() {
         lines.push("no alarms in either database".to_owned());

@@ -58,7 +58,7 @@ pub(super) fn start_failure(error: StartError) -> Failure {
 
 /// The failure of a start. If the database belongs to another program, the text names file, line and key of the
 /// configuration.
-fn located(error: StartError, file: Option<&Path>) -> Failure {
+pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {

@@ -1,6 +1,6 @@
 //! `pointsim run`: publishes the throws of a simulated fleet.
 
-use std::path::PathBuf;
+use std::{future, path::PathBuf, time::Duration};
 
 use anyhow::anyhow;
 use serde::Deserialize;
@@ -17,8 +17,11 @@ use crate::{
     },
     logger::{Logger, LoggerError, LoggerSettings},
     simulate::{Fault, FleetFault, FleetSettings, Shape},
-    throw::counted,
+    throw::{MachineId, counted},
 };
+
+/// Time within which a daemon that serves the fleet answers; it has seen the logger in less than a second.
+const SERVED_WITHIN: Duration = Duration::from_secs(5);
 
 /// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
 ///
@@ -135,16 +138,41 @@ async fn run(plan: Plan) -> Outcome {
     };
     let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
     tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
+    let machine = logger.machines()[0].clone();
     let outcome = tokio::select! {
         () = signals.stop() => {
             tracing::info!(published = logger.published(), "stopped");
             Exit::Ok
         }
         outcome = complete(&mut logger) => outcome?,
+        outcome = async {
+            warn_if_unserved(&session, &machine).await;
+            future::pending().await
+        } => outcome,
     };
     drop(logger);
     session.close().await.map_err(|error| Failure::new(Exit::Unavailable, anyhow!(error)))?;
     Ok(outcome)
+}
+
+/// Warns if no daemon serves the fleet, of which `machine` is one, after [`SERVED_WITHIN`].
+async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
+    tokio::time::sleep(SERVED_WITHIN).await;
+    let (Ok(serving), Ok(daemons)) = (bus::serving(session, machine).await, bus::monitors(session).await) else {
+        return;
+    };
+    if !serving.is_empty() {
+        return;
+    }
+    let found = if daemons.is_empty() {
+        "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
+    } else {
+        format!(
+            "the daemons found serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
+            daemons.join(", ")
+        )
+    };
+    tracing::warn!(site = %machine.site, "no daemon serves this site, so its throws are not judged: {found}");
 }
 
 /// Waits until all throws are published, and judged by a daemon.

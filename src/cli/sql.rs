@@ -6,7 +6,12 @@ use clap::Args;
 use comfy_table::Table;
 use serde_json::json;
 
-use super::{Exit, Outcome, ResultExt, database::Location, output, runtime::block_on};
+use super::{
+    Exit, Outcome, ResultExt,
+    database::{Location, cannot_open},
+    output,
+    runtime::block_on,
+};
 use crate::store::{Answer, StoreError, Value, ask};
 
 /// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
@@ -18,7 +23,7 @@ use crate::store::{Answer, StoreError, Value, ask};
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, 66 there is no database.")]
+    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database.")]
 pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).
@@ -50,8 +55,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             Err(error).or_exit(Exit::Usage)
         }
         Err(error @ StoreError::Answer(_)) => Err(error).or_exit(Exit::Io),
-        Err(error @ StoreError::Read(_)) => Err(error).or_exit(Exit::Data),
-        Err(error) => Err(error).or_exit(Exit::NoInput),
+        Err(error) => Err(cannot_open(error)),
     }
 }
 

@@ -172,7 +172,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
         sentences.push(format!("{machine} is served by {}: {advice}", daemons.join(" and ")));
     }
     if twice.len() > MAX_ASKED {
-        sentences.push(format!("{} more machines are served by several daemons", twice.len() - MAX_ASKED));
+        sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
     Ok(sentences)
 }
@@ -210,7 +210,12 @@ fn print_machines(
     }
     for (machine, rows) in &shown {
         for row in *rows {
-            let change = |of: usize| row.change_pct.map(|pct| format!("{:+.1} %", pct[of])).unwrap_or_default();
+            let of_ratio = [None, row.a1_per_b0_pct, row.a0_per_b0_pct];
+            let change = |of: usize| match (row.change_pct, of_ratio[of]) {
+                (Some(pct), _) => format!("{:+.1} %", pct[of]),
+                (None, Some(pct)) => format!("{pct:+.1} % per motor"),
+                (None, None) => String::new(),
+            };
             let rejected = if row.is_rejected() { ", rejected" } else { "" };
             table.add_row([
                 machine.to_string(),

@@ -9,6 +9,7 @@ use crate::evaluate::limits::NAMES;
 use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
 use crate::report::{Panel, Sheet};
 use crate::simulate::RailModel;
+use crate::throw::counted;
 
 const PAIRS: [&str; 3] = ["b0, a1", "b0, a0", "a1, a0"];
 
@@ -67,9 +68,9 @@ fn is_as_expected(test: &Test) -> bool {
 fn tables(results: &[CaseResult], study: &Study) -> String {
     let rails = if study.rails == RailModel::Lumped { "lumped rails" } else { "finite-element rails" };
     let mut text = format!(
-        "Change of the coefficients from test 1 [%], {rails}, mean of {} throws for each test.\n\
+        "Change of the coefficients from test 1 [%], {rails}, mean of {} for each test.\n\
          Each cell: measured (standard deviation) | expected; * if they differ by more than 2 points or 3 %.\n",
-        study.throws
+        counted(study.throws, "throw")
     );
     for result in results {
         let parameter = format!("{}{}", result.case.symbol, unit(result));
@@ -138,6 +139,10 @@ fn figures(results: &[CaseResult]) -> Vec<(String, Sheet)> {
     figures
 }
 
+/// Current above which the simulated motor runs \[A\]: ten times the noise of its sensor, so that no sample at rest
+/// is above it.
+const RUNNING_A: f64 = 0.2;
+
 /// The nominal throw as recorded, and the position of the identified model for the recorded current.
 fn pulse_response(test: &Test) -> Sheet {
     let period = test.trace.sample_rate_hz().recip();
@@ -145,7 +150,7 @@ fn pulse_response(test: &Test) -> Sheet {
         values.iter().enumerate().map(|(at, value)| (at as f64 * period, *value)).collect()
     };
     // The model ends with the current: afterwards stock rail and brake hold the toe, which it does not include.
-    let running = test.trace.current_a().iter().rposition(|current| current.abs() > 0.2).unwrap_or(0);
+    let running = test.trace.current_a().iter().rposition(|current| current.abs() > RUNNING_A).unwrap_or(0);
     let mut model = test.modelled_position_mm();
     model.truncate(running);
     let start_mm = test.trace.position_mm()[0];

@@ -175,7 +175,8 @@ impl Fleet {
         events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         let outcome = Outcome { command, ..outcome };
-        let health = health(stored, identification.as_ref(), withheld, &verdict, since_baseline);
+        let baseline = observation.direction.and_then(|direction| monitor.baseline(direction));
+        let health = health(stored, identification.as_ref(), withheld, &verdict, (baseline.as_ref(), since_baseline));
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 

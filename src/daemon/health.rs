@@ -1,7 +1,7 @@
 //! What a judgement says about its throw: what the monitor observes of it, and its health.
 
 use crate::{
-    diagnose::{Observation, Present, Verdict},
+    diagnose::{BaselineRecord, Observation, Present, Verdict},
     estimate::{Features, Identification},
     store::StoredThrow,
     wire::Health,
@@ -34,13 +34,14 @@ pub(super) fn repeated() -> (&'static str, String) {
     (REPEATED, "the machine sent the same trace before; two real throws are never identical".to_owned())
 }
 
-/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence.
+/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence. The baseline is that in
+/// use after the throw, with the number of throws since it was complete.
 pub(super) fn health(
     stored: &StoredThrow,
     found: Option<&Identification>,
     withheld: Option<(&'static str, String)>,
     verdict: &Verdict,
-    throws_since_baseline: u64,
+    (baseline, throws_since_baseline): (Option<&BaselineRecord>, u64),
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
         (_, Some(found)) => (found.quality(), found.detail()),
@@ -68,6 +69,8 @@ pub(super) fn health(
     let health = Health { direction: found.direction, duration_s, peak_current_a, mean_current_a, ..health };
     let Ok(estimate) = &found.outcome else { return health };
     let ([a1_per_b0, a0_per_b0], [a1_per_b0_sd, a0_per_b0_sd]) = (estimate.ratios(), estimate.ratios_sd());
+    let ratio_changes = baseline.filter(|_| verdict.change_pct.is_none());
+    let ratio_changes = ratio_changes.map(|baseline| baseline.ratio_changes_pct([a1_per_b0, a0_per_b0]));
     Health {
         coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
         sd: (!estimate.ratios_only).then(|| estimate.sd()),
@@ -76,6 +79,8 @@ pub(super) fn health(
         a1_per_b0_sd: Some(a1_per_b0_sd),
         a0_per_b0: Some(a0_per_b0),
         a0_per_b0_sd: Some(a0_per_b0_sd),
+        a1_per_b0_pct: ratio_changes.map(|changes| changes[0]),
+        a0_per_b0_pct: ratio_changes.map(|changes| changes[1]),
         ..health
     }
 }

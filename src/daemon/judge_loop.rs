@@ -326,7 +326,7 @@ impl JudgeLoop {
             let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
             let mut missing = Missing { reason, ..Missing::default() };
             for gap in &gaps {
-                let throws = gap.last_no - gap.first_no + 1;
+                let throws = (gap.last_no - gap.first_no + 1).min(Missing::MOST);
                 missing.throws = missing.throws.saturating_add(throws);
                 missing.refused += gap.refused.min(throws);
             }

@@ -179,8 +179,8 @@ impl Status {
     pub(super) fn trouble(&self, max_machines: usize) -> Option<(Severity, String)> {
         let refused = self.machines_refused.shown()?;
         let said = format!(
-            "{refused} throws of new machines were refused: {max_machines} machines are known, as many as \
-             subscribe.max_machines allows. Look in the quarantine who sends them"
+            "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
+             {max_machines}. Look in the quarantine who sends them"
         );
         Some((Severity::Critical, said))
     }

@@ -47,6 +47,14 @@ pub struct BaselineRecord {
     pub duration_s: Option<f64>,
 }
 
+impl BaselineRecord {
+    /// Changes of the ratios a1/b0 and a0/b0 from the centre \[%\], with the effect of the temperature.
+    pub fn ratio_changes_pct(&self, ratios: [f64; 2]) -> [f64; 2] {
+        let [b0, a1, a0] = self.center;
+        [100.0 * (ratios[0] * b0 / a1 - 1.0), 100.0 * (ratios[1] * b0 / a0 - 1.0)]
+    }
+}
+
 /// A throw of a baseline; `order` counts the throws of the machine. Short names keep the snapshot small, and single
 /// precision a fleet that learns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

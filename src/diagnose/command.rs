@@ -1,13 +1,13 @@
 //! Commands of operators to the monitor of a machine.
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 
 use super::{
     event::{AlarmEvent, AlarmState, Cause},
     settings::Settings,
 };
-use crate::throw::{Direction, MachineId, utc};
+use crate::throw::{Direction, MachineId, counted, utc};
 
 /// A command of an operator to the monitor of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
@@ -26,6 +26,7 @@ pub enum Command {
         /// Cause of the alarm.
         cause: Cause,
         /// End of the shelving or maintenance.
+        #[serde(deserialize_with = "until")]
         until: Timestamp,
         /// Name of the operator.
         by: String,
@@ -58,6 +59,7 @@ pub enum Command {
     /// it replaces end, operator and reason.
     MaintenanceStart {
         /// End of the window, within `longest_shelving_days`.
+        #[serde(deserialize_with = "until")]
         until: Timestamp,
         /// Name of the operator.
         by: String,
@@ -69,6 +71,12 @@ pub enum Command {
         /// Name of the operator.
         by: String,
     },
+}
+
+/// Decodes `until`; the error names the field, unlike that of serde in a tagged enum.
+fn until<'de, D: Deserializer<'de>>(value: D) -> Result<Timestamp, D::Error> {
+    Timestamp::deserialize(value)
+        .map_err(|error| D::Error::custom(format_args!("`until` is not a time, as 2026-05-04T06:00:00Z: {error}")))
 }
 
 /// A maintenance window.
@@ -116,7 +124,8 @@ pub enum CommandError {
     },
     /// Shelving or maintenance would last longer than the settings allow.
     #[error(
-        "`until` is more than {days} days after the clock of the daemon, which is at {now}: give an earlier time (longest_shelving_days), or correct the clock that is wrong"
+        "`until` is more than {} after the clock of the daemon, which is at {now}: give an earlier time (longest_shelving_days), or correct the clock that is wrong",
+        counted(*days, "day")
     )]
     UntilTooFar {
         /// Time of the monitor's clock.

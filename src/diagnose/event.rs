@@ -18,7 +18,8 @@ use crate::{
 #[derive(strum::IntoStaticStr, strum::EnumString, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Cause {
-    /// Torque constant of the motor.
+    /// Torque constant of the motor; messages and configuration may use its name for people too.
+    #[serde(alias = "motor")]
     Kt,
     /// Friction of drive and slide chairs.
     Friction,

@@ -56,7 +56,7 @@ pub use course::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Missing, Observation, Parameters};
-pub use settings::{Settings, TemperatureCoefficients};
+pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
 pub use site::Common;
 pub use temperature::TemperatureSource;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

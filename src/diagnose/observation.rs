@@ -143,6 +143,12 @@ pub struct Missing<'a> {
     pub reason: &'a str,
 }
 
+impl Missing<'_> {
+    /// Largest number of missing throws that is counted: no logger makes as many, so its counter is wrong. The view `data_gaps`
+    /// has the same bound.
+    pub const MOST: u64 = 1 << 40;
+}
+
 /// The parameters of a machine that scale its coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::event::Cause;
 use crate::throw::{OutOfRange, Range::Within, settings};
 
+/// Longest shelving or maintenance that `longest_shelving_days` may allow \[days\].
+pub const LONGEST_SHELVING_DAYS: f64 = 3_660.0;
+
 settings! {
     /// Limits, delays and budgets of the diagnosis, for all machines.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,7 +49,7 @@ settings! {
         /// Distance below the limit that counts as below it. 0 to 90 %.
         pub deadband_pct: f64 = 20.0, Within(0.0, 90.0, "");
         /// Longest shelving or maintenance window. 1 to 3,660 days.
-        pub longest_shelving_days: u32 = 31, Within(1.0, 3_660.0, "");
+        pub longest_shelving_days: u32 = 31, Within(1.0, LONGEST_SHELVING_DAYS, "");
         /// Excess over the baseline's duration of a slow throw. 1 to 1,000 %.
         pub slow_throw_pct: f64 = 20.0, Within(1.0, 1_000.0, "");
         /// Excess over the baseline's duration of a critically slow throw. `slow_throw_pct` to 10,000 %.

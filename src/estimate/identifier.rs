@@ -143,7 +143,7 @@ impl Identifier {
             }
             _ => {}
         }
-        features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
+        features.supply_v = supply_v(throw, settings);
         features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
@@ -431,7 +431,7 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
-    features.supply_v = throw.supply_v;
+    features.supply_v = supply_v(throw, settings);
     features.energy_j = energy_j(throw, &features);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
@@ -452,6 +452,12 @@ fn identify_current(
         unused_fields: throw.unused_fields(),
         short_of_stroke_mm: None,
     }
+}
+
+/// The supply voltage as published \[V\], also an impossible one, which the diagnosis reports. `None` for a series motor: the
+/// diagnosis compares voltage, current and speed by the laws of permanent magnets.
+fn supply_v(throw: &Throw, settings: &Settings) -> Option<f64> {
+    throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet)
 }
 
 /// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
@@ -512,8 +518,12 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
+/// Largest first value of a current at rest, as share of the peak: above the offset and the noise of a usable sensor. A larger
+/// one belongs to a trace that began during the inrush.
+const REST_SHARE: f64 = 0.05;
+
 /// The current before the trace, for the initial state of the filter: the first value if it is small, else 0.
 fn level_before(current: &[f64]) -> f64 {
     let peak = peak(current, 0.0);
-    if current[0].abs() < 0.05 * peak { current[0] } else { 0.0 }
+    if current[0].abs() < REST_SHARE * peak { current[0] } else { 0.0 }
 }

@@ -61,7 +61,6 @@ mod healthy;
 mod judge;
 mod life;
 pub mod limits;
-mod midpoint;
 mod observation;
 mod paper;
 mod parameter;

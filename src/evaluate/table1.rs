@@ -12,8 +12,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
-use super::midpoint::midpoint;
-use crate::estimate::{Estimate, Identifier, Rejection, Settings};
+use crate::estimate::{Estimate, Identifier, Rejection, Settings, midpoint};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
 

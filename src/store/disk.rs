@@ -64,6 +64,8 @@ pub(super) struct Disk {
     replaced: RecentCount,
     /// Whether the file could not be written again.
     replacement_fails: AtomicBool,
+    /// New path of the file that was found in its place; `None` if it was deleted.
+    foreign: Mutex<Option<PathBuf>>,
     /// Time until which a copy of the database counts, during which the writer writes nothing else; `None` before the first.
     copies_until: Mutex<Option<Instant>>,
     /// The counters of the database at the last look.
@@ -112,16 +114,25 @@ impl Disk {
         }
     }
 
-    /// Records that the database file was deleted or replaced.
-    pub(super) fn note_replaced(&self, succeeded: bool) {
+    /// Records that the database file was deleted or replaced. `written_again`: the new path of the file that was found in
+    /// its place, if any; `None` if the database could not be written again.
+    pub(super) fn note_replaced(&self, written_again: Option<&Option<PathBuf>>) {
         self.replaced.add(1);
-        self.replacement_fails.store(!succeeded, Ordering::Relaxed);
+        self.replacement_fails.store(written_again.is_none(), Ordering::Relaxed);
+        if let Some(foreign) = written_again {
+            self.foreign.lock().clone_from(foreign);
+        }
     }
 
     /// Whether the file was written again, if it was deleted or replaced in the last hour.
     pub(super) fn replaced(&self) -> Option<bool> {
         let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
         (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
+    }
+
+    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
+    pub(super) fn foreign(&self) -> Option<PathBuf> {
+        self.foreign.lock().clone()
     }
 
     /// Records the counters of the database. Their values at the first look are from before the start.

@@ -18,7 +18,7 @@ pub enum StoreError {
         source: Box<sqlx::Error>,
     },
     /// The file is the database of another program, or text, and so not a damaged database.
-    #[error("{0}: name another file in store.path")]
+    #[error("{0}: name another file")]
     Foreign(String),
     /// The schema is that of another version, which this one could damage or not read, or it cannot be migrated.
     #[error("{0}")]
@@ -33,6 +33,9 @@ pub enum StoreError {
     /// SQLite refused the statement (constraint, type): its repetition fails too. Nothing was stored.
     #[error("writing to the database failed: {0}")]
     Refused(String),
+    /// The statement of a person is wrong, or writes.
+    #[error("the SQL statement is wrong: {0}")]
+    Statement(String),
     /// A query failed.
     #[error("reading the database failed: {0}")]
     Read(#[source] Box<sqlx::Error>),
@@ -80,6 +83,15 @@ impl StoreError {
         Self::Read(Box::new(source))
     }
 
+    /// Turns an error of SQLite into that of the statement of a person.
+    pub(super) fn statement(source: sqlx::Error) -> Self {
+        match (primary_code(&source), source.as_database_error()) {
+            (Some(1), Some(error)) => Self::Statement(error.message().to_owned()),
+            (Some(8), Some(_)) => Self::Statement("it writes to the database, which only the daemon may do".to_owned()),
+            _ => Self::read(source),
+        }
+    }
+
     /// A copy of the error, for another throw of the same write.
     pub(super) fn repeated(&self) -> Self {
         match self {
@@ -107,6 +119,11 @@ pub(super) fn is_full(error: &sqlx::Error) -> bool {
 /// `SQLITE_CORRUPT` or `SQLITE_NOTADB`: the content of the file is broken.
 pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(11 | 26))
+}
+
+/// `SQLITE_NOTADB`: the file has not the format of SQLite.
+pub(super) fn is_no_database(error: &sqlx::Error) -> bool {
+    primary_code(error) == Some(26)
 }
 
 /// `SQLITE_INTERRUPT`: a progress handler ended the statement.

@@ -93,11 +93,13 @@ impl DatabaseFiles {
         Identity { database: of(&file), log: of(&beside(&file, "-wal")) }
     }
 
-    /// Renames foreign files at the path of the database.
-    pub(super) fn rename_foreign_files(&self) -> Result<(), StoreError> {
+    /// Renames foreign files at the path of the database. Returns the new path of a database there; `None` without one.
+    pub(super) fn rename_foreign_files(&self) -> Result<Option<PathBuf>, StoreError> {
         // Files that exist at the same time have different inodes, so the names differ.
-        let inode = std::fs::metadata(self.file()).map_or(0, |file| file.ino());
-        self.rename_to(&beside(&self.path, &format!("-replaced-{inode}")))
+        let inode = std::fs::metadata(self.file()).ok().map(|file| file.ino());
+        let to = beside(&self.path, &format!("-replaced-{}", inode.unwrap_or(0)));
+        self.rename_to(&to)?;
+        Ok(inode.map(|_| to))
     }
 
     fn rename_to(&self, to: &Path) -> Result<(), StoreError> {

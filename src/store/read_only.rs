@@ -13,7 +13,7 @@ use sqlx::{
 };
 
 use super::{
-    error::{StoreError, is_full},
+    error::{StoreError, is_full, is_no_database},
     files::DatabaseFiles,
     open,
     path::beside,
@@ -39,14 +39,21 @@ pub(super) async fn connect(path: &Path) -> Result<SqliteConnection, StoreError>
     SqliteConnection::connect_with(&options(path).await?).await.map_err(StoreError::open(path))
 }
 
-/// Options of a read-only connection that can be used. A closed database in a read-only folder is opened as immutable.
+/// Options of a read-only connection that can be used. A closed database in a read-only folder is opened as immutable. A file
+/// that is no database of pointsd is refused.
 pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreError> {
     let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let error = StoreError::open(path);
     let options = open::reading(&file);
     let mut first = SqliteConnection::connect_with(&options).await.map_err(&error)?;
     match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
+        Ok(_) if open::applied(&mut first).await.is_ok_and(|applied| applied.is_empty()) => {
+            Err(StoreError::Foreign(format!("{} is the database of another program", path.display())))
+        }
         Ok(_) => Ok(options),
+        Err(error) if is_no_database(&error) => {
+            Err(StoreError::Foreign(format!("{} is not a database", path.display())))
+        }
         Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
             Ok(options.immutable(true))
         }
@@ -85,15 +92,15 @@ pub(crate) async fn ask(path: &Path, question: &str, answer: &mut dyn Answer) ->
     // VACUUM INTO writes another file also on a read-only connection, and with `query_only` still creates it.
     if question.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
         let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
-        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())));
+        return Err(StoreError::Statement(problem.to_owned()));
     }
     let question = AssertSqlSafe(question.to_owned()).into_sql_str();
-    let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
+    let statement = connection.prepare(question.clone()).await.map_err(StoreError::statement)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
     answer.columns(&names(statement.columns())).map_err(StoreError::Answer)?;
     let mut found = connection.fetch_many(sqlx::raw_sql(question));
     let mut is_next_statement = false;
-    while let Some(next) = found.try_next().await.map_err(StoreError::read)? {
+    while let Some(next) = found.try_next().await.map_err(StoreError::statement)? {
         let Either::Right(row) = next else {
             is_next_statement = true;
             continue;

@@ -257,6 +257,8 @@ impl FromRow<'_, SqliteRow> for Health {
             a1_per_b0_sd: row.try_get("a1_per_b0_sd")?,
             a0_per_b0: row.try_get("a0_per_b0")?,
             a0_per_b0_sd: row.try_get("a0_per_b0_sd")?,
+            a1_per_b0_pct: row.try_get("a1_per_b0_pct")?,
+            a0_per_b0_pct: row.try_get("a0_per_b0_pct")?,
             duration_s: row.try_get("duration_s")?,
             peak_current_a: row.try_get("peak_current_a")?,
             mean_current_a: row.try_get("mean_current_a")?,

@@ -20,9 +20,33 @@ macro_rules! throw_rows {
     };
 }
 
-/// The columns of [`Health`](crate::wire::Health); direction and state depend on the query.
+/// Change of the ratio of a coefficient to b0 from the last baseline before the throw \[%\], for a throw without the changes of
+/// the coefficients; as in the view `health_history`. `$throws`: the throws in the baseline of the throw.
+macro_rules! ratio_pct {
+    ($coefficient:literal, $at:literal, $throws:literal) => {
+        concat!(
+            "CASE WHEN b0_pct IS NULL THEN 100.0 * (coalesce(estimate.",
+            $coefficient,
+            "_per_b0, estimate.",
+            $coefficient,
+            " / estimate.b0) * (SELECT payload ->> '$.center[0]' / payload ->> '$.center[",
+            $at,
+            "]' FROM ( \
+             SELECT payload FROM baseline \
+             WHERE baseline.machine_row = estimate.machine_row AND baseline.direction = estimate.direction \
+             AND baseline.taken_at_us <= throw.started_at_us ORDER BY baseline.taken_at_us DESC LIMIT 1) \
+             WHERE payload ->> 'throws' <= ",
+            $throws,
+            ") - 1) END AS ",
+            $coefficient,
+            "_per_b0_pct"
+        )
+    };
+}
+
+/// The columns of [`Health`](crate::wire::Health); direction, state and progress of the baseline depend on the query.
 macro_rules! health {
-    ($direction:literal, $state:literal, $drift:literal, $drifts:literal, $caveats:literal) => {
+    ($direction:literal, $state:literal, $drift:literal, $drifts:literal, $caveats:literal, $throws:literal) => {
         concat!(
             "site, machine, boot_id, throw_no, started_at_us, ",
             $direction,
@@ -35,8 +59,11 @@ macro_rules! health {
             " AS drifts, ",
             $caveats,
             " AS caveats, quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, \
-             a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, duration_s, \
-             peak_current_a, mean_current_a, baseline_throws, baseline_needed, throws_since_baseline "
+             a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, ",
+            ratio_pct!("a1", "1", $throws),
+            ", ",
+            ratio_pct!("a0", "2", $throws),
+            ", duration_s, peak_current_a, mean_current_a, baseline_throws, baseline_needed, throws_since_baseline "
         )
     };
 }
@@ -80,7 +107,14 @@ macro_rules! export {
 /// The columns of the health of throws, with the state after each throw.
 macro_rules! throw_health {
     () => {
-        health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL", "NULL")
+        health!(
+            "coalesce(estimate.direction, throw.direction)",
+            "estimate.state",
+            "estimate.drift",
+            "NULL",
+            "NULL",
+            "coalesce(estimate.baseline_before, estimate.baseline_throws)"
+        )
     };
 }
 
@@ -397,7 +431,7 @@ statements! {
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
     // A throw of unknown direction, as an unreadable one, counts until the next of a known direction.
-    LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
+    LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats", "estimate.baseline_throws"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 AND (latest.direction <> '' OR NOT EXISTS (SELECT 1 FROM latest AS later \
@@ -563,8 +597,9 @@ statements! {
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
-    // The latest throws of a machine show the progress of its baselines, which begin anew.
-    RESTART_BASELINES = "UPDATE estimate SET baseline_throws = 0, throws_since_baseline = 0 \
+    // The latest throws of a machine show the progress of its baselines, which begin anew. Their changes in the history stay.
+    RESTART_BASELINES = "UPDATE estimate SET baseline_before = coalesce(baseline_before, baseline_throws), \
+        baseline_throws = 0, throws_since_baseline = 0 \
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
 
     // A retired machine keeps its history, and is no machine of the present any more. Its gaps are not reported.
@@ -620,7 +655,7 @@ statements! {
         (SELECT count(*) FROM throw WHERE judged_at_us IS NULL) AS pending, \
         (SELECT count(*) FROM notification) AS notifications, \
         (SELECT count(*) FROM quarantine) AS quarantined, \
-        (SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap \
+        (SELECT CAST(total(min(last_no - first_no + 1, 1099511627776)) AS INTEGER) FROM gap \
         WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws, \
         (SELECT count(*) FROM alarm WHERE state <> 'normal') AS open_alarms FROM machine");
 }

@@ -1,7 +1,7 @@
 //! Problems of the store, as texts for an alarm.
 
 use super::{database::Store, disk::DiskLevel, files::DatabaseFiles};
-use crate::diagnose::Severity;
+use crate::{diagnose::Severity, throw::counted};
 
 impl Store {
     /// The highest severity and one text for all present problems, for those since the last call, and for `more`.
@@ -33,33 +33,42 @@ impl Store {
         });
         let replaced = self.disk.replaced().map(|succeeded| {
             let file = self.path().display();
-            let said = if succeeded {
-                format!(
-                    "the file of its database was deleted or replaced during operation; all data were written again to {file}. \
-                     A foreign file there is now {file}-replaced-…. Find out the reason"
-                )
-            } else {
-                format!("the file {file} of its database was deleted or replaced during operation, and cannot be written again")
+            let said = match (succeeded, self.disk.foreign()) {
+                (true, None) => format!(
+                    "its database {file} was deleted during operation. All data were written to a new file there. \
+                     Find out who or what deleted it"
+                ),
+                (true, Some(foreign)) => format!(
+                    "its database {file} was replaced during operation. All data were written to a new file there, and the file \
+                     found in its place is now {}. If this was a backup to restore, stop pointsd first, then put it in place. \
+                     Otherwise find out who or what replaced the database",
+                    foreign.display()
+                ),
+                (false, _) => format!(
+                    "its database {file} was deleted or replaced during operation, and cannot be written again. Check its folder \
+                     and disk, and do not stop pointsd before: it has the only copy open"
+                ),
             };
             (Severity::Critical, said)
         });
         let [throws, messages, notifications] = self.disk.lost();
         let throws = throws.map(|throws| {
             format!(
-                "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib or are more than store.max_traces, mostly \
-                 of one machine. Check the logger that sends so many"
+                "it dropped {} before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly \
+                 of one machine. Check the logger that sends so many",
+                counted(throws, "throw")
             )
         });
         let messages = messages.map(|events| {
             format!(
-                "{events} alarm events were dropped before they were published, as too many were waiting. Check the link \
-                 of zenoh"
+                "it dropped {} before publishing, as too many were waiting. Check the link of zenoh",
+                counted(events, "alarm event")
             )
         });
         let notifications = notifications.map(|events| {
             format!(
-                "{events} alarm events were dropped before the webhook accepted them, as too many were waiting. Check \
-                 its receiver (webhook.url)"
+                "it dropped {} before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
+                counted(events, "alarm event")
             )
         });
         let dropped = [throws, messages, notifications].into_iter().flatten().map(|said| (Severity::Critical, said));

@@ -140,10 +140,10 @@ impl WritingConnection {
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
         let outcome = match self.files.rename_foreign_files() {
-            Ok(()) => self.move_database("its files were deleted or replaced").await,
+            Ok(foreign) => self.move_database("its files were deleted or replaced").await.map(|()| foreign),
             Err(error) => Err(error),
         };
-        self.disk.note_replaced(outcome.is_ok());
+        self.disk.note_replaced(outcome.as_ref().ok());
         if let Err(error) = outcome {
             tracing::error!(%error, "writing the database again failed; retrying");
         }

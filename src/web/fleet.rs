@@ -25,7 +25,7 @@ use crate::{
     daemon::{View, clock},
     diagnose::{Cause, MachineState},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
-    throw::{MachineId, utc},
+    throw::{MachineId, counted, utc},
     wire,
 };
 
@@ -200,14 +200,14 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
-        machines: format!("{} machine{}", page::count(tally.total()), if tally.total() == 1 { "" } else { "s" }),
+        machines: counted(page::count(tally.total()), "machine"),
         common: common(&overview.common),
         alarms: overview
             .faults
             .iter()
             .map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, &windows))
             .collect(),
-        more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
+        more_alarms: if more_alarms > 0 { counted(page::count(more_alarms), "more alarm") } else { String::new() },
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
         states: WORST_FIRST.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),

@@ -22,7 +22,7 @@ use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
     store::{Choice, CommandRow, Reader, StoreError, Window},
-    throw::{Direction, MachineId, utc, without_digits},
+    throw::{Direction, MachineId, counted, utc, without_digits},
     wire::{Alarm, Health},
 };
 
@@ -325,6 +325,11 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
 
 /// Reason why a throw has no changes from the baseline.
 fn without(row: &Health) -> String {
+    if let Some(changes) = row.present_ratio_changes_pct() {
+        let [friction, stiffness] = changes.map(|change| state::signed(change, 1));
+        let ratios = format!("friction per motor {friction} %, stiffness per motor {stiffness} %");
+        return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
+    }
     match row.quality.as_str() {
         _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
         "rough" => format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row)),
@@ -372,7 +377,12 @@ fn drawn(directions: &Directions) -> String {
         return "No throw with a known direction.".to_owned();
     };
     let [there, back] = directions.each_ref().map(|(_, rows)| rows.len());
-    format!("{} to {}; drawn are {there} throws normal to reverse and {back} back.", utc(&first), utc(&last))
+    format!(
+        "{} to {}; drawn are {} normal to reverse and {back} back.",
+        utc(&first),
+        utc(&last),
+        counted(there, "throw")
+    )
 }
 
 fn drawn_throws(directions: &Directions) -> String {

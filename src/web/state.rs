@@ -2,6 +2,7 @@
 
 use crate::{
     diagnose::{Cause, Drifting, MachineState, Severity},
+    throw::counted,
     wire::Alarm,
 };
 
@@ -61,7 +62,8 @@ pub(super) fn signed(value: f64, decimals: usize) -> String {
 /// "critical in about 40 throws (30 to 60)".
 pub(crate) fn forecast(drift: &Drifting) -> Option<String> {
     let limit = drift.limit_in_throws?;
-    Some(format!("critical in about {:.0} throws ({:.0} to {:.0})", limit.mid, limit.low, limit.high))
+    let throws = counted(format_args!("{:.0}", limit.mid), "throw");
+    Some(format!("critical in about {throws} ({:.0} to {:.0})", limit.low, limit.high))
 }
 
 #[cfg(test)]

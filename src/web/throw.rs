@@ -214,16 +214,14 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
         let forward = current * peak.signum();
         if settings.motor == Motor::Series { forward * forward.abs() } else { forward }
     };
-    let acceleration =
-        |angle: f64, speed: f64, current: f64| sign * b0 * drive(current) - a1 * speed - a0 * (angle - neutral_rad);
-    let (mut angle, mut speed) = (position[start] / mm_per_rad, 0.0);
+    let acceleration = |current: f64| {
+        move |[angle, speed]: [f64; 2]| sign * b0 * drive(current) - a1 * speed - a0 * (angle - neutral_rad)
+    };
+    let mut state = [position[start] / mm_per_rad, 0.0];
     let mut model = vec![position[start]; start + 1];
-    for pair in current[start..end].windows(2) {
-        let (mid_angle, mid_speed) =
-            (angle + 0.5 * step_s * speed, speed + 0.5 * step_s * acceleration(angle, speed, pair[0]));
-        angle += step_s * mid_speed;
-        speed += step_s * acceleration(mid_angle, mid_speed, 0.5 * (pair[0] + pair[1]));
-        model.push(angle * mm_per_rad);
+    for [before, after] in current[start..end].array_windows() {
+        state = estimate::midpoint(state, step_s, acceleration(*before), acceleration(0.5 * (before + after)));
+        model.push(state[0] * mm_per_rad);
     }
     model
 }

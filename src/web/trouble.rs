@@ -8,7 +8,7 @@ use super::{
     overview::{Overview, Web},
     page,
 };
-use crate::{daemon::View, store::DiskLevel};
+use crate::{daemon::View, store::DiskLevel, throw::counted};
 
 /// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
@@ -56,7 +56,8 @@ fn of_data(overview: &Overview) -> Vec<String> {
     if overview.unreadable > 0 {
         let unknown = overview.unreadable;
         trouble.push(format!(
-            "{unknown} open alarms of another version cannot be read by this version: pointsd sql shows them."
+            "{} of another version cannot be read by this version: pointsd sql shows all.",
+            counted(unknown, "open alarm")
         ));
     }
     if overview.statistics.pending > BACKLOG {

@@ -41,3 +41,23 @@ pub struct Commander {
     /// Identifier of its zenoh session; differs between two daemons of the same name.
     pub session: String,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_names_a_wrong_end() {
+        let ending = |until: &str| {
+            let command =
+                serde_json::json!({"command": "shelve", "cause": "motor", "until": until, "by": "a", "why": "b"});
+            decode_command(command.to_string().as_bytes())
+        };
+        let error = ending("tomorrow").unwrap_err().to_string();
+        assert!(error.contains("`until` is not a time, as 2026-05-04T06:00:00Z"), "{error}");
+        assert!(matches!(
+            ending("2026-05-04T06:00:00Z"),
+            Ok(Command::Shelve { cause: crate::diagnose::Cause::Kt, .. })
+        ));
+    }
+}

@@ -46,6 +46,10 @@ pub struct Health {
     pub a0_per_b0: Option<f64>,
     /// Standard deviation of `a0_per_b0`.
     pub a0_per_b0_sd: Option<f64>,
+    /// Change of `a1_per_b0` from the baseline \[%\], with the effect of the temperature; `None` if `change_pct` is known.
+    pub a1_per_b0_pct: Option<f64>,
+    /// Change of `a0_per_b0` from the baseline \[%\]; see `a1_per_b0_pct`.
+    pub a0_per_b0_pct: Option<f64>,
     /// Duration of the movement \[s\].
     pub duration_s: Option<f64>,
     /// Largest magnitude of the current \[A\].
@@ -102,6 +106,8 @@ impl Health {
             a1_per_b0_sd: None,
             a0_per_b0: None,
             a0_per_b0_sd: None,
+            a1_per_b0_pct: None,
+            a0_per_b0_pct: None,
             duration_s: None,
             peak_current_a: None,
             mean_current_a: None,
@@ -118,6 +124,12 @@ impl Health {
     /// Changes of the coefficients from the present baseline \[%\]; `None` if a new baseline began after the throw.
     pub fn present_change_pct(&self) -> Option<[f64; 3]> {
         self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
+    }
+
+    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], of a throw without `change_pct`.
+    pub fn present_ratio_changes_pct(&self) -> Option<[f64; 2]> {
+        let changes = self.a1_per_b0_pct.zip(self.a0_per_b0_pct).map(|(friction, stiffness)| [friction, stiffness]);
+        changes.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
     }
 
     /// Whether the throw has an estimate.
@@ -204,7 +216,7 @@ mod tests {
             "b0": null, "a1": null, "a0": null, "b0_sd": null, "a1_sd": null, "a0_sd": null,
             "b0_pct": 0.5, "a1_pct": -1.5, "a0_pct": 2.0, "fit_pct": null,
             "a1_per_b0": 0.03, "a1_per_b0_sd": 0.0001, "a0_per_b0": null, "a0_per_b0_sd": null,
-            "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null, "state": "warning",
+            "a1_per_b0_pct": 3.5, "a0_per_b0_pct": null, "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null, "state": "warning",
             "drift": {"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null},
             "drifts": [{"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}]}"#;
         let promised: serde_json::Value = serde_json::from_str(text).unwrap();

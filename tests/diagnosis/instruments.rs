@@ -262,6 +262,30 @@ fn sizes_hold(seeds: std::ops::Range<u64>) {
     }
 }
 
+/// A failed sensor of the supply voltage is a fault of its own. An impossible voltage names nothing else, and hides no fault,
+/// with or without a toe sensor.
+#[test]
+fn an_impossible_supply_voltage_names_its_sensor_and_hides_no_fault() {
+    let failed: [fn(Throw) -> Throw; 3] = [
+        |throw| Throw { supply_v: Some(0.0), ..throw },
+        |throw| Throw { supply_v: Some(-110.0), ..throw },
+        |throw| Throw { supply_v: Some(10_000.0), ..throw },
+    ];
+    for (logger, has_toe_sensor) in failed.into_iter().flat_map(|logger| [(logger, true), (logger, false)]) {
+        let mut drive = Drive::new(77, true);
+        drive.has_toe_sensor = has_toe_sensor;
+        drive.events(100, State::SOUND);
+        drive.logger = logger;
+        let events = drive.events(20, State::SOUND);
+        let of: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
+        assert_eq!(of, [(Cause::Sensor, Some(SensorChannel::Supply))], "toe sensor {has_toe_sensor}: {events:#?}");
+        assert!(events[0].text.contains("is impossible"), "{}", events[0].text);
+        let events = drive.events(60, State { friction: 1.6, ..State::SOUND });
+        let is_fault = |event: &AlarmEvent| matches!(event.cause, Cause::Friction | Cause::Unattributed);
+        assert!(events.iter().any(is_fault), "toe sensor {has_toe_sensor}: {events:#?}");
+    }
+}
+
 #[test]
 fn the_size_of_a_sensor_or_supply_fault_is_within_its_interval() {
     sizes_hold(400..403);

@@ -282,6 +282,17 @@ fn a_growing_loss_is_reported_at_each_power_of_two() {
     }
 }
 
+/// One message with an absurd number makes a gap of up to 2^63 throws, whose number says nothing.
+#[test]
+fn a_jump_of_the_throw_number_is_no_number_of_lost_throws() {
+    let settings = Settings::default();
+    let mut machine = machine();
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let events = machine.monitor.gap(missing(Missing::MOST), at, &settings);
+    let text = &events[0].text;
+    assert!(text.contains("the number of lost ones is not known") && !text.contains("1099511627776"), "{text}");
+}
+
 /// Missing throws whose messages were refused are no fault of the link.
 #[test]
 fn refused_messages_are_named_as_the_reason_of_a_gap() {

@@ -134,6 +134,21 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
 }
 
+/// A logger of a site that no daemon serves says so, and which daemons it found.
+#[test]
+fn a_logger_that_no_daemon_serves_says_so() {
+    let (rig, daemon) = Rig::running_with("[subscribe]\nkey = \"points/v1/north/**\"\n");
+    let file = rig.folder().join("pointsim.toml");
+    fs::write(&file, "[logger]\nsite = \"mars\"\n").unwrap();
+    let mut command = pointsim(&["run", "--connect", &daemon.endpoint, "--config"]);
+    let mut logger = command.arg(&file).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(logger.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let warning = lines.find(|line| line.contains("no daemon serves this site")).unwrap_or_default();
+    assert!(warning.contains("mars") && warning.contains("the daemons found serve other machines ("), "{warning}");
+    logger.kill().unwrap();
+    logger.wait().unwrap();
+}
+
 /// A daemon or a logger whose router is away waits for it: it says so, and can be stopped.
 #[test]
 fn a_client_without_its_router_says_so_and_can_be_stopped() {

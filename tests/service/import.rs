@@ -62,6 +62,21 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     assert_ne!(lines[1]["quality"], "good");
 }
 
+#[test]
+fn no_database_is_made_for_a_missing_or_invalid_file() {
+    let rig = Rig::new();
+    let [good, bad, missing] = ["good.json", "bad.csv", "missing.csv"].map(|name| rig.folder().join(name));
+    fs::write(&good, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
+    fs::write(&bad, "a letter").unwrap();
+    for (files, exit) in [(&[&bad][..], 65), (&[&missing], 66), (&[&good, &missing], 66)] {
+        let files: Vec<&Path> = files.iter().map(|file| file.as_path()).collect();
+        let (code, _, error) = import(&rig, &files, &[]);
+        assert_eq!(code, Some(exit), "{error}");
+        let made: Vec<_> = fs::read_dir(rig.folder()).unwrap().map(|file| file.unwrap().file_name()).collect();
+        assert!(made.iter().all(|name| !name.to_string_lossy().contains(".db")), "{files:?}: {made:?}");
+    }
+}
+
 /// The alarms under these names are not those of a machine.
 #[test]
 fn no_throws_are_imported_under_a_reserved_name() {

@@ -102,7 +102,7 @@ const ROWS: [Row; 8] = [
         name: "9 the database deleted under the daemon",
         before: Before::Deleted,
         disguise: as_they_are,
-        says: "deleted or replaced",
+        says: "was deleted during operation",
         metric: OWN,
     },
     Row {

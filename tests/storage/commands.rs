@@ -4,7 +4,7 @@ use std::{path::Path, process::Command};
 
 use pointsd::store::Found;
 
-use crate::given::{fresh, judged, open, spooled};
+use crate::given::{change, fresh, judged, open, spooled};
 
 fn pointsd(arguments: &[&str], database: &Path) -> (Option<i32>, String, String) {
     let output =
@@ -42,9 +42,17 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     let copy = folder.path().join("copy.db");
     let [vacuum, second, hidden] =
         ["VACUUM", "SELECT 1; vacuum", "/**/VACUUM/**/"].map(|start| format!("{start} INTO '{}'", copy.display()));
-    for refused in ["DELETE FROM throw", "SELECT wrong FROM nothing", "not SQL", &vacuum, &second, &hidden] {
+    for (refused, says) in [
+        ("DELETE FROM throw", "it writes to the database"),
+        ("SELECT wrong FROM nowhere", "no such table: nowhere"),
+        ("not SQL", "near \"not\": syntax error"),
+        (&vacuum, "VACUUM writes a file"),
+        (&second, "VACUUM writes a file"),
+        (&hidden, "VACUUM writes a file"),
+    ] {
         let (code, _, error) = pointsd(&["sql", refused], store.path());
         assert_eq!(code, Some(65), "{refused}: {error}");
+        assert!(error.starts_with(&format!("error: the SQL statement is wrong: {says}")), "{refused}: {error}");
         assert!(!copy.exists(), "{refused}");
     }
     assert_eq!(pointsd(&["sql", "SELECT 'vacuum' AS vacuum"], store.path()).0, Some(0));
@@ -56,6 +64,32 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     std::fs::write(&empty, "").unwrap();
     let (code, _, error) = pointsd(&["sql", "SELECT 1"], &empty);
     assert!(code == Some(66) && error.contains("is empty"), "{error}");
+}
+
+/// Every command that reads a database names a file that is none, with one exit code.
+#[tokio::test]
+async fn a_file_that_is_no_database_of_pointsd_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let [text, bytes, songs] = ["text.db", "bytes.db", "songs.db"].map(|name| folder.path().join(name));
+    std::fs::write(&text, "a letter").unwrap();
+    std::fs::write(&bytes, [0xa7; 9000]).unwrap();
+    change(&songs, ["CREATE TABLE songs (title TEXT)"]).await;
+    let (copy, page) = (folder.path().join("copy.db"), folder.path().join("page.html"));
+    let [copy, page] = [&copy, &page].map(|path| path.to_str().unwrap());
+    let config = folder.path().join("pointsd.toml");
+    for (file, says) in
+        [(text, "is not a database"), (bytes, "is not a database"), (songs, "is the database of another program")]
+    {
+        let says = format!("error: {} {says}: name another file\n", file.display());
+        for command in [&["sql", "SELECT 1"][..], &["export"], &["backup", copy], &["report", "a/b", "--out", page]] {
+            let (code, _, error) = pointsd(command, &file);
+            assert_eq!((code, &error), (Some(65), &says), "{command:?}");
+        }
+        std::fs::write(&config, format!("[store]\npath = {:?}\n", file.display().to_string())).unwrap();
+        let replay = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["replay", "--config"]).arg(&config).output();
+        let replay = replay.unwrap();
+        assert_eq!((replay.status.code(), &*String::from_utf8_lossy(&replay.stderr)), (Some(65), &*says), "replay");
+    }
 }
 
 #[tokio::test]

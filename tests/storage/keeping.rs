@@ -73,7 +73,7 @@ async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let dropped = statistics.counters()["dropped_pending_throws"];
     assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
     let (severity, said) = store.trouble(None).unwrap();
-    assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("before they were judged"), "{said}");
+    assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("throws before judging"), "{said}");
     // The deleted throws are known: they are not a gap, and are repetitions when they arrive again.
     assert_eq!(statistics.missing_throws, 0);
     let again = store.spool(&machine("loud"), &throw("b1", 3), at(0)).await.unwrap();
@@ -92,8 +92,8 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     change(store.path(), [count]).await;
     store.keep_bounds(at(0), true).await.unwrap();
     let (_, said) = store.trouble(None).unwrap();
-    assert!(said.contains("3 alarm events were dropped before the webhook accepted them"), "{said}");
-    assert!(said.contains("2 alarm events were dropped before they were published"), "{said}");
+    assert!(said.contains("it dropped 3 alarm events before the webhook accepted them"), "{said}");
+    assert!(said.contains("it dropped 2 alarm events before publishing"), "{said}");
 }
 
 /// A burst after a long life: the estimates of old throws, whose traces are gone, are not pending throws.
@@ -371,7 +371,9 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         };
         tokio::time::timeout(Duration::from_secs(10), noticed).await.unwrap();
         let (severity, said) = store.trouble(None).unwrap();
-        assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("deleted or replaced"), "{said}");
+        let happened = if replaced { "was replaced during operation" } else { "was deleted during operation" };
+        assert!(severity == pointsd::diagnose::Severity::Critical && said.contains(happened), "{said}");
+        assert_eq!(said.contains("points.db-replaced-"), replaced, "{said}");
         judged(&store, 31, 40).await;
         assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(40,)]);
         store.close().await.unwrap();

@@ -1,9 +1,12 @@
 //! SQLite can prepare every statement of the store.
 
-use pointsd::store::{Selector, statements};
+use pointsd::{
+    diagnose::Command,
+    store::{Outcome, Selector, statements},
+};
 use sqlx::{Column, Executor, Row, SqlSafeStr};
 
-use crate::given::{at, fresh, judged, outsider};
+use crate::given::{at, fresh, judged, outcome, outsider};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -102,6 +105,7 @@ async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
     let mut connection = outsider(store.path()).await;
     for statement in [
         "UPDATE estimate SET direction = 'normal_to_reverse', quality = 'rough', b0 = NULL, a1 = NULL, a0 = NULL,
+             b0_pct = NULL, a1_pct = NULL, a0_pct = NULL,
              a1_per_b0 = 0.3, a0_per_b0 = 0.05, baseline_throws = 50",
         "UPDATE latest SET direction = 'normal_to_reverse'",
         "DELETE FROM baseline",
@@ -123,8 +127,25 @@ async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
         .await
         .unwrap();
     assert_eq!(temperature, [(Some(12.5),), (None,)]);
+    let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
+    let near = |is: Option<f64>, pct: f64| is.is_some_and(|is| (is - pct).abs() < 1e-9);
+    assert!(near(health.a1_per_b0_pct, 20.0) && near(health.a0_per_b0_pct, 0.0), "{health:?}");
+    // A new baseline changes the present, not the history.
+    let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "new motor".to_owned() };
+    for _ in 0..2 {
+        store.record(Outcome { command: Some(rebaseline.clone()), ..outcome("21B", Vec::new()) }).await.unwrap();
+    }
+    for (view, change) in [("health_history", Some(20.0)), ("machine_health", None)] {
+        let question = sqlx::AssertSqlSafe(format!("SELECT round(a1_per_b0_pct, 9) FROM {view}"));
+        let shown: (Option<f64>,) = sqlx::query_as(question).fetch_one(&mut connection).await.unwrap();
+        assert_eq!(shown.0, change, "{view} after a new baseline");
+    }
+    let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
+    assert_eq!(health.a1_per_b0_pct, None);
+    let history = store.reader().health_history(&Selector::default(), at(0), 9).await.unwrap();
+    assert!(near(history[0].a1_per_b0_pct, 20.0), "{history:?}");
     // A new baseline is being learned.
-    connection.execute("UPDATE estimate SET baseline_throws = 3").await.unwrap();
+    connection.execute("UPDATE estimate SET baseline_before = NULL, baseline_throws = 3").await.unwrap();
     let change: (Option<f64>,) =
         sqlx::query_as("SELECT a1_per_b0_pct FROM machine_health").fetch_one(&mut connection).await.unwrap();
     assert_eq!(change, (None,));

@@ -1,4 +1,5 @@
 use super::*;
+use crate::diagnose::Cause;
 
 fn load(text: &str) -> Result<Config, ConfigError> {
     let folder = tempfile::tempdir().unwrap();
@@ -170,6 +171,14 @@ fn settings_of_a_machine_that_is_not_served_are_warned_about() {
     .unwrap();
     let warnings = config.warnings();
     assert!(matches!(&warnings[..], [one] if one.starts_with("[[machine]] south/1: ")), "{warnings:?}");
+}
+
+#[test]
+fn the_causes_of_the_webhook_may_be_the_words_of_alarms_for_people() {
+    let config = load("[webhook]\nurl = \"http://a/\"\ncauses = [\"motor\", \"friction\"]").unwrap();
+    assert_eq!(config.webhook.causes, [Cause::Kt, Cause::Friction]);
+    let error = load("[webhook]\ncauses = [\"magnet\"]").unwrap_err().to_string();
+    assert!(error.contains("`motor`") && error.contains("`friction`"), "{error}");
 }
 
 #[test]

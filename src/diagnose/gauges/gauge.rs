@@ -1,6 +1,6 @@
 //! The gauges, and their values in a throw.
 
-use crate::estimate::Features;
+use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 /// A quantity of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,7 +81,8 @@ pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
         ln(features.back_emf_v_s_per_rad),
         ln(features.resistance_ohm.map(|ohm| ohm / warm)),
         ln(features.duration_s),
-        ln(features.supply_v),
+        // With a failed sensor the voltage is unknown.
+        ln(features.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))),
         ln(features.peak_current_a),
         ln(features.running_current_a),
         ln(features.charge_as),

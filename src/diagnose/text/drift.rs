@@ -10,6 +10,7 @@ use crate::diagnose::{
     intermittent::Departures,
     testimony::Awaited,
 };
+use crate::throw::counted;
 
 /// Addition to the text of a rise of friction soon after a baseline, which rain may have lowered.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
@@ -26,7 +27,7 @@ pub(crate) fn drift(
     throws: u64,
     forecast: Option<&LimitForecast>,
 ) -> String {
-    let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
+    let over = counted(throws, "throw");
     let is_sound = alike.is_none() && attribution.sound_magnets().is_some();
     let name =
         |e: &Explanation| if is_sound && e.cause == Cause::Kt { MOTOR_OR_GEAR.to_owned() } else { e.cause.to_string() };
@@ -74,7 +75,7 @@ pub(crate) fn drift(
         if mid < 1.0 {
             return " The critical limit is reached about now.".to_owned();
         }
-        format!(" Reaches the critical limit in about {mid} throws ({low} to {high}).")
+        format!(" Reaches the critical limit in about {} ({low} to {high}).", counted(mid, "throw"))
     });
     let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
         let more = match waits {

@@ -52,16 +52,17 @@ pub(crate) fn contradicted(name: &str) -> String {
 }
 
 pub(crate) fn silent(name: &str, hours: f64) -> String {
-    let noun = if hours.round() > 1.0 { "hours" } else { "hour" };
+    let hours = counted(format_args!("{hours:.0}"), "hour");
     format!(
-        "Machine {name}: no throw arrived for {hours:.0} {noun}, so the machine is not monitored. Check the logger and the \
+        "Machine {name}: no throw arrived for {hours}, so the machine is not monitored. Check the logger and the \
          network; if the machine was not used, acknowledge."
     )
 }
 
 pub(crate) fn logger_gone(name: &str, minutes: f64) -> String {
+    let minutes = counted(format_args!("{minutes:.0}"), "minute");
     format!(
-        "Machine {name}: its logger has been gone for {minutes:.0} minutes, so the machine is not monitored. Check the \
+        "Machine {name}: its logger has been gone for {minutes}, so the machine is not monitored. Check the \
          logger's supply and the network."
     )
 }
@@ -73,6 +74,12 @@ pub(crate) fn logger_back(name: &str) -> String {
 /// Text for missing throws, counted until `at`.
 pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
     let Missing { throws, refused, reason } = missing;
+    if *throws >= Missing::MOST {
+        return format!(
+            "Machine {name}: its throw number jumped by so many throws that the number of lost ones is not known. The counter of \
+             the logger is wrong: restart the logger with a new boot_id; data_gaps has the range."
+        );
+    }
     let (lost, at) = (counted(*throws, "throw"), utc(&at));
     let counted_at = format!("(counted at {at}; data_gaps has the present number)");
     let reason = if reason.is_empty() { String::new() } else { format!(": {reason}") };
@@ -104,4 +111,16 @@ pub(crate) fn repeated_number(name: &str) -> String {
         "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have the same \
          number. They are stored and judged. Give the logger a new boot_id at each start."
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_minute_and_one_hour_are_singular() {
+        assert!(logger_gone("21B", 1.2).contains("has been gone for 1 minute, so"));
+        assert!(logger_gone("21B", 10.0).contains("has been gone for 10 minutes, so"));
+        assert!(silent("21B", 0.9).contains("for 1 hour, so") && silent("21B", 26.0).contains("for 26 hours, so"));
+    }
 }

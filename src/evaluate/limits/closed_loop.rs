@@ -8,8 +8,7 @@ use rand_distr::StandardNormal;
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, fit};
-use crate::estimate::{Hold, sriv::Signal};
-use crate::evaluate::midpoint::midpoint;
+use crate::estimate::{Hold, midpoint, sriv::Signal};
 use crate::simulate::{Coefficients, Parameters};
 use crate::throw::OutOfRange;
 

@@ -1,7 +1,7 @@
 //! The midpoint rule for an equation of motion.
 
 /// Angle and speed after a step of `h` seconds by the midpoint rule, with the acceleration at the start and in the middle.
-pub(super) fn midpoint(
+pub(crate) fn midpoint(
     [angle, speed]: [f64; 2],
     h: f64,
     at_start: impl Fn([f64; 2]) -> f64,
