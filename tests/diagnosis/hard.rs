@@ -255,7 +255,7 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
             let nature = Nature { phi, ..Nature::default() };
             let mut machine = Machine::learned_with(7_000 + seed, nature, free(BUDGET_THROWS));
             let events = machine.events(LIFE, Vector3::zeros());
-            raised += events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged).count();
+            raised += events.iter().filter(|event| event.event_no == 1 && event.cause.is_drift()).count();
         }
         let allowed = MACHINES as f64 * LIFE as f64 / BUDGET_THROWS;
         let ratio = raised as f64 / allowed;
