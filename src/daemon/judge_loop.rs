@@ -191,9 +191,7 @@ impl JudgeLoop {
             let [with_events, alone] = judgement.instead(&problem);
             let Err(error) = self.judge_alone(with_events).await else { continue };
             let StoreError::Refused(problem) = error else { return Err(error) };
-            for event in &judgement.outcome.events {
-                tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);
-            }
+            self.lose(&judgement.outcome, &problem);
             match self.judge_alone(alone).await {
                 Err(StoreError::Refused(problem)) => {
                     seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
@@ -253,7 +251,7 @@ impl JudgeLoop {
                 Ok(stored)
             }
             Err(StoreError::Refused(problem)) => {
-                outcomes.iter().for_each(|outcome| log_lost(outcome, &problem));
+                outcomes.iter().for_each(|outcome| self.lose(outcome, &problem));
                 Ok(false)
             }
             Err(error) => Err(error),
@@ -366,7 +364,7 @@ impl JudgeLoop {
             match self.judge.store.record(alarm.outcome.clone()).await {
                 Ok(()) => self.announce(&alarm.outcome),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(StoreError::Refused(problem)) => log_lost(&alarm.outcome, &problem),
+                Err(StoreError::Refused(problem)) => self.lose(&alarm.outcome, &problem),
                 Err(_) => {
                     self.daemon_alarms.push_front(alarm);
                     self.publish_uncommitted().await;
@@ -463,16 +461,21 @@ impl JudgeLoop {
         Ok((true, confirmation))
     }
 
+    /// Logs and counts the alarm events of an outcome that the database rejects.
+    fn lose(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
+        seldom!(error, %machine, problem, "the database rejects the change of a monitor: it is LOST");
+        for event in events {
+            tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);
+        }
+        if !events.is_empty() {
+            self.links.status.alarm_events_lost.add(events.len() as u64);
+        }
+    }
+
     async fn pause(&self) {
         tokio::select! {
             () = time::sleep(PAUSE) => {}
             () = self.links.give_up.cancelled() => {}
         }
     }
-}
-
-/// Logs an outcome that the database rejects, with its alarms.
-fn log_lost(Outcome { machine, events, .. }: &Outcome, problem: &str) {
-    let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
-    seldom!(error, %machine, problem, ?texts, "the database rejects the change of a monitor: it is LOST");
 }

@@ -33,6 +33,7 @@ pub(crate) struct Status {
     /// Of each machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
+    pub(super) alarm_events_lost: RecentCount,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -119,6 +120,9 @@ pub struct StatusReport {
     pub not_evaluated: u64,
     /// Alarm events since the start.
     pub alarm_events: u64,
+    /// Alarm events that the database rejected, since the start.
+    #[serde(default)]
+    pub alarm_events_lost: u64,
     /// Messages published.
     pub published: u64,
     /// Health messages dropped because the publishing queue was full.
@@ -176,13 +180,19 @@ impl Status {
     }
 
     /// Rejected data, for the alarm about the daemon.
-    pub(super) fn trouble(&self, max_machines: usize) -> Option<(Severity, String)> {
-        let refused = self.machines_refused.shown()?;
-        let said = format!(
-            "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
-             {max_machines}. Look in the quarantine who sends them"
-        );
-        Some((Severity::Critical, said))
+    pub(super) fn trouble(&self, max_machines: usize) -> Vec<(Severity, String)> {
+        let refused = self.machines_refused.shown().map(|refused| {
+            format!(
+                "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
+                 {max_machines}. Look in the quarantine who sends them"
+            )
+        });
+        // Without their number: such an alarm may itself be rejected.
+        let lost = self.alarm_events_lost.shown().map(|_| {
+            "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
+                .to_owned()
+        });
+        refused.into_iter().chain(lost).map(|said| (Severity::Critical, said)).collect()
     }
 
     /// Number of throws without an estimate, by the code of the reason.
@@ -215,6 +225,7 @@ impl StatusSources {
             received: self.inbox.received.load(Relaxed) + report.received,
             dropped: self.inbox.dropped.load(Relaxed),
             machines_refused: status.machines_refused.count(),
+            alarm_events_lost: status.alarm_events_lost.count(),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
@@ -243,6 +254,8 @@ impl StatusReport {
         add(self.webhook_fails, "WEBHOOK FAILS: alarms wait for its receiver");
         let refused = counted(self.webhook_refused, "alarm event");
         add(self.webhook_refused > 0, &format!("WEBHOOK REFUSED {refused}: not sent again, look in the log"));
+        let rejected = counted(self.alarm_events_lost, "alarm event");
+        add(self.alarm_events_lost > 0, &format!("{rejected} LOST: the database rejects them, look in the log"));
         let lost = self.dropped + self.lost;
         add(lost > 0, &format!("{} LOST: received and not stored", counted(lost, "message")));
         problems

@@ -7,7 +7,7 @@ impl Store {
     /// The highest severity and one text for all present problems, for those since the last call, and for `more`.
     /// Cheap: called every few seconds. The alarm can be stored on a full disk too: its write fails once, which removes
     /// the ballast, and the freed space holds thousands of alarms.
-    pub fn trouble(&self, more: Option<(Severity, String)>) -> Option<(Severity, String)> {
+    pub fn trouble(&self, more: impl IntoIterator<Item = (Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {
             DiskLevel::Ample => None,
             DiskLevel::Low => Some((

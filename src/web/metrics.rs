@@ -155,6 +155,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("messages_lost", "Messages received that could not be stored", report.lost),
         ("machines_refused", "Throws of new machines refused above subscribe.max_machines", report.machines_refused),
         ("alarm_events", "Alarm events", report.alarm_events),
+        ("alarm_events_lost", "Alarm events that the database rejected", report.alarm_events_lost),
         ("webhook_refused", "Alarm events that the receiver of the webhook refused", report.webhook_refused),
         ("messages_published", "Messages published", report.published),
         ("messages_unpublished", "Health messages dropped because the publishing queue was full", report.unpublished),

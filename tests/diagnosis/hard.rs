@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Observation, Settings, Severity, TemperatureSource, Verdict},
+    diagnose::{AlarmEvent, Cause, Observation, Settings, Severity, TemperatureSource, Verdict},
     estimate::Grade,
     throw::Direction,
 };

@@ -30,7 +30,7 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let alarms = listen(&session).await;
-    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36"]);
+    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36", "--seed", "1"]);
 
     let (key, alarm) = next(&alarms).await;
     assert_eq!((key.as_str(), alarm.cause, alarm.event_no), ("points/v1/north/machine-1/alarm", Cause::Kt, 1));
@@ -78,7 +78,8 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     maintenance_is_visible(&rig, &daemon);
     daemon.terminate();
     let rows = rig.sql("SELECT machine, count(*) AS n FROM health_history WHERE quality = 'good' GROUP BY machine");
-    assert_eq!(rows.iter().map(|row| row["n"].as_i64().unwrap()).collect::<Vec<_>>(), [50, 50]);
+    let others = rig.sql("SELECT machine, throw_no, quality FROM health_history WHERE quality <> 'good'");
+    assert_eq!(rows.iter().map(|row| row["n"].as_i64().unwrap()).collect::<Vec<_>>(), [50, 50], "{others:?}");
 }
 
 /// A machine in maintenance is visible in `status` and its exit code, in health and in SQL, and its window has an end.
@@ -107,7 +108,7 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_retired_machine_is_left_out_until_its_next_throw() {
     let (rig, daemon) = Rig::running();
-    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36"]);
+    logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36", "--seed", "1"]);
     daemon.says(0, &["maintenance", "north/machine-1", "--why", "removal", "--by", "tester"]);
     let session = daemon.client().await;
     let token = session.liveliness().declare_token("points/v1/north/machine-1/alive").await.unwrap();
@@ -497,13 +498,8 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     assert_eq!(text.matches("no such column").count(), 1, "{text}");
 }
 
-/// The daemon counts its machines every few seconds; an alarm counts at once.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
-    let (_rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
-    let session = daemon.client().await;
-    let alarms = listen(&session).await;
-    // The toe stops half way, and the motor runs on.
+/// A throw whose toe stops half way, while the motor runs on.
+fn obstructed() -> Throw {
     let [whole] = &throws("boot", 1)[..] else { panic!("one throw") };
     let (current_a, mut position_mm) = (whole.trace.current_a().to_vec(), whole.trace.position_mm().to_vec());
     let half_way = position_mm.len() / 2;
@@ -512,9 +508,34 @@ async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
     let noise_mm: Vec<f64> = position_mm[..half_way].iter().map(|mm| 1e3 * mm % 0.05).collect();
     position_mm[half_way..].iter_mut().zip(noise_mm.iter().cycle()).for_each(|(mm, noise_mm)| *mm = reached + noise_mm);
     let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
-    let obstructed = Throw { trace, ..whole.clone() };
+    Throw { trace, ..whole.clone() }
+}
+
+/// The daemon counts its machines every few seconds; an alarm counts at once.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
+    let (_rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
+    let session = daemon.client().await;
+    let alarms = listen(&session).await;
     let logger = daemon.logger(KEY).await;
-    logger.send([obstructed]).await;
+    logger.send([obstructed()]).await;
     assert_eq!(next(&alarms).await.1.cause, Cause::IncompleteThrow);
     daemon.says(1, &["status"]);
+}
+
+/// As after a change of its schema from outside.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_alarm_that_the_database_rejects_is_counted_and_stated() {
+    let (rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
+    rig.change(
+        "CREATE TRIGGER reject BEFORE INSERT ON alarm WHEN NEW.cause = 'incomplete_throw' \
+         BEGIN SELECT RAISE(ABORT, 'no such cause'); END",
+    )
+    .await;
+    let logger = daemon.logger(KEY).await;
+    logger.send([obstructed()]).await;
+    daemon.until_status("the rejection", |status| status["alarm_events_lost"] == 1).await;
+    daemon.until_log("an alarm event is LOST: ");
+    rig.until_sql("SELECT 1 FROM active_alarms WHERE cause = 'data_loss' AND text LIKE '%rejects alarms%'").await;
+    assert!(daemon.says(1, &["status"]).contains("1 alarm event LOST"));
 }
