@@ -78,8 +78,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut exports = Exports::default();
     // No database is created for a missing file or a first one that is invalid.
     let missing = |file: &&PathBuf| file.as_path() != Path::new("-") && fs::metadata(file).is_err();
-    let checked = arguments.files.iter().find(missing).unwrap_or(&arguments.files[0]);
-    let first = read(arguments, 0, checked, &mut exports)?;
+    if let Some(file) = arguments.files.iter().find(missing) {
+        read(arguments, 0, file, &mut exports)?;
+    }
+    let first = read(arguments, 0, &arguments.files[0], &mut exports)?;
     runtime::block_on(async {
         let config_file = arguments.config.as_deref();
         let mut pipeline = Offline::open(config).await.map_err(|error| located(error, config_file))?;

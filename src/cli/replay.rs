@@ -34,8 +34,9 @@ const BATCH: u32 = 16;
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or the file is none of pointsd; 66 there is no
-/// database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be used; 78 the configuration is invalid.
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or the file is none of
+/// pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be
+/// used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]

@@ -175,7 +175,9 @@ impl Fleet {
         events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         let outcome = Outcome { command, ..outcome };
-        let baseline = observation.direction.and_then(|direction| monitor.baseline(direction));
+        // Most throws have the changes of their coefficients already.
+        let of_ratios = observation.direction.filter(|_| verdict.change_pct.is_none());
+        let baseline = of_ratios.and_then(|direction| monitor.baseline(direction));
         let health = health(stored, identification.as_ref(), withheld, &verdict, (baseline.as_ref(), since_baseline));
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }

@@ -35,7 +35,7 @@ pub(super) fn repeated() -> (&'static str, String) {
 }
 
 /// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence. The baseline is that in
-/// use after the throw, with the number of throws since it was complete.
+/// use after the throw, `None` for a throw with changes of its coefficients; beside it the number of throws since it was complete.
 pub(super) fn health(
     stored: &StoredThrow,
     found: Option<&Identification>,
@@ -69,8 +69,7 @@ pub(super) fn health(
     let health = Health { direction: found.direction, duration_s, peak_current_a, mean_current_a, ..health };
     let Ok(estimate) = &found.outcome else { return health };
     let ([a1_per_b0, a0_per_b0], [a1_per_b0_sd, a0_per_b0_sd]) = (estimate.ratios(), estimate.ratios_sd());
-    let ratio_changes = baseline.filter(|_| verdict.change_pct.is_none());
-    let ratio_changes = ratio_changes.map(|baseline| baseline.ratio_changes_pct([a1_per_b0, a0_per_b0]));
+    let ratio_changes = baseline.map(|baseline| baseline.ratio_changes_pct([a1_per_b0, a0_per_b0]));
     Health {
         coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
         sd: (!estimate.ratios_only).then(|| estimate.sd()),
