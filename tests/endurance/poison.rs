@@ -3,10 +3,7 @@
 //! memory and the quarantine of the daemon stay within their limits. `POINTSD_POISON=1000000` sets the number of
 //! messages.
 
-use std::{
-    collections::BTreeMap,
-    time::{Duration, Instant},
-};
+use std::{collections::BTreeMap, time::Instant};
 
 use pointsd::{
     daemon::StatusReport,
@@ -22,7 +19,7 @@ use zenoh::{Session, bytes::Encoding as ContentType};
 
 use crate::{
     gauge::{Usage, peak_mib, status},
-    rig::{PATIENCE, Rig, matched, put, size, stub, throws, until},
+    rig::{PATIENCE, Rig, matched, put, size, stub, throws, until, until_matched},
 };
 
 const GOOD: &str = "points/v1/good/1/throw";
@@ -198,9 +195,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             session.delete(GOOD).await.unwrap();
             // The daemon may have closed the link: wait until it replies and receives again.
             sent = until_handled(&session, 0).await.received;
-            while !publisher.matching_status().await.unwrap().matching() {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
+            until_matched(&publisher).await;
         }
     }
     let end = loop {

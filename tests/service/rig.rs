@@ -520,10 +520,14 @@ pub(crate) async fn matched(session: &Session, key: impl Into<String>) -> zenoh:
         .congestion_control(CongestionControl::Block)
         .await
         .unwrap();
+    until_matched(&publisher).await;
+    publisher
+}
+
+/// Waits until the publisher has a subscriber.
+pub(crate) async fn until_matched(publisher: &zenoh::pubsub::Publisher<'_>) {
     let listener = publisher.matching_listener().await.unwrap();
     while !publisher.matching_status().await.unwrap().matching() {
         tokio::time::timeout(PATIENCE, listener.recv_async()).await.unwrap().unwrap();
     }
-    drop(listener);
-    publisher
 }
