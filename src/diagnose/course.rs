@@ -35,7 +35,8 @@ pub struct LimitForecast {
     pub high: f64,
 }
 
-/// Prior standard deviation of the level at the beginning of a stage: steps up to about half of nominal.
+/// Prior standard deviation of the level at the beginning of a stage: steps up to about half of nominal. A series with larger
+/// values has the priors of all shapes larger in proportion, as a friction may be a multiple of nominal.
 const STEP_SD: f64 = 0.4;
 /// Prior standard deviations of slope and curvature of a stage, equally probable: a constant level, ramps of days to
 /// weeks, and curvature up to one that doubles a usual slope within fifty throws.
@@ -87,6 +88,7 @@ impl Course {
         }
         let series = Series::new(points, noise);
         let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
+        let scale = series.values.iter().fold(1.0, |scale: f64, value| scale.max(value.abs() / STEP_SD));
         let mut stages = vec![Stage::undrifted(points[0].age, offset_variance, series.slow_variance)];
         // Logarithm of the evidence of all series of stages up to the point before.
         let mut before = 0.0;
@@ -94,7 +96,9 @@ impl Course {
             // A drift is not measured by a single throw.
             if at + 1 < points.len() {
                 let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
-                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, noise.slow_sd, evidence)));
+                let prior = |(slope_sd, curvature_sd)| Vector4::new(STEP_SD, slope_sd, curvature_sd, 0.0) * scale;
+                let drifted = |shape| Stage::drifted(points[at].age, prior(shape), noise.slow_sd, evidence);
+                stages.extend(SHAPES.map(drifted));
             }
             let kept = series.kept_of_slow(at);
             for stage in &mut stages {
@@ -201,9 +205,9 @@ impl Stage {
         Self { age, drifted: false, mean: Vector4::zeros(), covariance, evidence: 0.0 }
     }
 
-    /// A later stage with the prior of a shape; `evidence` is that of all series of stages before it.
-    fn drifted(age: f64, (slope_sd, curvature_sd): (f64, f64), slow_sd: f64, evidence: f64) -> Self {
-        let prior_sd = Vector4::new(STEP_SD, slope_sd, curvature_sd, slow_sd);
+    /// A later stage with the prior standard deviations of a, b, c; `evidence` is that of all series of stages before it.
+    fn drifted(age: f64, mut prior_sd: Vector4<f64>, slow_sd: f64, evidence: f64) -> Self {
+        prior_sd[SLOW] = slow_sd;
         let covariance = Matrix4::from_diagonal(&prior_sd.component_mul(&prior_sd));
         Self { age, drifted: true, mean: Vector4::zeros(), covariance, evidence }
     }

@@ -8,8 +8,10 @@ use super::{
     drift::Drift,
     event::Cause,
     explain::{Explanation, friction_of_sound_motor},
+    gauges::{Gauge, Gauges},
     history::History,
     settings::Settings,
+    threshold::WINDOWS,
     track::Tracks,
 };
 use crate::throw::Direction;
@@ -17,6 +19,8 @@ use crate::throw::Direction;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
+/// Dry part of the friction, and its standard deviation: unknown, so evenly between none and all.
+const DRY_PART: (f64, f64) = (0.5, 0.29);
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
 
@@ -29,6 +33,7 @@ pub(super) struct LatestThrow<'a> {
     pub(super) order: u64,
     pub(super) at: Timestamp,
     pub(super) tracks: &'a Tracks,
+    pub(super) gauges: &'a Gauges,
     pub(super) settings: &'a Settings,
 }
 
@@ -66,7 +71,15 @@ impl LatestThrow<'_> {
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
-        (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
+        let slower = if part.cause == Cause::Friction { self.slower() } else { 0.0 };
+        let of_model = part.model_sd.hypot(SIZE_SHARE * whole.ln()).hypot(DRY_PART.1 * slower);
+        let size_sd = of_model.hypot(size_sd / whole);
+        (Explanation { size: whole.ln() - DRY_PART.0 * slower, size_sd, ..*part }, Some(course))
+    }
+
+    /// How much slower the machine moves than normal, as a logarithm. A dry force over the speed is the friction of a viscous
+    /// model, which therefore shows the dry part of the friction larger by this.
+    fn slower(self) -> f64 {
+        self.gauges.level(Gauge::Duration, WINDOWS[0]).map_or(0.0, |level| level.value)
     }
 }

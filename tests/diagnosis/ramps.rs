@@ -7,8 +7,9 @@ use pointsd::{
 };
 
 use crate::{
+    drive::{Drive, State},
     field::{Machine, Scatter},
-    fleet::shift,
+    fleet::{in_parallel, shift},
 };
 
 const LIVES: u64 = 4;
@@ -73,6 +74,34 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
     let within = share(reached, forecasts);
     assert!((90.0..=99.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
     assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");
+}
+
+/// Half of the friction of these drives is dry, which a viscous model shows larger as the drive becomes slower.
+#[test]
+fn the_size_of_a_friction_of_a_multiple_of_nominal_holds() {
+    for (factor, throws) in [(2.5, 1), (2.5, 60), (4.0, 1), (4.0, 60)] {
+        let lives = in_parallel(4, |seed| {
+            let mut drive = Drive::after(120, 50_300 + seed, seed % 2 == 0);
+            let (mut said, mut held) = (0_u32, 0_u32);
+            for throw in 1..=140 {
+                let size = ramp(100.0 * (factor - 1.0), throws, 1, throw);
+                let verdict = drive.feed(State { friction: 1.0 + size / 100.0, ..State::SOUND });
+                let now = verdict.present.drifts.iter().filter(|now| now.cause == Cause::Friction);
+                for now in now {
+                    said += 1;
+                    held += u32::from((now.change_pct - size).abs() <= 1.96 * now.change_pct_sd);
+                }
+            }
+            (said, held)
+        });
+        let (said, held) = lives.iter().fold((0, 0), |sum, life| (sum.0 + life.0, sum.1 + life.1));
+        println!("friction times {factor} over {throws} throws: {held} of {said}");
+        assert!(said > 450, "friction times {factor} over {throws} throws: {said} sizes in 560 throws");
+        assert!(
+            10 * held >= 9 * said,
+            "friction times {factor} over {throws} throws: the interval contained {held} of {said}"
+        );
+    }
 }
 
 #[test]

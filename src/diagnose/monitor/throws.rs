@@ -189,7 +189,8 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks: &self.tracks, settings };
+            let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
+            let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks, gauges, settings };
             self.drift.judge(latest, &residual, step);
             self.instruments.judge(&drift, step);
             drift
