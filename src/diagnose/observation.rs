@@ -155,7 +155,7 @@ pub struct Parameters {
     /// Ball-screw lead \[mm per revolution\].
     lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\].
-    neutral_mm: f64,
+    pub(super) neutral_mm: f64,
     /// Kind of motor.
     motor: Motor,
 }
@@ -242,12 +242,18 @@ impl Evaluated {
         }
     }
 
-    /// The same throw without the effect of a position sensor that reads the normal end shifted by `shift` times the travel. The
-    /// spring then seems to be stressed by k dx more, which in a steady movement (equation 12 without acceleration) adds a0 dx / v to a1.
+    /// The same throw without the effect of a spring that is unstressed `shift` times the travel nearer to reverse than configured,
+    /// or of a position sensor that reads the normal end shifted by this. The spring then seems to be stressed by k dx more, which in
+    /// a steady movement (equation 12 without acceleration) adds a0 dx / v to a1.
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
         let slower_by = self.direction.sign() * shift * self.duration_s.unwrap_or_default();
         let corrected = (a1.exp() + a0.exp() * slower_by).ln();
-        Self { log: [b0, if corrected.is_finite() { corrected } else { a1 }, a0], ..self }
+        if !corrected.is_finite() {
+            return self;
+        }
+        let kept = (a1 - corrected).exp();
+        let change = Matrix3::new(1.0, 0.0, 0.0, 0.0, kept, 1.0 - kept, 0.0, 0.0, 1.0);
+        Self { log: [b0, corrected, a0], sensor: change * self.sensor * change.transpose(), ..self }
     }
 }

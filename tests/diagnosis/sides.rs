@@ -1,7 +1,11 @@
-//! Faults of one direction, and offsets of the current sensor, of a drive outside the model.
+//! Faults of one direction, and offsets of the current sensor, of a drive outside the model; a neutral position that is not the
+//! configured one.
 
+use jiff::Timestamp;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, SensorChannel},
+    diagnose::{AlarmEvent, AlarmState, Cause, Drifting, MachineMonitor, Observation, SensorChannel, Settings},
+    estimate::{self, Identifier},
+    simulate::{Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, Shape},
     throw::Direction,
 };
 
@@ -105,4 +109,62 @@ fn a_current_at_rest_since_the_first_throw_is_no_alarm_and_is_said() {
     drive.stay_healthy(120, state);
     let caveats = drive.monitor.caveats();
     assert!(caveats.len() == 1 && caveats[0].contains("+1.0 A"), "{caveats:?}");
+}
+
+/// A simulated machine with a step of a part after 110 throws, whose rails are unstressed at `neutral_mm`, identified with
+/// `configured_mm`: the causes of its alarms, its drifts and caveats after 150 throws, and how far a1 of its last healthy throws is from
+/// the baseline \[parts\].
+fn unstressed_at(
+    [neutral_mm, configured_mm]: [f64; 2],
+    part: Part,
+    size_pct: f64,
+) -> (Vec<Cause>, Vec<Drifting>, Vec<String>, f64) {
+    let machine = Parameters { neutral_mm, ..Parameters::default() };
+    let fault = Fault { part, size_pct, from_throw: 110, shape: Shape::Step };
+    let faults = vec![FleetFault { machine: 0, fault }];
+    let fleet = Fleet::new(&FleetSettings { machines: 1, machine, faults, ..FleetSettings::default() }, 4_242).unwrap();
+    let mut machine = fleet.into_machines().remove(0);
+    let settings = estimate::Settings { neutral_mm: configured_mm, ..estimate::Settings::default() };
+    let (mut identifier, mut monitor) = (Identifier::default(), MachineMonitor::new("21B"));
+    let (mut causes, mut present, mut off): (Vec<Cause>, _, f64) = (Vec::new(), None, 0.0);
+    for throw_no in 0..150 {
+        let throw = machine.next_throw().unwrap().into_throw("a", Timestamp::UNIX_EPOCH);
+        let observation = Observation::of(&throw, &identifier.identify(&throw, &settings));
+        let verdict = monitor.observe(&observation, &Settings::default());
+        causes.extend(verdict.events.iter().map(|event| event.cause));
+        if (100..110).contains(&throw_no) {
+            let a1 = observation.estimate.unwrap().0[1];
+            let baseline = monitor.baseline(observation.direction.unwrap()).unwrap();
+            off = off.max((a1 / baseline.center[1] - 1.0).abs());
+        }
+        present = Some(verdict.present);
+    }
+    causes.dedup();
+    let present = present.unwrap();
+    (causes, present.drifts, present.caveats, off)
+}
+
+#[test]
+fn a_neutral_position_that_is_not_configured_misleads_nobody() {
+    for neutral_mm in [30.0, 57.5, 75.0] {
+        for (part, cause, pct) in [
+            (Part::Friction, Cause::Friction, 40.0),
+            (Part::RailStiffness, Cause::Stiffness, 30.0),
+            (Part::Kt, Cause::Kt, -15.0),
+        ] {
+            let (causes, drifts, caveats, off) = unstressed_at([neutral_mm, 0.0], part, pct);
+            assert_eq!(causes, [cause], "{cause}, unstressed at {neutral_mm} mm: {drifts:?}");
+            let Drifting { change_pct, change_pct_sd, direction, .. } = drifts[0];
+            assert!(
+                direction.is_none() && (change_pct - pct).abs() < 3.0 * change_pct_sd,
+                "unstressed at {neutral_mm} mm: {drifts:?}"
+            );
+            let said = caveats.iter().find_map(|caveat| caveat.split("unstressed at about ").nth(1));
+            let said_mm: f64 = said.unwrap().split(' ').next().unwrap().parse().unwrap();
+            assert!((said_mm - neutral_mm).abs() < 5.0, "{caveats:?}");
+            assert!(off < 0.5, "the baseline is not that of the stored a1: {off}");
+        }
+        let (.., caveats, _) = unstressed_at([neutral_mm; 2], Part::Friction, 40.0);
+        assert!(!caveats.iter().any(|caveat| caveat.contains("unstressed")), "{caveats:?}");
+    }
 }

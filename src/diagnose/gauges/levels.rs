@@ -198,6 +198,11 @@ impl Gauges {
         self.normals(Gauge::StartDelay).map(f64::abs).fold(0.0, f64::max)
     }
 
+    /// Normal travel \[mm\]; `None` if unknown.
+    pub(in crate::diagnose) fn normal_travel_mm(&self) -> Option<f64> {
+        self.normals(Gauge::Travel).map(f64::exp).next()
+    }
+
     /// Deletes the last throws.
     pub(in crate::diagnose) fn forget_recent(&mut self) {
         self.recent.clear();

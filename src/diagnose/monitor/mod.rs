@@ -17,6 +17,7 @@ use super::{
     event::{AlarmEvent, Away, Cause, Severity},
     features::FeatureWatch,
     instruments::Instruments,
+    neutral::Neutral,
     observation::Parameters,
     operational::{self, Operation},
     rule::Rule,
@@ -40,6 +41,8 @@ pub struct MachineMonitor {
     /// Number of observed throws.
     order: u64,
     tracks: Tracks,
+    #[serde(default)]
+    neutral: Neutral,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
@@ -267,6 +270,7 @@ impl MachineMonitor {
         self.thermometer = Thermometer::default();
         self.has_position = false;
         self.tracks = Tracks::default();
+        self.neutral = Neutral::default();
         self.drift.reset();
         self.drift.now.clear();
         self.instruments = Instruments::default();
@@ -336,8 +340,18 @@ impl MachineMonitor {
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
+            .chain(self.neutral_elsewhere())
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
+    }
+
+    /// A sentence about another neutral position than the configured one.
+    fn neutral_elsewhere(&self) -> Option<String> {
+        let found = self.neutral.elsewhere(Direction::BOTH.map(|direction| self.tracks.record(direction)))?;
+        let configured_mm = self.parameters.map_or(0.0, |parameters| parameters.neutral_mm);
+        let is_corrected = matches!(self.neutral, Neutral::Elsewhere(_));
+        let travel_mm = self.instruments.gauges.normal_travel_mm()?;
+        Some(text::neutral(&self.name, &found, configured_mm, travel_mm, is_corrected))
     }
 
     /// State, drifts and caveats.
@@ -377,7 +391,7 @@ impl MachineMonitor {
 
     /// The baseline in use for a direction.
     pub fn baseline(&self, direction: Direction) -> Option<BaselineRecord> {
-        self.tracks.record(direction)
+        self.tracks.record(direction).map(|record| self.neutral.as_estimated(record))
     }
 
     /// Evaluated throws of a direction since its baseline.

@@ -21,6 +21,7 @@ use super::{
         step::Step,
         testimony::Testimony,
         thermometer::Disbelief,
+        track::Tracks,
         verdict::Verdict,
     },
     MachineMonitor, to_micros,
@@ -51,6 +52,7 @@ impl MachineMonitor {
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)
+            .map(|throw| self.without_preload(throw))
             .map(|throw| match self.instruments.gauges.shift(throw.direction, features) {
                 Some(shift) => throw.without_shift(shift),
                 None => throw,
@@ -76,7 +78,8 @@ impl MachineMonitor {
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
             self.operation.on_channel(unusable, step);
-            verdict.baselines_taken = self.observe_in_service(observation, evaluated.as_ref(), step);
+            let taken = self.observe_in_service(observation, evaluated.as_ref(), step);
+            verdict.baselines_taken = taken.into_iter().map(|record| self.neutral.as_estimated(record)).collect();
         }
         (self.name, self.alarms) = (name, alarms);
         verdict.events = self.alarms.take_events();
@@ -91,6 +94,17 @@ impl MachineMonitor {
         verdict.blind = self.blind;
         verdict.has_trend = self.tracks.trend().is_some();
         verdict
+    }
+
+    /// The throw without the force of a spring that is unstressed elsewhere than configured. The first throws show this, and are
+    /// then no part of a baseline.
+    fn without_preload(&mut self, throw: Evaluated) -> Evaluated {
+        if self.tracks.any_baseline() {
+            self.neutral.settle();
+        } else if self.maintenance.is_none() && self.neutral.learn(&throw) {
+            self.tracks = Tracks::default();
+        }
+        self.neutral.corrected(throw)
     }
 
     /// Returns the baselines that became usable or complete.

@@ -3,6 +3,7 @@
 use crate::{
     diagnose::{
         explain::percent,
+        neutral::Elsewhere,
         verdict::{Blindness, HidingTemperature},
     },
     throw::Direction,
@@ -25,6 +26,9 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
             "that the logger records some tenths of a second before the motor starts"
         }
         Some("end_missing") => "that the logger records until the motor is off, and whether the machine became slow",
+        Some("not_positive") => {
+            "neutral_mm, as a wrong one makes the friction of one direction negative, then the machine and its sensors"
+        }
         Some("current_only") => "whether the logger sends position_mm",
         _ => "the machine and its sensors",
     };
@@ -70,6 +74,29 @@ pub(crate) fn only_features(name: &str) -> String {
         "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running current, \
          charge and travel are monitored. A change of these is reported without its cause. throws_not_evaluated has the reason of \
          each throw."
+    )
+}
+
+/// Text for a machine whose spring seems to be unstressed elsewhere than configured.
+pub(crate) fn neutral(
+    name: &str,
+    Elsewhere { share, ratio }: &Elsewhere,
+    configured_mm: f64,
+    travel_mm: f64,
+    is_corrected: bool,
+) -> String {
+    let elsewhere_mm = configured_mm + share * travel_mm;
+    let harder = if *share > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
+    let effect = if is_corrected {
+        "The sizes and names of its drifts are corrected for this, a1 of its throws is not."
+    } else {
+        "Its baseline does not correct this, so the sizes and names of its drifts may be wrong."
+    };
+    format!(
+        "Machine {name}: its friction seems {ratio:.1} times as large {harder} as in the other direction. With rails that are \
+         unstressed at about {elsewhere_mm:.0} mm it would be equal; configured is neutral_mm = {configured_mm}. {effect} Set \
+         neutral_mm to where the rails lie without the machine (this starts a new baseline); if that is right, look for what is \
+         dry or binds {harder}."
     )
 }
 

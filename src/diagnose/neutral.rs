@@ -1,0 +1,110 @@
+//! The neutral position of the spring, as the throws of both directions show it.
+//!
+//! With another neutral position than the configured one the spring has a constant force more, which helps one direction
+//! and hinders the other. In a steady movement (equation 12 without acceleration) it seems to be friction: with the share g of
+//! the travel between the two positions, a1 of the throws to reverse is smaller by g a0 T, that of the throws to normal larger, T
+//! being the duration. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in both.
+
+use std::array;
+
+use serde::{Deserialize, Serialize};
+
+use super::{baseline::BaselineRecord, observation::Evaluated, robust::median};
+use crate::throw::Direction;
+
+/// Throws of each direction that show the neutral position, half of those of the earliest baseline.
+const FIRST: usize = 6;
+/// Ratio of the friction of both directions from which it shows another neutral position: dry chairs and the weight of rods differ
+/// less in a machine that is new or adjusted.
+const RATIO: f64 = 1.5;
+
+/// What the throws show about the neutral position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) enum Neutral {
+    /// a1 / (a0 T) of the first throws of each direction.
+    Unknown([Vec<f32>; 2]),
+    /// Near the configured one, or with baselines that do not correct it.
+    Configured,
+    /// Another one.
+    Elsewhere(Elsewhere),
+}
+
+/// Another neutral position than the configured one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Elsewhere {
+    /// Distance from the configured one towards reverse, as part of the travel.
+    pub(super) share: f64,
+    /// Ratio of the larger to the smaller friction of the directions.
+    pub(super) ratio: f64,
+}
+
+impl Default for Neutral {
+    fn default() -> Self {
+        Self::Unknown([Vec::new(), Vec::new()])
+    }
+}
+
+impl Neutral {
+    /// Adds a throw of a machine without a baseline; returns whether the neutral position was found elsewhere, so that the throws
+    /// before must not be part of a baseline.
+    pub(super) fn learn(&mut self, throw: &Evaluated) -> bool {
+        let Self::Unknown(sides) = self else { return false };
+        let Some(duration_s) = throw.duration_s else { return false };
+        let [_, a1, a0] = throw.log;
+        let side = &mut sides[throw.direction.side()];
+        if side.len() < FIRST {
+            #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
+            side.push(((a1 - a0).exp() / duration_s) as f32);
+        }
+        if sides.iter().any(|side| side.len() < FIRST) {
+            return false;
+        }
+        let levels =
+            sides.each_ref().map(|side| median(&mut side.iter().map(|value| f64::from(*value)).collect::<Vec<_>>()));
+        *self = Elsewhere::of(levels).map_or(Self::Configured, Self::Elsewhere);
+        matches!(self, Self::Elsewhere(_))
+    }
+
+    /// Ends the learning, as a machine has a baseline.
+    pub(super) fn settle(&mut self) {
+        if matches!(self, Self::Unknown(_)) {
+            *self = Self::Configured;
+        }
+    }
+
+    /// The throw with the friction that it has without the force of the spring.
+    pub(super) fn corrected(&self, throw: Evaluated) -> Evaluated {
+        match self {
+            Self::Elsewhere(Elsewhere { share, .. }) => throw.without_shift(*share),
+            _ => throw,
+        }
+    }
+
+    /// The record with a1 as in the estimates, which are not corrected.
+    pub(super) fn as_estimated(&self, mut record: BaselineRecord) -> BaselineRecord {
+        if let (Self::Elsewhere(Elsewhere { share, .. }), Some(duration_s)) = (self, record.duration_s) {
+            let [_, a1, a0] = record.center;
+            record.center[1] = a1 - record.direction.sign() * share * a0 * duration_s;
+        }
+        record
+    }
+
+    /// The neutral position elsewhere, as corrected, or as baselines show it that do not correct it.
+    pub(super) fn elsewhere(&self, baselines: [Option<BaselineRecord>; 2]) -> Option<Elsewhere> {
+        if let Self::Elsewhere(elsewhere) = self {
+            return Some(*elsewhere);
+        }
+        let level = |record: &BaselineRecord| Some(record.center[1] / record.center[2] / record.duration_s?);
+        let [normal, reverse] = baselines.each_ref().map(|record| record.as_ref().and_then(level));
+        Elsewhere::of([normal?, reverse?])
+    }
+}
+
+impl Elsewhere {
+    /// By a1 / (a0 T) of both directions; `None` if they are near each other.
+    fn of(levels: [f64; 2]) -> Option<Self> {
+        let [to_reverse, to_normal] = array::from_fn(|side| levels[Direction::BOTH[side].side()]);
+        let ratio = (to_normal / to_reverse).max(to_reverse / to_normal);
+        (ratio > RATIO && ratio.is_finite()).then_some(Self { share: (to_normal - to_reverse) / 2.0, ratio })
+    }
+}
