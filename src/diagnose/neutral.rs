@@ -21,8 +21,8 @@ const RATIO: f64 = 1.5;
 /// What the throws show about the neutral position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Neutral {
-    /// a1 / (a0 T) of the first throws of each direction.
-    Unknown([Vec<f32>; 2]),
+    /// a1 / (a0 T) of the first throws of each direction; boxed, as most monitors of a fleet have learned it.
+    Unknown(Box<[Vec<f32>; 2]>),
     /// Near the configured one, or with baselines that do not correct it.
     Configured,
     /// Another one.
@@ -33,14 +33,14 @@ pub(super) enum Neutral {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Elsewhere {
     /// Distance from the configured one towards reverse, as part of the travel.
-    pub(super) share: f64,
+    pub(super) share: f32,
     /// Ratio of the larger to the smaller friction of the directions.
-    pub(super) ratio: f64,
+    pub(super) ratio: f32,
 }
 
 impl Default for Neutral {
     fn default() -> Self {
-        Self::Unknown([Vec::new(), Vec::new()])
+        Self::Unknown(Box::default())
     }
 }
 
@@ -51,10 +51,11 @@ impl Neutral {
         let Self::Unknown(sides) = self else { return false };
         let Some(duration_s) = throw.duration_s else { return false };
         let [_, a1, a0] = throw.log;
+        #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
+        let value = ((a1 - a0).exp() / duration_s) as f32;
         let side = &mut sides[throw.direction.side()];
-        if side.len() < FIRST {
-            #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-            side.push(((a1 - a0).exp() / duration_s) as f32);
+        if side.len() < FIRST && value.is_finite() {
+            side.push(value);
         }
         if sides.iter().any(|side| side.len() < FIRST) {
             return false;
@@ -75,7 +76,7 @@ impl Neutral {
     /// The throw with the friction that it has without the force of the spring.
     pub(super) fn corrected(&self, throw: Evaluated) -> Evaluated {
         match self {
-            Self::Elsewhere(Elsewhere { share, .. }) => throw.without_shift(*share),
+            Self::Elsewhere(Elsewhere { share, .. }) => throw.without_shift((*share).into()),
             _ => throw,
         }
     }
@@ -84,7 +85,7 @@ impl Neutral {
     pub(super) fn as_estimated(&self, mut record: BaselineRecord) -> BaselineRecord {
         if let (Self::Elsewhere(Elsewhere { share, .. }), Some(duration_s)) = (self, record.duration_s) {
             let [_, a1, a0] = record.center;
-            record.center[1] = a1 - record.direction.sign() * share * a0 * duration_s;
+            record.center[1] = a1 - record.direction.sign() * f64::from(*share) * a0 * duration_s;
         }
         record
     }
@@ -102,9 +103,11 @@ impl Neutral {
 
 impl Elsewhere {
     /// By a1 / (a0 T) of both directions; `None` if they are near each other.
+    #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
     fn of(levels: [f64; 2]) -> Option<Self> {
         let [to_reverse, to_normal] = array::from_fn(|side| levels[Direction::BOTH[side].side()]);
         let ratio = (to_normal / to_reverse).max(to_reverse / to_normal);
-        (ratio > RATIO && ratio.is_finite()).then_some(Self { share: (to_normal - to_reverse) / 2.0, ratio })
+        let share = (to_normal - to_reverse) / 2.0;
+        (ratio > RATIO && ratio.is_finite()).then_some(Self { share: share as f32, ratio: ratio as f32 })
     }
 }

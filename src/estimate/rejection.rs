@@ -286,7 +286,10 @@ pub enum Rejection {
         a0: f64,
     },
     /// A coefficient that must be positive is not.
-    #[error("the model found has b0 {b0:.3}, a1 {a1:.3}, a0 {a0:.3}, which must all be positive")]
+    #[error(
+        "the model found has b0 {b0:.3}, a1 {a1:.3}, a0 {a0:.3}, which must all be positive (with a wrong neutral_mm, a1 is negative in one \
+         direction)"
+    )]
     NotPositive {
         /// KT / J.
         b0: f64,

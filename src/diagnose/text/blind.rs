@@ -85,7 +85,7 @@ pub(crate) fn neutral(
     travel_mm: f64,
     is_corrected: bool,
 ) -> String {
-    let elsewhere_mm = configured_mm + share * travel_mm;
+    let elsewhere_mm = configured_mm + f64::from(*share) * travel_mm;
     let harder = if *share > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
     let effect = if is_corrected {
         "The sizes and names of its drifts are corrected for this, a1 of its throws is not."
