@@ -3,9 +3,8 @@
 //! With another neutral position than the configured one the spring has a constant force more, which helps one direction
 //! and hinders the other. In a steady movement (equation 12 without acceleration) it seems to be friction: with the share g of
 //! the travel between the two positions, a1 of the throws to reverse is smaller by g a0 T, that of the throws to normal larger, T
-//! being the duration. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in both.
-
-use std::array;
+//! being the duration. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in both, while
+//! a0 / b0 is the same, as it is not in a machine whose load differs in other ways.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,12 +16,15 @@ const FIRST: usize = 6;
 /// Ratio of the friction of both directions from which it shows another neutral position: dry chairs and the weight of rods differ
 /// less in a machine that is new or adjusted.
 const RATIO: f64 = 1.5;
+/// Largest difference of ln(a0 / b0) between the directions: a neutral position at the other end of the stroke changes b0 by 2 % in
+/// each of them.
+const SAME_SPRING: f64 = 0.06;
 
 /// What the throws show about the neutral position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Neutral {
-    /// a1 / (a0 T) of the first throws of each direction; boxed, as most monitors of a fleet have learned it.
-    Unknown(Box<[Vec<f32>; 2]>),
+    /// a1 / (a0 T) and ln(a0 / b0) of the first throws of each direction; boxed, as most monitors of a fleet have learned it.
+    Unknown(Box<[Vec<[f32; 2]>; 2]>),
     /// Near the configured one, or with baselines that do not correct it.
     Configured,
     /// Another one.
@@ -50,18 +52,20 @@ impl Neutral {
     pub(super) fn learn(&mut self, throw: &Evaluated) -> bool {
         let Self::Unknown(sides) = self else { return false };
         let Some(duration_s) = throw.duration_s else { return false };
-        let [_, a1, a0] = throw.log;
+        let [b0, a1, a0] = throw.log;
         #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-        let value = ((a1 - a0).exp() / duration_s) as f32;
+        let values = [(a1 - a0).exp() / duration_s, a0 - b0].map(|value| value as f32);
         let side = &mut sides[throw.direction.side()];
-        if side.len() < FIRST && value.is_finite() {
-            side.push(value);
+        if side.len() < FIRST && values.iter().all(|value| value.is_finite()) {
+            side.push(values);
         }
         if sides.iter().any(|side| side.len() < FIRST) {
             return false;
         }
-        let levels =
-            sides.each_ref().map(|side| median(&mut side.iter().map(|value| f64::from(*value)).collect::<Vec<_>>()));
+        let level = |side: &Vec<[f32; 2]>, at: usize| {
+            median(&mut side.iter().map(|values| f64::from(values[at])).collect::<Vec<_>>())
+        };
+        let levels = sides.each_ref().map(|side| [level(side, 0), level(side, 1)]);
         *self = Elsewhere::of(levels).map_or(Self::Configured, Self::Elsewhere);
         matches!(self, Self::Elsewhere(_))
     }
@@ -95,19 +99,24 @@ impl Neutral {
         if let Self::Elsewhere(elsewhere) = self {
             return Some(*elsewhere);
         }
-        let level = |record: &BaselineRecord| Some(record.center[1] / record.center[2] / record.duration_s?);
+        let level = |record: &BaselineRecord| {
+            let [b0, a1, a0] = record.center;
+            Some([a1 / a0 / record.duration_s?, (a0 / b0).ln()])
+        };
         let [normal, reverse] = baselines.each_ref().map(|record| record.as_ref().and_then(level));
         Elsewhere::of([normal?, reverse?])
     }
 }
 
 impl Elsewhere {
-    /// By a1 / (a0 T) of both directions; `None` if they are near each other.
+    /// By a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show one.
     #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-    fn of(levels: [f64; 2]) -> Option<Self> {
-        let [to_reverse, to_normal] = array::from_fn(|side| levels[Direction::BOTH[side].side()]);
+    fn of(levels: [[f64; 2]; 2]) -> Option<Self> {
+        let [[to_reverse, spring], [to_normal, other_spring]] =
+            Direction::BOTH.map(|direction| levels[direction.side()]);
         let ratio = (to_normal / to_reverse).max(to_reverse / to_normal);
         let share = (to_normal - to_reverse) / 2.0;
-        (ratio > RATIO && ratio.is_finite()).then_some(Self { share: share as f32, ratio: ratio as f32 })
+        let is_shown = ratio > RATIO && ratio.is_finite() && (spring - other_spring).abs() < SAME_SPRING;
+        is_shown.then_some(Self { share: share as f32, ratio: ratio as f32 })
     }
 }
