@@ -174,3 +174,27 @@ async fn a_new_baseline_shows_at_once() {
     let page = get(&address(&daemon), "/machines/north/21B").body;
     assert_eq!(page.matches("0 of 50 throws").count(), 2, "{page}");
 }
+
+/// The reason names what to correct in the logger: the machine is sound.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_that_is_not_monitored_has_the_reason_and_the_missing_direction() {
+    let (rig, daemon) = Rig::running();
+    let changed = |change: fn(&Trace) -> Trace| {
+        let of_throw = move |throw: Throw| Throw { trace: change(&throw.trace), direction: None, ..throw };
+        throws("boot", 20).into_iter().map(of_throw)
+    };
+    let without_position = changed(|trace| {
+        Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), vec![f64::NAN; trace.len()]).unwrap()
+    });
+    let swapped = changed(|trace| {
+        Trace::new(trace.sample_rate_hz(), trace.position_mm().to_vec(), trace.current_a().to_vec()).unwrap()
+    });
+    daemon.logger(KEY).await.send(without_position).await;
+    daemon.logger("points/v1/north/22A/throw").await.send(swapped).await;
+    rig.judged(40).await;
+    let alarms = rig.sql("SELECT machine, text FROM active_alarms WHERE cause = 'not_monitored' ORDER BY machine");
+    let text = |at: usize| alarms[at]["text"].as_str().unwrap();
+    assert!(alarms.len() == 2 && text(0).contains("(last reason: current_only)"), "{alarms:?}");
+    assert!(text(0).contains("without a toe sensor, the direction"), "{alarms:?}");
+    assert!(text(1).contains("(last reason: moved_before_current)"), "{alarms:?}");
+}

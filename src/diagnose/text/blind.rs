@@ -25,7 +25,9 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
             "that the logger records some tenths of a second before the motor starts"
         }
         Some("end_missing") => "that the logger records until the motor is off, and whether the machine became slow",
-        Some("current_only") => "whether the logger sends position_mm",
+        Some("current_only") => {
+            "whether the logger sends position_mm or, without a toe sensor, the direction: a throw without both is not monitored"
+        }
         _ => "the machine and its sensors",
     };
     let reason = reason.map_or_else(String::new, |code| format!(" (last reason: {code})"));
