@@ -87,10 +87,14 @@ fn messages<T>(
 }
 
 async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
-    let (machine, _) = wire::parse_key(question.key())
-        .map_err(|error| format!("a command goes to one machine, so its key has no wildcard: {error}"))?;
-    let key = wire::machine_key(&machine, Kind::Command);
     let payload = question.payload();
+    let machine = match wire::parse_key(question.key()) {
+        Ok((machine, _)) => machine,
+        // A query for all that is known, as on `points/v1/north/21B/*`, is no command: health and alarms answer it.
+        Err(_) if payload.is_empty() => return Ok(Vec::new()),
+        Err(error) => return Err(format!("a command goes to one machine, so its key has no wildcard: {error}")),
+    };
+    let key = wire::machine_key(&machine, Kind::Command);
     if payload.is_empty() {
         return Ok(vec![(key, wire::json_bytes(itself))]);
     }

@@ -79,6 +79,17 @@ impl Dating {
         if same > 1 { self.if_most(same) } else { 0 }
     }
 
+    /// Whether the clock of the logger that was noted last is a day or more behind: its throws are published at once, and
+    /// another logger dates its own right. Two loggers that are behind by the same time show nothing: see [`Self::behind`].
+    pub(super) fn is_last_behind(&self) -> bool {
+        let Some(last) = self.0.front().filter(|last| last.behind.is_some()) else { return false };
+        let is_right = |other: &Logger| {
+            // An earlier reception may be from before a jump of the clock of this computer.
+            other.age.abs() < DAY && last.received_at.duration_since(other.received_at) < DAY
+        };
+        self.behind() == 0 && self.0.iter().skip(1).any(is_right)
+    }
+
     fn if_most(&self, count: usize) -> usize {
         if 2 * count > self.0.len() { count } else { 0 }
     }
@@ -112,6 +123,25 @@ mod tests {
         assert_eq!(loggers([throw(0), throw(600), correct(1_200), correct(1_800)]), (0, 0), "the clock was corrected");
         let behind = |at: i64| [at; 3].map(|at| (at, at - AHEAD));
         assert_eq!(loggers([behind(0), behind(600)]), (3, 0));
+    }
+
+    #[test]
+    fn a_logger_that_is_behind_alone_is_wrong_itself() {
+        let mut dating = Dating::default();
+        let at = |seconds: i64| Timestamp::from_second(1_800_000_000 + seconds).unwrap();
+        let mut is_behind = |name: &str, age: i64, received: i64| {
+            dating.note(&MachineId::new("north", name).unwrap(), at(received - age), at(received));
+            dating.is_last_behind()
+        };
+        assert!(!is_behind("a", 3 * 86_400, 0) && !is_behind("a", 3 * 86_400, 600), "no other logger is known");
+        assert!(!is_behind("b", 5, 700));
+        assert!(is_behind("a", 3 * 86_400, 1_200));
+        assert!(!is_behind("a", 5, 1_800), "its clock was corrected");
+        assert!(!is_behind("a", 3 * 86_400, 2_400) && !is_behind("a", 3 * 86_400 - 600, 2_410), "a backlog");
+        assert!(
+            !is_behind("a", 3 * 86_400, 200_000) && !is_behind("a", 3 * 86_400, 200_600),
+            "the other was right long ago"
+        );
     }
 
     #[test]

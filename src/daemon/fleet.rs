@@ -145,8 +145,9 @@ impl Fleet {
         let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));
         let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
         let received_at = self.trusted(stored);
+        let is_behind = self.dating.is_last_behind();
         let monitor = self.monitor(&stored.machine);
-        let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, settings);
+        let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, is_behind, settings);
         // A separate boot for throws with a repeated number is no boot of a logger.
         let boot_at = received_at.filter(|_| !stored.renumbered);
         let (two_loggers, anew, of_loggers) = monitor.boot(&stored.id, stored.started_at, boot_at, dated_at, settings);

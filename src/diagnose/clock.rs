@@ -1,7 +1,9 @@
 //! The clock of a logger: a throw dated far ahead of its reception, long before the throw before it, or in 1970.
 //!
-//! Throws of a backlog or a recording may be old, and simulated machines live faster than real time. So only a jump is
-//! wrong, and from then on every throw until the clock agrees again with the time of reception.
+//! Throws of a backlog or a recording may be old, and simulated machines live faster than real time. So only a jump within a
+//! boot is wrong, and from then on every throw until the clock agrees again with the time of reception. A logger that starts
+//! again with an older clock shows no jump, as its boot may be an earlier one from its backlog: other loggers show whether
+//! it is behind.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -41,11 +43,18 @@ struct Stamp {
 impl LoggerClock {
     /// Compares the time of a throw with its reception; returns whether the logger's clock is wrong. Without `received_at` the
     /// clock of this computer is not trusted, and shows nothing about that of the logger.
-    pub(super) fn is_wrong(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Option<Timestamp>) -> bool {
+    pub(super) fn is_wrong(
+        &mut self,
+        throw: &ThrowRef,
+        started_at: Timestamp,
+        received_at: Option<Timestamp>,
+        is_behind: bool,
+    ) -> bool {
         let received_at = received_at.filter(|at| *at >= FIRST);
         let is_wrong = match received_at {
             _ if started_at < FIRST => true,
             None => return false,
+            Some(_) if is_behind => true,
             Some(received_at) if self.wrong > 0 => !self.agrees_again(received_at.duration_since(started_at)),
             Some(received_at) => self.jumps(throw, started_at, received_at),
         };

@@ -233,11 +233,12 @@ impl Operation {
     pub(super) fn on_evaluation(
         &mut self,
         evaluated: bool,
-        direction: Option<Direction>,
+        observation: &Observation,
         blind: Option<&Blindness>,
         step: &mut Step,
     ) {
         let Step { name, settings, .. } = *step;
+        let Observation { direction, rejected, .. } = *observation;
         let enough = settings.not_monitored_throws;
         streak(&mut self.unevaluated, !evaluated);
         if evaluated {
@@ -260,9 +261,7 @@ impl Operation {
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
         } else if self.unevaluated >= enough {
-            let reasons = self.sides.each_ref().map(|side| side.rejected.as_deref());
-            let reason = reasons[0].filter(|_| reasons[0] == reasons[1]);
-            text::unevaluated(name, None, self.unevaluated, reason)
+            text::unevaluated(name, None, self.unevaluated, rejected)
         } else if let Some(unseen) = unseen {
             let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())

@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     daemon::{View, clock},
-    diagnose::{Cause, MachineState},
+    diagnose::{Cause, MachineState, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
     throw::{MachineId, counted, utc},
     wire,
@@ -50,7 +50,10 @@ struct Page {
     tally: Vec<(Badge, String, String)>,
     /// "12 machines".
     machines: String,
+    /// Active critical alarms, above those of many machines.
+    urgent: Vec<AlarmLine>,
     common: Vec<Common>,
+    /// The other alarms.
     alarms: Vec<AlarmLine>,
     more_alarms: String,
     filters: Filters,
@@ -195,18 +198,18 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         None => tally.total().saturating_sub(grouped),
     };
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
+    // The worst faults are the first ones.
+    let is_urgent = |Fault { alarm, .. }: &Fault| alarm.severity == Severity::Critical && alarm.state.is_active();
+    let urgent = overview.faults.partition_point(is_urgent);
     let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
     let choice = |word: &'static str, text: String, chosen: &str| (word, text, word == chosen);
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
         machines: counted(page::count(tally.total()), "machine"),
+        urgent: lines(&overview.faults[..urgent], &windows),
         common: common(&overview.common),
-        alarms: overview
-            .faults
-            .iter()
-            .map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, &windows))
-            .collect(),
+        alarms: lines(&overview.faults[urgent..], &windows),
         more_alarms: if more_alarms > 0 { counted(page::count(more_alarms), "more alarm") } else { String::new() },
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
@@ -248,6 +251,10 @@ fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)>
     };
     let link = |state: MachineState| (Badge(state), number(state), filters.with_state(state.as_str()).address());
     WORST_FIRST.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
+}
+
+fn lines(faults: &[Fault], windows: &[Window]) -> Vec<AlarmLine> {
+    faults.iter().map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, windows)).collect()
 }
 
 /// Groups the alarms of system-wide causes, those about lost data by their kind.

@@ -375,7 +375,13 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
 
     let mut machine = self::machine();
     let dated = [1, 2, 3].map(|_| {
-        machine.monitor.date(&last.throw, jiff::Timestamp::UNIX_EPOCH, Some(last.started_at), &Settings::default())
+        machine.monitor.date(
+            &last.throw,
+            jiff::Timestamp::UNIX_EPOCH,
+            Some(last.started_at),
+            false,
+            &Settings::default(),
+        )
     });
     assert!(dated.iter().all(|(at, _)| *at == last.started_at) && dated[1].1.is_none());
     let event = dated[2].1.as_ref().unwrap();

@@ -1,7 +1,7 @@
 //! Loggers with a wrong clock or with fields that cannot be: nothing is lost, and people can see it.
 
 use jiff::{SignedDuration, Timestamp};
-use pointsd::throw::{Throw, Trace};
+use pointsd::throw::{Throw, ThrowRef, Trace};
 
 use crate::{
     faketime,
@@ -44,6 +44,34 @@ async fn a_clock_that_jumps_is_one_alarm_about_it_which_ends_when_the_clock_is_r
         assert_eq!(events.len(), raised, "{events:?}");
     }
     assert!(rig.sql("SELECT * FROM alarm_history WHERE cause = 'data_loss'").is_empty());
+}
+
+/// A logger without a battery starts with the date of its software, and with a new boot.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_clock_that_is_behind_after_a_restart_is_an_alarm() {
+    let mut rig = Rig::new();
+    let Some(clock) = faketime::clock_of(&mut rig) else { return };
+    rig.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");
+    let daemon = rig.start();
+    let loggers = [daemon.logger(KEY).await, daemon.logger("points/v1/north/22/throw").await];
+    for throw_no in 1..=10 {
+        let minutes = 2 * i64::try_from(throw_no).unwrap();
+        std::fs::write(&clock, format!("+{minutes}m")).unwrap();
+        let now = Timestamp::now() + SignedDuration::from_mins(minutes);
+        let restarted = throw_no > 4;
+        let mut throw = dated(throw_no, if restarted { now - DAY * 1000 } else { now });
+        if restarted {
+            throw.id = ThrowRef { boot_id: "restarted".into(), throw_no: throw_no - 4 };
+        }
+        loggers[0].send([throw]).await;
+        loggers[1].send([dated(throw_no, now)]).await;
+        rig.judged(2 * usize::try_from(throw_no).unwrap()).await;
+    }
+    let alarms = rig.sql("SELECT machine, raised_at, state FROM alarm_history WHERE channel = 'clock'");
+    assert!(alarms.len() == 1 && alarms[0]["machine"] == "21B", "{alarms:?}");
+    assert_eq!(alarms[0]["state"], "active_unacknowledged");
+    let raised_at: Timestamp = alarms[0]["raised_at"].as_str().unwrap().parse().unwrap();
+    assert!(raised_at.duration_since(Timestamp::now()).abs() < DAY, "the time of reception: {raised_at}");
 }
 
 /// The clock of the daemon's computer stands in 1970, or some weeks back, after a loss of power.
@@ -173,4 +201,28 @@ async fn a_new_baseline_shows_at_once() {
     assert!(rig.sql(progress).is_empty());
     let page = get(&address(&daemon), "/machines/north/21B").body;
     assert_eq!(page.matches("0 of 50 throws").count(), 2, "{page}");
+}
+
+/// The reason names what to correct in the logger: the machine is sound.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_that_is_not_monitored_has_the_reason_and_the_missing_direction() {
+    let (rig, daemon) = Rig::running();
+    let changed = |change: fn(&Trace) -> Trace| {
+        let of_throw = move |throw: Throw| Throw { trace: change(&throw.trace), direction: None, ..throw };
+        throws("boot", 20).into_iter().map(of_throw)
+    };
+    let without_position = changed(|trace| {
+        Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), vec![f64::NAN; trace.len()]).unwrap()
+    });
+    let swapped = changed(|trace| {
+        Trace::new(trace.sample_rate_hz(), trace.position_mm().to_vec(), trace.current_a().to_vec()).unwrap()
+    });
+    daemon.logger(KEY).await.send(without_position).await;
+    daemon.logger("points/v1/north/22A/throw").await.send(swapped).await;
+    rig.judged(40).await;
+    let alarms = rig.sql("SELECT machine, text FROM active_alarms WHERE cause = 'not_monitored' ORDER BY machine");
+    let text = |at: usize| alarms[at]["text"].as_str().unwrap();
+    assert!(alarms.len() == 2 && text(0).contains("(last reason: current_only)"), "{alarms:?}");
+    assert!(text(0).contains("without a toe sensor, the direction"), "{alarms:?}");
+    assert!(text(1).contains("(last reason: moved_before_current)"), "{alarms:?}");
 }

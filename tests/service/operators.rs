@@ -338,6 +338,9 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
         let answers = bus::ask(&session, &format!("{key}?limit=3"), None, PATIENCE).await.unwrap();
         assert_eq!(answers.messages.len(), found, "{key}: {answers:?}");
     }
+    // Everything about a machine: its command queryable has nothing to say.
+    let all = bus::ask(&session, "points/v1/north/21B/*", None, PATIENCE).await.unwrap();
+    assert!(all.messages.len() == 1 && all.errors.is_empty(), "{all:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -41,6 +41,24 @@ async fn the_same_throw_three_times_is_one_row() {
     }
 }
 
+/// As Python's `cbor2` writes a `datetime`.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_tagged_time_in_cbor_is_a_time() {
+    let (rig, daemon) = Rig::running();
+    let logger = daemon.logger(KEY).await;
+    let made = throws("boot", 2);
+    for (throw, tag) in made.iter().zip([0xc0, 0xc1]) {
+        let mut message = encode_throw(Encoding::Cbor, throw);
+        let name = b"started_at";
+        let value = message.windows(name.len()).position(|part| part == name).unwrap() + name.len();
+        message.insert(value, tag);
+        put(&logger.session, KEY, ContentType::APPLICATION_CBOR, message).await;
+    }
+    assert_eq!(rig.judged(1).await[0].started_at, made[0].started_at);
+    rig.until_sql("SELECT 1 AS n FROM quarantined_messages WHERE throw_no = 2 AND reason LIKE 'started_at: %text'")
+        .await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     let (rig, daemon) = Rig::running();

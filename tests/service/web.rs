@@ -7,12 +7,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::throw::{Throw, Trace};
+use pointsd::{
+    simulate::{Fault, Part, Shape},
+    throw::{Throw, Trace},
+};
 
 use crate::{
     faketime,
     http::{Answer, KEY, WEB, address, ask, check_nesting, exchange, get, history_in, small_history, until_page},
-    rig::{PATIENCE, Program, Rig, pointsd, stub},
+    rig::{PATIENCE, Program, Rig, faulty_throws, pointsd, stub},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -103,6 +106,24 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         }
         assert!(answer.header("content-security-policy").is_some(), "{path}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_critical_alarm_stands_above_warnings_about_lost_data() {
+    let (rig, daemon) = Rig::running_with(&format!("[diagnosis]\nbaseline_throws = 12\n{WEB}"));
+    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -20.0, from_throw: 30 };
+    let weak = daemon.logger(KEY).await;
+    weak.send(faulty_throws(fault, "boot", 36)).await;
+    let confused = daemon.logger("points/v1/north/22A/throw").await;
+    let other = Trace::new(100.0, vec![0.1; 20], vec![0.0; 20]).unwrap();
+    confused.send([stub("boot", 1), Throw { trace: other, ..stub("boot", 1) }]).await;
+    rig.judged(38).await;
+    let address = address(&daemon);
+    until_page(&address, "/", "with data loss").await;
+    let page = get(&address, "/").body;
+    let at = |what: &str| page.find(what).unwrap_or_else(|| panic!("{what}: {page}"));
+    assert!(at("north/21B</a>: <strong>motor</strong>") < at("1 machine with data loss"), "{page}");
+    check_nesting(&page);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

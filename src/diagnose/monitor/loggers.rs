@@ -45,15 +45,17 @@ impl MachineMonitor {
 
     /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
     /// which is that of reception while the clock is wrong, and the event of a raised or cleared alarm. Without `received_at`
-    /// the clock of this computer is not trusted, and only an impossible time is wrong.
+    /// the clock of this computer is not trusted, and only an impossible time is wrong. `is_behind`: other loggers show that
+    /// this one is behind.
     pub fn date(
         &mut self,
         throw: &ThrowRef,
         started_at: Timestamp,
         received_at: Option<Timestamp>,
+        is_behind: bool,
         settings: &Settings,
     ) -> (Timestamp, Option<AlarmEvent>) {
-        let is_wrong = self.clock.is_wrong(throw, started_at, received_at);
+        let is_wrong = self.clock.is_wrong(throw, started_at, received_at, is_behind);
         let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
         if self.maintenance.is_none() {
             let Self { alarms, name, clock, .. } = self;

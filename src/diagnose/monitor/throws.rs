@@ -135,7 +135,7 @@ impl MachineMonitor {
         let watched = self.watch_features(observation, is_judged, step);
         found::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
-        self.operation.on_evaluation(is_monitored, direction, self.blind.as_ref(), step);
+        self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
         if let (Some(direction), Some(duration_s), false) = (direction, features.duration_s, incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {

@@ -19,7 +19,7 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     let check = match reason {
         Some("misfit") => {
             "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
-             position are of the same moment, and neutral_mm"
+             position are of the same moment, and neutral_mm and motor"
         }
         Some("undersampled") => "the sampling rate of the logger, and set anti_alias_hz if it has a filter",
         Some("start_missing" | "onset_missing") => {
@@ -29,7 +29,9 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
         Some("not_positive") => {
             "neutral_mm, as a wrong one makes the friction of one direction negative, then the machine and its sensors"
         }
-        Some("current_only") => "whether the logger sends position_mm",
+        Some("current_only") => {
+            "whether the logger sends position_mm or, without a toe sensor, the direction: a throw without both is not monitored"
+        }
         _ => "the machine and its sensors",
     };
     let reason = reason.map_or_else(String::new, |code| format!(" (last reason: {code})"));

@@ -18,6 +18,8 @@ use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
 /// Tag "self-described CBOR" (RFC 8949, 3.4.6), which some encoders put before the map.
 const SELF_DESCRIBED: Tag = Tag::new(55799);
+/// Tag of a text that is a time of RFC 3339 (RFC 8949, 3.4.1): encoders put it before a date of their language.
+const TIME: Tag = Tag::new(0);
 /// Typed array of little-endian float32 (RFC 8746, table 4).
 const F32_LITTLE_ENDIAN: Tag = Tag::new(85);
 /// Typed array of little-endian float64.
@@ -77,7 +79,7 @@ fn read(decoder: &mut Decoder<'_>, fields: &mut Fields) -> Decoded<()> {
             Some("schema") => set(decoder, "schema", &mut fields.schema, text)?,
             Some("boot_id") => set(decoder, "boot_id", &mut fields.boot_id, text)?,
             Some("throw_no") => set(decoder, "throw_no", &mut fields.throw_no, count)?,
-            Some("started_at") => set(decoder, "started_at", &mut fields.started_at, text)?,
+            Some("started_at") => set(decoder, "started_at", &mut fields.started_at, time)?,
             Some("direction") => set(decoder, "direction", &mut fields.direction, text)?,
             Some("sample_rate_hz") => set(decoder, "sample_rate_hz", &mut fields.sample_rate_hz, float)?,
             Some("current_a") => set(decoder, "current_a", &mut fields.current_a, channel)?,
@@ -165,6 +167,14 @@ fn text(decoder: &mut Decoder<'_>, field: &str) -> Decoded<String> {
     match decoder.datatype()? {
         Type::String | Type::StringIndef => joined_text(decoder),
         other => Err(wrong(field, format!("{}, must be a text", named(other)))),
+    }
+}
+
+/// A time as text, with or without [`TIME`].
+fn time(decoder: &mut Decoder<'_>, field: &str) -> Decoded<String> {
+    match decoder.datatype()? {
+        Type::Tag if decoder.tag()? != TIME => Err(wrong(field, "a number of seconds or another tag, must be a text")),
+        _ => text(decoder, field),
     }
 }
 
