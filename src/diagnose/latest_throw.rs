@@ -8,6 +8,7 @@ use super::{
     drift::Drift,
     event::Cause,
     explain::{Explanation, friction_of_sound_motor},
+    gauges::{Gauges, Level},
     history::History,
     settings::Settings,
     track::Tracks,
@@ -19,6 +20,11 @@ use crate::throw::Direction;
 const SIZE_SHARE: f64 = 0.01;
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
+/// Dry part of the friction of a machine, and its standard deviation: unknown, from 0 to 1. A constant torque cannot be
+/// distinguished from viscous friction in a throw, whose speed hardly changes.
+const DRY: (f64, f64) = (0.5, 0.29);
+/// Dry friction as part of the running load, and its standard deviation: the load contains the spring too.
+const DRY_LOAD: (f64, f64) = (0.3, 0.17);
 
 /// The latest throw of a machine.
 #[derive(Clone, Copy)]
@@ -29,6 +35,7 @@ pub(super) struct LatestThrow<'a> {
     pub(super) order: u64,
     pub(super) at: Timestamp,
     pub(super) tracks: &'a Tracks,
+    pub(super) gauges: &'a Gauges,
     pub(super) settings: &'a Settings,
 }
 
@@ -62,11 +69,37 @@ impl LatestThrow<'_> {
     ) -> (Explanation, Option<Course>) {
         let temperature_sd = self.drift.temperature_sd();
         let Some(course) = self.tracks.course(&part.weights, &temperature_sd, direction, history, self.order) else {
-            return (*part, None);
+            return (self.without_dry_friction(*part, direction), None);
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
         let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
-        (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
+        let now = Explanation { size: whole.ln(), size_sd, ..*part };
+        (self.without_dry_friction(now, direction), Some(course))
+    }
+
+    /// The size without the error of a model whose friction is viscous.
+    ///
+    /// Dry friction F at the speed v is F/v in a1. A rise slows the motor, so a1 rises by more than the friction: by the
+    /// duration of the throw, in the dry part of the friction.
+    ///
+    /// At the start, b0 is that of the torque less the dry friction: of a torque that changes by the factor r, (r - q)/(1 - q)
+    /// is left, where q is the dry friction as part of the torque of the inrush. The ratios do not depend on the start.
+    fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
+        match part.cause {
+            Cause::Friction => {
+                let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
+                let size_sd = part.size_sd.hypot(DRY.1 * value).hypot(DRY.0 * sd);
+                Explanation { size: part.size - DRY.0 * value, size_sd, ..part }
+            }
+            Cause::Kt if self.drift.strongest.is_some_and(|window| window.shows(Cause::Inertia)) => {
+                let load = self.gauges.running_of_inrush();
+                let change = part.size.exp_m1();
+                let whole = (1.0 + (1.0 - DRY_LOAD.0 * load) * change).max(LEAST_LEFT);
+                let size_sd = part.size_sd.hypot(DRY_LOAD.1 * load * change / whole);
+                Explanation { size: whole.ln(), size_sd, ..part }
+            }
+            _ => part,
+        }
     }
 }

@@ -189,8 +189,10 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks: &self.tracks, settings };
-            self.drift.judge(latest, &residual, step);
+            let Self { order, tracks, instruments, drift: alarms, .. } = &mut *self;
+            let gauges = &instruments.gauges;
+            let latest = LatestThrow { drift: &drift, order: *order, at: step.at, tracks, gauges, settings };
+            alarms.judge(latest, &residual, step);
             self.instruments.judge(&drift, step);
             drift
         });

@@ -1,0 +1,57 @@
+//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction changes the speed.
+
+use pointsd::diagnose::Cause;
+
+use crate::{
+    drive::{Drive, State},
+    fleet::in_parallel,
+};
+
+/// Half of the friction is dry.
+const LOADED: State = State { friction: 12.0, ..State::SOUND };
+/// A brake that hides the scale of the coefficients, so that the throws give the ratios only.
+const OF_RATIOS: State = State { brake_s: 0.02, ..LOADED };
+
+/// A loaded drive after a healthy time without an event.
+fn learned(seed: u64, publishes_volts: bool, state: State) -> Drive {
+    let mut drive = Drive::new(96_000 + seed, publishes_volts);
+    drive.stay_healthy(100, state);
+    drive
+}
+
+/// Checks that nine of ten 95 % intervals of `cause` contain its true size, in the throws after a step to `state`.
+fn assert_size(cause: Cause, before: State, state: State, truth_pct: f64) {
+    let of_lives = in_parallel(6, |seed| {
+        let mut drive = learned(seed, seed % 2 == 0, before);
+        let mut held = Vec::new();
+        for throw in 0..40 {
+            let drifts = drive.feed(state).present.drifts;
+            let named = drifts.iter().find(|drift| drift.cause == cause).filter(|_| throw >= 12);
+            held.extend(named.map(|drift| (drift.change_pct - truth_pct).abs() <= 1.96 * drift.change_pct_sd));
+        }
+        held
+    });
+    let held = of_lives.concat();
+    let inside = held.iter().filter(|held| **held).count();
+    assert!(held.len() >= 150, "{cause} {truth_pct} %: named in {} of 168 throws", held.len());
+    assert!(10 * inside >= 9 * held.len(), "{cause} {truth_pct} %: {inside} of {}", held.len());
+}
+
+/// Friction slows the motor, and dry friction at a lower speed is more viscous friction in the model.
+#[test]
+fn the_size_of_friction_is_that_of_its_force_and_not_of_its_effect_on_the_speed() {
+    for before in [LOADED, OF_RATIOS] {
+        for (factor, truth_pct) in [(1.3, 30.0), (1.6, 60.0)] {
+            assert_size(Cause::Friction, before, State { friction: factor * before.friction, ..before }, truth_pct);
+        }
+    }
+}
+
+/// Dry friction takes its part of the torque of the inrush, so b0 falls by more than the torque.
+#[test]
+fn the_size_of_a_motor_fault_is_that_of_its_torque_and_not_of_what_friction_leaves() {
+    for factor in [0.88, 0.8] {
+        let weaker = State { torque: factor, back_emf: factor, ..LOADED };
+        assert_size(Cause::Kt, LOADED, weaker, 100.0 * (factor - 1.0));
+    }
+}
