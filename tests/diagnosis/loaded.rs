@@ -1,4 +1,4 @@
-//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction changes the speed.
+//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the speed.
 
 use pointsd::diagnose::Cause;
 
@@ -53,5 +53,23 @@ fn the_size_of_a_motor_fault_is_that_of_its_torque_and_not_of_what_friction_leav
     for factor in [0.88, 0.8] {
         let weaker = State { torque: factor, back_emf: factor, ..LOADED };
         assert_size(Cause::Kt, LOADED, weaker, 100.0 * (factor - 1.0));
+    }
+}
+
+/// A bad contact slows the motor, which changes the coefficients too. Without a supply voltage the inrush shows it.
+#[test]
+fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
+    for before in [LOADED, OF_RATIOS] {
+        let of_lives = in_parallel(6, |seed| {
+            let mut drive = learned(20 + seed, seed % 2 == 0, before);
+            drive.events(80, State { ohms: 2.0, ..before })
+        });
+        for events in of_lives {
+            let said: Vec<_> =
+                events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+            let is_of_part = |cause: Cause| Cause::PHYSICAL.contains(&cause) || cause == Cause::Sensor;
+            assert!(events.iter().all(|event| !is_of_part(event.cause)), "{said:#?}");
+            assert!(events.iter().any(|event| event.cause == Cause::Supply), "{said:#?}");
+        }
     }
 }
