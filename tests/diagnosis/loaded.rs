@@ -1,6 +1,6 @@
 //! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the speed.
 
-use pointsd::diagnose::Cause;
+use pointsd::{diagnose::Cause, throw::Direction};
 
 use crate::{
     drive::{Drive, State},
@@ -71,5 +71,24 @@ fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
             assert!(events.iter().all(|event| !is_of_part(event.cause)), "{said:#?}");
             assert!(events.iter().any(|event| event.cause == Cause::Supply), "{said:#?}");
         }
+    }
+}
+
+/// Dry friction along the stroke looks like stiffness, on some machines in one direction only.
+#[test]
+fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
+    let of_lives = in_parallel(6, |seed| {
+        let mut drive = learned(40 + seed, seed % 2 == 0, OF_RATIOS);
+        let mut events = Vec::new();
+        for _ in 0..160 {
+            let stiffness = if drive.next() == Direction::ReverseToNormal { 1.12 } else { 0.95 };
+            events.extend(drive.feed(State { friction: 1.6 * OF_RATIOS.friction, stiffness, ..OF_RATIOS }).events);
+        }
+        events
+    });
+    for events in of_lives {
+        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+        assert!(events.iter().any(|event| event.cause == Cause::Friction), "{said:#?}");
+        assert!(events.iter().all(|event| event.cause != Cause::Stiffness), "{said:#?}");
     }
 }
