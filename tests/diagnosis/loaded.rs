@@ -92,3 +92,20 @@ fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
         assert!(events.iter().all(|event| event.cause != Cause::Stiffness), "{said:#?}");
     }
 }
+
+/// The windows contain throws from before and after the repair for a while, which together look like no single part.
+#[test]
+fn a_repair_raises_no_alarm_about_the_throws_before_it() {
+    let of_lives = in_parallel(12, |seed| {
+        let mut drive = learned(60 + seed, seed % 2 == 0, OF_RATIOS);
+        for _ in 0..80 {
+            let stiffness = if drive.next() == Direction::ReverseToNormal { 1.2 } else { 1.0 };
+            drive.feed(State { friction: 1.6 * OF_RATIOS.friction, stiffness, ..OF_RATIOS });
+        }
+        drive.events(40, OF_RATIOS)
+    });
+    for events in of_lives {
+        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+        assert!(events.iter().all(|event| !event.state.is_active()), "{said:#?}");
+    }
+}
