@@ -72,7 +72,7 @@ pub(super) struct BaselineThrow {
 /// The baseline of one direction, in logarithms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Baseline {
-    centre: [f64; 3],
+    pub(super) centre: [f64; 3],
     pub(super) throws: usize,
     pub(super) complete: bool,
     /// Start of its last throw.

@@ -64,6 +64,9 @@ impl Known<'_> {
     fn is_decided_by(&self, back_emf: &BackEmf, window: &Window, settings: &Settings) -> bool {
         let is_new = self.level.is_some_and(|level| {
             let since = window.mean - level;
+            // Ratios have no scale in common with the level; a change of the motor changes both alike.
+            let scale = if window.shows(Cause::Inertia) { 0.0 } else { f64::midpoint(since.y, since.z) };
+            let since = since.add_scalar(-scale);
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
         let is_known = self.causes.contains(&Cause::Kt);

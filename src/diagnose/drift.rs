@@ -164,9 +164,13 @@ impl Drift {
         let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
         let latest = latest.map(|window| extent(window).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
+        // After a repair a longer window still has throws from before it, which no single part explains.
+        let has_ended =
+            cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
         let claim = match named {
             // A step keeps its level in the next throw, an outlier does not.
             Some(_) if self.matters() && !self.strongest.is_some_and(|window| window.confirmed) => Claim::Counts,
+            Some(_) if self.matters() && has_ended => Claim::Counts,
             Some(_) if self.matters() => Claim::Named,
             // The name is not stable yet, also if throws in between had one.
             _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {

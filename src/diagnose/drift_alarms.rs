@@ -48,6 +48,9 @@ const ONE_SIDED_THROWS: u8 = 6;
 /// Least present size of a part that is named, in standard deviations: its 95 % interval excludes 0.
 const SHOWN_SD: f64 = 1.96;
 
+/// Range of the size in the course as part of the size without the error of the model.
+const MODEL_ERROR: Range<f64> = 0.5..2.0;
+
 /// Part of a warning limit from which a change that is shared with the site is stated.
 const SHARED_FROM: f64 = 0.5;
 
@@ -389,7 +392,12 @@ impl DriftAlarms {
 fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
     let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
     let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;
-    if limit > -1.0 { course.reaches(limit) } else { None }
+    if limit <= -1.0 {
+        return None;
+    }
+    // The course has the error of the model in proportion to the size.
+    let of_course = course.now().0.ln_1p() / now.size;
+    course.reaches(if MODEL_ERROR.contains(&of_course) { (of_course * limit.ln_1p()).exp_m1() } else { limit })
 }
 
 /// Drifts with their severity and size relative to the limit, in the order in which they are shown: named parts before

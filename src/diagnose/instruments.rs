@@ -120,7 +120,7 @@ impl Instruments {
         let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
             return Testimony::Machine;
         };
-        if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution) {
+        if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
             return Testimony::Supply;
         }
         let levels = self.levels(window.throws);
@@ -189,15 +189,37 @@ impl Instruments {
         shown > INRUSH_OF_GAIN * gain.abs()
     }
 
-    /// Whether a changed resistance between supply and motor explains a change of the motor: it changes the inrush, which
-    /// accelerates the machine, and with it b0 a little.
-    fn circuit_explains(&self, attribution: &Attribution) -> bool {
+    /// Whether a changed resistance between supply and motor explains a drift: it changes the inrush, which accelerates the
+    /// machine, and with it b0 a little, and the speed.
+    fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
         let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
         let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
-        let Some(main) = attribution.main().filter(|main| main.cause == Cause::Kt) else { return false };
-        let explained = MOTOR_OF_CIRCUIT * circuit.level.value.abs() + 2.0 * main.size_sd;
-        let is_changed = circuit.size > 1.0 && !circuit.is_doubtful;
-        is_changed && matches!(attribution.naming, Naming::One(_) | Naming::Either(..)) && main.size.abs() < explained
+        // Of a smaller inrush a dry load takes a larger part, at most that of the running current.
+        let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
+        let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
+        is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
+    }
+
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, beside a change `of_motor` of
+    /// b0. Dry friction F at the speed v is F/v in a1, and a speed that changes along the stroke looks like stiffness: both
+    /// grow at most as much as the duration, and in the ratios to b0 look like a weaker motor.
+    fn speed_explains(&self, attribution: &Attribution, window: &Window, sense: f64, of_motor: f64) -> bool {
+        let slower = self.gauges.level(Gauge::Duration, window.throws).map_or(0.0, |longer| longer.value);
+        let slower = (slower * sense).max(0.0);
+        let is_explained = |part: &Explanation| {
+            let explained = match part.cause {
+                Cause::Inertia => return false,
+                Cause::Kt if window.shows(Cause::Inertia) => of_motor,
+                Cause::Kt => of_motor + slower,
+                _ => slower,
+            };
+            part.size.abs() < explained + 2.0 * part.size_sd
+        };
+        match &attribution.naming {
+            Naming::One(main) | Naming::Either(main, _) => is_explained(main),
+            Naming::Both(one, other) => is_explained(one) && is_explained(other),
+            _ => false,
+        }
     }
 
     /// Whether the supply explains a change of friction, alone or with a small change of the motor beside it: the model has
@@ -217,6 +239,7 @@ impl Instruments {
                 _ => false,
             };
         is_of_friction && (-slack..DRIER + slack).contains(&share)
+            || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
     }
 
     /// Loss of supply voltage, as a logarithm, from the voltage without its error, or the inrush; `None` unless it is
@@ -350,9 +373,15 @@ impl Instruments {
             let level = Level { value: -lost.value, ..lost };
             (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
         });
-        let of_circuit = circuit
-            .filter(|_| self.circuit.named >= delay)
-            .map(|Circuit { level, .. }| (self.circuit, Rule::Circuit, event(level, text::circuit(step.name, &level))));
+        let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|Circuit { level, of_inrush, .. }| {
+            let lower = Level { value: -level.value, ..level };
+            let event = if of_inrush {
+                event(lower, text::inrush(step.name, &lower))
+            } else {
+                event(level, text::circuit(step.name, &level))
+            };
+            (self.circuit, Rule::Circuit, event)
+        });
         let owner = if step.alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
         let is_over = owner.over >= step.settings.off_delay_throws;
         for (streaks, rule, event) in of_voltage.into_iter().chain(of_circuit) {

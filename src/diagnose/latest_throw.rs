@@ -8,10 +8,9 @@ use super::{
     drift::Drift,
     event::Cause,
     explain::{Explanation, friction_of_sound_motor},
-    gauges::{Gauge, Gauges},
+    gauges::{Gauges, Level},
     history::History,
     settings::Settings,
-    threshold::WINDOWS,
     track::Tracks,
 };
 use crate::throw::Direction;
@@ -19,10 +18,13 @@ use crate::throw::Direction;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
-/// Dry part of the friction, and its standard deviation: unknown, so evenly between none and all.
-const DRY_PART: (f64, f64) = (0.5, 0.29);
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
+/// Dry part of the friction of a machine, and its standard deviation: unknown, from 0 to 1. A constant torque cannot be
+/// distinguished from viscous friction in a throw, whose speed hardly changes.
+const DRY: (f64, f64) = (0.5, 0.29);
+/// Dry friction as part of the running load, and its standard deviation: the load contains the spring too.
+const DRY_LOAD: (f64, f64) = (0.3, 0.17);
 
 /// The latest throw of a machine.
 #[derive(Clone, Copy)]
@@ -67,19 +69,37 @@ impl LatestThrow<'_> {
     ) -> (Explanation, Option<Course>) {
         let temperature_sd = self.drift.temperature_sd();
         let Some(course) = self.tracks.course(&part.weights, &temperature_sd, direction, history, self.order) else {
-            return (*part, None);
+            return (self.without_dry_friction(*part, direction), None);
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        let slower = if part.cause == Cause::Friction { self.slower() } else { 0.0 };
-        let of_model = part.model_sd.hypot(SIZE_SHARE * whole.ln()).hypot(DRY_PART.1 * slower);
-        let size_sd = of_model.hypot(size_sd / whole);
-        (Explanation { size: whole.ln() - DRY_PART.0 * slower, size_sd, ..*part }, Some(course))
+        let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
+        let now = Explanation { size: whole.ln(), size_sd, ..*part };
+        (self.without_dry_friction(now, direction), Some(course))
     }
 
-    /// How much slower the machine moves than normal, as a logarithm. A dry force over the speed is the friction of a viscous
-    /// model, which therefore shows the dry part of the friction larger by this.
-    fn slower(self) -> f64 {
-        self.gauges.level(Gauge::Duration, WINDOWS[0]).map_or(0.0, |level| level.value)
+    /// The size without the error of a model whose friction is viscous.
+    ///
+    /// Dry friction F at the speed v is F/v in a1. A rise slows the motor, so a1 rises by more than the friction: by the
+    /// duration of the throw, in the dry part of the friction.
+    ///
+    /// At the start, b0 is that of the torque less the dry friction: of a torque that changes by the factor r, (r - q)/(1 - q)
+    /// is left, where q is the dry friction as part of the torque of the inrush. The ratios do not depend on the start.
+    fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
+        match part.cause {
+            Cause::Friction => {
+                let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
+                let size_sd = part.size_sd.hypot(DRY.1 * value).hypot(DRY.0 * sd);
+                Explanation { size: part.size - DRY.0 * value, size_sd, ..part }
+            }
+            Cause::Kt if self.drift.strongest.is_some_and(|window| window.shows(Cause::Inertia)) => {
+                let load = self.gauges.running_of_inrush();
+                let change = part.size.exp_m1();
+                let whole = (1.0 + (1.0 - DRY_LOAD.0 * load) * change).max(LEAST_LEFT);
+                let size_sd = part.size_sd.hypot(DRY_LOAD.1 * load * change / whole);
+                Explanation { size: whole.ln(), size_sd, ..part }
+            }
+            _ => part,
+        }
     }
 }

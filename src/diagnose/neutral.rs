@@ -52,9 +52,8 @@ impl Neutral {
     pub(super) fn learn(&mut self, throw: &Evaluated) -> bool {
         let Self::Unknown(sides) = self else { return false };
         let Some(duration_s) = throw.duration_s else { return false };
-        let [b0, a1, a0] = throw.log;
         #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-        let values = [(a1 - a0).exp() / duration_s, a0 - b0].map(|value| value as f32);
+        let values = shown(throw.log, duration_s).map(|value| value as f32);
         let side = &mut sides[throw.direction.side()];
         if side.len() < FIRST && values.iter().all(|value| value.is_finite()) {
             side.push(values);
@@ -94,18 +93,20 @@ impl Neutral {
         record
     }
 
-    /// The neutral position elsewhere, as corrected, or as baselines show it that do not correct it.
-    pub(super) fn elsewhere(&self, baselines: [Option<BaselineRecord>; 2]) -> Option<Elsewhere> {
+    /// The neutral position elsewhere, as corrected, or as the centres of baselines that do not correct it show it: ln b0, ln a1, ln
+    /// a0 and duration \[s\] of each direction.
+    pub(super) fn elsewhere(&self, centres: [Option<([f64; 3], f64)>; 2]) -> Option<Elsewhere> {
         if let Self::Elsewhere(elsewhere) = self {
             return Some(*elsewhere);
         }
-        let level = |record: &BaselineRecord| {
-            let [b0, a1, a0] = record.center;
-            Some([a1 / a0 / record.duration_s?, (a0 / b0).ln()])
-        };
-        let [normal, reverse] = baselines.each_ref().map(|record| record.as_ref().and_then(level));
+        let [normal, reverse] = centres.map(|centre| centre.map(|(log, duration_s)| shown(log, duration_s)));
         Elsewhere::of([normal?, reverse?])
     }
+}
+
+/// a1 / (a0 T) and ln(a0 / b0).
+fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
+    [(a1 - a0).exp() / duration_s, a0 - b0]
 }
 
 impl Elsewhere {

@@ -16,6 +16,7 @@ mod fleet;
 mod hard;
 mod instruments;
 mod intermittent;
+mod loaded;
 mod memory;
 mod operational;
 mod pairs;

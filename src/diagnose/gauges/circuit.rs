@@ -31,6 +31,10 @@ const INRUSH_OF_OHMS: f64 = 0.15;
 /// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 
+/// Largest increase of the duration as part of the lost inrush. A lower voltage slows the motor by at least as much as it
+/// lowers the inrush; a resistance by its share of the voltage, 0.4 to 0.7 of the inrush on motors whose load takes a fifth.
+const SLOWER_OF_INRUSH: f64 = 0.85;
+
 /// Change of the back-EMF of the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::diagnose) struct BackEmf {
@@ -52,8 +56,12 @@ pub(in crate::diagnose) struct Circuit {
     pub(in crate::diagnose) level: Level,
     /// Size relative to what heat explains, and to the scatter.
     pub(in crate::diagnose) size: f64,
+    /// The same in the last few throws only.
+    pub(in crate::diagnose) latest: f64,
     /// Whether it may be something else that changed, as the motor, the play or the position sensor.
     pub(in crate::diagnose) is_doubtful: bool,
+    /// Whether the resistance is unknown, and the level is that of the lost inrush, at most as large.
+    pub(in crate::diagnose) of_inrush: bool,
 }
 
 impl Circuit {
@@ -114,12 +122,43 @@ impl Gauges {
     /// known at the temperature of the air. The level is that of the last few throws; the longer window must show it too, so
     /// that a single throw does not. A wrong voltage explains it. `None` if it is unknown.
     pub(in crate::diagnose) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
+        self.circuit_of_resistance(knows_weather).or_else(|| self.circuit_of_inrush(knows_weather))
+    }
+
+    /// The same by the inrush, where the resistance is unknown, as without a supply voltage: a higher resistance lowers the
+    /// inrush, slows the motor less than a lower voltage would, and leaves the running current, which a wrong gain of the
+    /// current sensor changes as well.
+    fn circuit_of_inrush(&self, knows_weather: bool) -> Option<Circuit> {
+        let lost = |throws: usize| {
+            if self.level(Gauge::Resistance, throws).is_some() {
+                return None;
+            }
+            let [inrush, running, longer] =
+                [Gauge::Inrush, Gauge::Running, Gauge::Duration].map(|gauge| self.level(gauge, throws));
+            let (inrush, running, longer) = (inrush?, running?, longer?);
+            let volts = self.level(Gauge::Volts, throws).unwrap_or(Level { value: 0.0, sd: 0.0 });
+            let level = Level { value: volts.value - inrush.value, sd: inrush.sd.hypot(volts.sd) };
+            let is_slower = longer.value > SHORTER_SD * longer.sd && longer.value < SLOWER_OF_INRUSH * level.value;
+            let is_gain = -running.value > ALIKE * level.value;
+            Some((level, if is_slower && !is_gain { level.value.max(0.0) } else { 0.0 }))
+        };
+        let (level, shown) = lost(WINDOWS[0])?;
+        let (longer, longer_shown) = lost(WINDOWS[1])?;
+        let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
+        let size = |shown: f64, level: Level| shown / heat.max(CIRCUIT_SD * level.sd);
+        let latest = size(shown, level);
+        let size = latest.min(size(longer_shown, longer));
+        Some(Circuit { level, size, latest, is_doubtful: false, of_inrush: true })
+    }
+
+    fn circuit_of_resistance(&self, knows_weather: bool) -> Option<Circuit> {
         let (level, longer) = (self.level(Gauge::Resistance, WINDOWS[0])?, self.level(Gauge::Resistance, WINDOWS[1])?);
         let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
         let is_motor =
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
-        let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
+        let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
+        let size = latest.min(size_of(longer));
         // The inrush, V/R at most, follows the resistance, and not an error of the position, from which the resistance is computed.
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
         let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
@@ -133,7 +172,7 @@ impl Gauges {
         let is_idle = idle > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
         let is_doubtful = is_motor || is_idle || is_inrush_as_before || self.falls_in_one_direction(longer);
-        is_measured.then_some(Circuit { level, size, is_doubtful })
+        is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false })
     }
 
     /// Whether a resistance with this level is lower in one direction only. A contact of one direction may be bad, but the

@@ -193,6 +193,26 @@ impl Gauges {
         self.sides.iter().filter_map(move |side| side.of(gauge)).map(|(centre, _)| f64::from(centre))
     }
 
+    /// How much longer than normal the last few throws of a direction take, as a logarithm; of `None` the mean of both directions.
+    pub(in crate::diagnose) fn longer(&self, direction: Option<Direction>) -> Option<Level> {
+        let departures = self.departures(Gauge::Duration, WINDOWS[1])?;
+        let wanted = direction.map(Direction::side);
+        let sides =
+            by_side(&departures).into_iter().enumerate().filter(|(side, _)| wanted.is_none_or(|of| of == *side));
+        let medians: Vec<f64> = sides.filter(|(_, of)| !of.is_empty()).map(|(_, mut of)| median(&mut of)).collect();
+        let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
+        let sd = sd_of_mean(Gauge::Duration, mean(&sds), departures.len() as f64);
+        (!medians.is_empty()).then(|| Level { value: mean(&medians), sd })
+    }
+
+    /// Normal running current as part of the inrush, the mean of both directions; 0 if it is unknown.
+    pub(in crate::diagnose) fn running_of_inrush(&self) -> f64 {
+        let part =
+            |side: &Normal| Some(f64::from(side.of(Gauge::Running)?.0 - side.of(Gauge::Inrush)?.0).exp().min(1.0));
+        let parts: Vec<f64> = self.sides.iter().filter_map(part).collect();
+        if parts.is_empty() { 0.0 } else { mean(&parts) }
+    }
+
     /// Largest normal delay of the start \[ms\]: that of an unlocking stroke, or of play and an elastic drive.
     pub(in crate::diagnose) fn normal_delay_ms(&self) -> f64 {
         self.normals(Gauge::StartDelay).map(f64::abs).fold(0.0, f64::max)

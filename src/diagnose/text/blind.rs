@@ -82,13 +82,13 @@ pub(crate) fn only_features(name: &str) -> String {
 /// Text for a machine whose spring seems to be unstressed elsewhere than configured.
 pub(crate) fn neutral(
     name: &str,
-    Elsewhere { share, ratio }: &Elsewhere,
+    Elsewhere { share, ratio }: Elsewhere,
     configured_mm: f64,
     travel_mm: f64,
     is_corrected: bool,
 ) -> String {
-    let elsewhere_mm = configured_mm + f64::from(*share) * travel_mm;
-    let harder = if *share > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
+    let elsewhere_mm = configured_mm + f64::from(share) * travel_mm;
+    let harder = if share > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
     let effect = if is_corrected {
         "The sizes and names of its drifts are corrected for this, a1 of its throws is not."
     } else {

@@ -101,6 +101,17 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
     )
 }
 
+/// Text about a lower inrush, where the resistance is unknown.
+pub(crate) fn inrush(name: &str, level: &Level) -> String {
+    format!(
+        "Machine {name}: the inrush of the motor is down {:.0} % (±{:.0} %), more than heat explains. Its throws take longer, and \
+         its running current has not fallen as much. A bad contact, worn brushes, a damaged cable or a weak supply do this. Check \
+         terminals, brushes, contactor and cable, and the voltage at the motor while it runs.",
+        percent(level.value).abs(),
+        half_width_pct(level.value, level.sd)
+    )
+}
+
 /// 0 °C \[K\].
 const ZERO_C_IN_K: f64 = 273.15;
 

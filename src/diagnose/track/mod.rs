@@ -279,18 +279,19 @@ impl Tracks {
         let baselines = self.baselines();
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
         let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
-        let own = tails
-            .iter()
-            .zip(&self.sides)
-            .filter_map(|(tail, track)| Some((tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?)));
+        let own = tails.iter().zip(&self.sides).enumerate().filter_map(|(side, (tail, track))| {
+            Some((side, (tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?)))
+        });
         let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
         let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
         let mut best: Option<(Window, &Scatter)> = None;
-        for (tail, scatter, thresholds) in own.chain(mixed) {
+        let mut of_best = None;
+        let streams = own.map(|(side, stream)| (Some(side), stream)).chain(mixed.map(|stream| (None, stream)));
+        for (side, (tail, scatter, thresholds)) in streams {
             if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, _)| window.excess > best.excess)
             {
-                best = Some((window, scatter));
+                (best, of_best) = (Some((window, scatter)), side);
             }
         }
         let level = |at: usize, longest: usize| {
@@ -304,6 +305,10 @@ impl Tracks {
         let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
+        // The known level is the mean of both directions, in which a machine may have changed differently.
+        let beside = best.zip(of_best).and_then(|((window, _), side)| Some((window, level(1 - side, window.throws)?)));
+        let of_side = beside.map_or_else(Vector3::zeros, |(window, other)| 0.5 * (window.mean - other.mean));
+        let known = &Known { level: known.level.map(|level| level + of_side), ..known.clone() };
         Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
@@ -394,6 +399,11 @@ impl Tracks {
         let is_final = |track: &Track| track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let has_throws = |track: &Track| !track.learned.is_empty() || !track.aside.is_empty();
         self.sides.iter().any(|track| has_throws(track) && !is_final(track))
+    }
+
+    /// Centres of the logarithms and of the duration \[s\] of the baselines of both directions.
+    pub(super) fn centres(&self) -> [Option<([f64; 3], f64)>; 2] {
+        self.baselines().map(|baseline| baseline.and_then(|of| Some((of.centre, of.duration_s?))))
     }
 
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {

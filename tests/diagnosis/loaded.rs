@@ -1,0 +1,111 @@
+//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the speed.
+
+use pointsd::{diagnose::Cause, throw::Direction};
+
+use crate::{
+    drive::{Drive, State},
+    fleet::in_parallel,
+};
+
+/// Half of the friction is dry.
+const LOADED: State = State { friction: 12.0, ..State::SOUND };
+/// A brake that hides the scale of the coefficients, so that the throws give the ratios only.
+const OF_RATIOS: State = State { brake_s: 0.02, ..LOADED };
+
+/// A loaded drive after a healthy time without an event.
+fn learned(seed: u64, publishes_volts: bool, state: State) -> Drive {
+    let mut drive = Drive::new(96_000 + seed, publishes_volts);
+    drive.stay_healthy(100, state);
+    drive
+}
+
+/// Checks that nine of ten 95 % intervals of `cause` contain its true size, in the throws after a step to `state`.
+fn assert_size(cause: Cause, before: State, state: State, truth_pct: f64) {
+    let of_lives = in_parallel(6, |seed| {
+        let mut drive = learned(seed, seed % 2 == 0, before);
+        let mut held = Vec::new();
+        for throw in 0..40 {
+            let drifts = drive.feed(state).present.drifts;
+            let named = drifts.iter().find(|drift| drift.cause == cause).filter(|_| throw >= 12);
+            held.extend(named.map(|drift| (drift.change_pct - truth_pct).abs() <= 1.96 * drift.change_pct_sd));
+        }
+        held
+    });
+    let held = of_lives.concat();
+    let inside = held.iter().filter(|held| **held).count();
+    assert!(held.len() >= 150, "{cause} {truth_pct} %: named in {} of 168 throws", held.len());
+    assert!(10 * inside >= 9 * held.len(), "{cause} {truth_pct} %: {inside} of {}", held.len());
+}
+
+/// Friction slows the motor, and dry friction at a lower speed is more viscous friction in the model.
+#[test]
+fn the_size_of_friction_is_that_of_its_force_and_not_of_its_effect_on_the_speed() {
+    for before in [LOADED, OF_RATIOS] {
+        for (factor, truth_pct) in [(1.3, 30.0), (1.6, 60.0)] {
+            assert_size(Cause::Friction, before, State { friction: factor * before.friction, ..before }, truth_pct);
+        }
+    }
+}
+
+/// Dry friction takes its part of the torque of the inrush, so b0 falls by more than the torque.
+#[test]
+fn the_size_of_a_motor_fault_is_that_of_its_torque_and_not_of_what_friction_leaves() {
+    for factor in [0.88, 0.8] {
+        let weaker = State { torque: factor, back_emf: factor, ..LOADED };
+        assert_size(Cause::Kt, LOADED, weaker, 100.0 * (factor - 1.0));
+    }
+}
+
+/// A bad contact slows the motor, which changes the coefficients too. Without a supply voltage the inrush shows it.
+#[test]
+fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
+    for before in [LOADED, OF_RATIOS] {
+        let of_lives = in_parallel(6, |seed| {
+            let mut drive = learned(20 + seed, seed % 2 == 0, before);
+            drive.events(80, State { ohms: 2.0, ..before })
+        });
+        for events in of_lives {
+            let said: Vec<_> =
+                events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+            let is_of_part = |cause: Cause| Cause::PHYSICAL.contains(&cause) || cause == Cause::Sensor;
+            assert!(events.iter().all(|event| !is_of_part(event.cause)), "{said:#?}");
+            assert!(events.iter().any(|event| event.cause == Cause::Supply), "{said:#?}");
+        }
+    }
+}
+
+/// Dry friction along the stroke looks like stiffness, on some machines in one direction only.
+#[test]
+fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
+    let of_lives = in_parallel(6, |seed| {
+        let mut drive = learned(40 + seed, seed % 2 == 0, OF_RATIOS);
+        let mut events = Vec::new();
+        for _ in 0..160 {
+            let stiffness = if drive.next() == Direction::ReverseToNormal { 1.12 } else { 0.95 };
+            events.extend(drive.feed(State { friction: 1.6 * OF_RATIOS.friction, stiffness, ..OF_RATIOS }).events);
+        }
+        events
+    });
+    for events in of_lives {
+        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+        assert!(events.iter().any(|event| event.cause == Cause::Friction), "{said:#?}");
+        assert!(events.iter().all(|event| event.cause != Cause::Stiffness), "{said:#?}");
+    }
+}
+
+/// The windows contain throws from before and after the repair for a while, which together look like no single part.
+#[test]
+fn a_repair_raises_no_alarm_about_the_throws_before_it() {
+    let of_lives = in_parallel(12, |seed| {
+        let mut drive = learned(60 + seed, seed % 2 == 0, OF_RATIOS);
+        for _ in 0..80 {
+            let stiffness = if drive.next() == Direction::ReverseToNormal { 1.2 } else { 1.0 };
+            drive.feed(State { friction: 1.6 * OF_RATIOS.friction, stiffness, ..OF_RATIOS });
+        }
+        drive.events(40, OF_RATIOS)
+    });
+    for events in of_lives {
+        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
+        assert!(events.iter().all(|event| !event.state.is_active()), "{said:#?}");
+    }
+}
