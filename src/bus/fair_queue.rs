@@ -122,10 +122,18 @@ mod tests {
         queue.push(key, message().memory(), message)
     }
 
+    /// Keys in slots of their own.
+    fn keys<const N: usize>(queue: &FairQueue) -> [String; N] {
+        let mut taken = std::collections::HashSet::new();
+        let mut apart = (0..).map(|number| format!("key {number}")).filter(|key| taken.insert(queue.slot(key)));
+        std::array::from_fn(|_| apart.next().unwrap())
+    }
+
     #[test]
     fn keys_take_turns() {
         let queue = FairQueue::default();
-        for (key, bytes) in (10..110).map(|number| ("flood", number)).chain([("calm", 100), ("calm", 101)]) {
+        let [flood, calm] = &keys(&queue);
+        for (key, bytes) in (10..110).map(|number| (flood, number)).chain([(calm, 100), (calm, 101)]) {
             assert!(push(&queue, key, bytes));
         }
         let first: Vec<usize> = (0..4).map(|_| queue.pop().unwrap().bytes).collect();
@@ -151,10 +159,11 @@ mod tests {
         let taken = (0..10 * MAX_MESSAGES).filter(|number| push(&queue, &number.to_string(), 0)).count();
         assert!(taken <= MAX_MESSAGES && taken > MAX_MESSAGES / 2, "{taken} messages");
         let large = FairQueue::default();
-        let sizes = [("a", CAPACITY / 2), ("b", CAPACITY / 4), ("c", CAPACITY / 4), ("d", 1)];
+        let [a, b, c, d] = &keys(&large);
+        let sizes = [(a, CAPACITY / 2), (b, CAPACITY / 4), (c, CAPACITY / 4), (d, 1)];
         assert_eq!(sizes.map(|(key, bytes)| push(&large, key, bytes)), [true, true, true, false]);
-        assert_eq!(large.pop().unwrap().key, "a");
-        assert!(push(&large, "d", 1));
+        assert_eq!(large.pop().unwrap().key, *a);
+        assert!(push(&large, d, 1));
         assert_eq!(large.bytes(), CAPACITY / 2 + LEAST_COST);
     }
 }

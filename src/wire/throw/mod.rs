@@ -27,9 +27,18 @@ impl Encoding {
     /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
     /// many clients do not set: no CBOR map begins with this byte.
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
-        let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
-        if first == Some(&b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
+        if first_byte(payload) == Some(b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
     }
+}
+
+/// JSON without the byte order mark of some clients, which a reader may ignore (RFC 8259, section 8.1).
+fn unmarked(payload: &[u8]) -> &[u8] {
+    payload.strip_prefix("\u{feff}".as_bytes()).unwrap_or(payload)
+}
+
+/// The first byte of JSON after white space.
+fn first_byte(payload: &[u8]) -> Option<u8> {
+    unmarked(payload).trim_ascii_start().first().copied()
 }
 
 /// Decodes a throw.
@@ -44,6 +53,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
         }
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
+            let payload = unmarked(payload);
             let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
             serde_json::from_slice(payload).map_err(invalid)
         }
@@ -53,6 +63,9 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 
 /// The error with the name of the last field before it; `serde_json` names only its position.
 fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
+    if let Some(first) = first_byte(payload).filter(|first| *first != b'{') {
+        return format!("it begins with the byte 0x{first:02x} instead of {{: JSON in UTF-8 is expected ({error})");
+    }
     let lines = payload.split_inclusive(|byte| *byte == b'\n');
     let start: usize = lines.take(error.line().saturating_sub(1)).map(<[u8]>::len).sum();
     let at = (start + error.column()).min(payload.len());

@@ -59,6 +59,9 @@ fn json_from_other_languages_is_taken() {
     assert!(throw.trace.current_a()[2].is_nan());
     assert_eq!(json("\"throw_no\": 1", "\"throw_no\": 12.0").unwrap().id.throw_no, 12);
     assert_eq!(json("\"boot_id\"", "\"temperature_c\": null, \"boot_id\"").unwrap().temperature_c, None);
+    let marked = format!("\u{feff}{JSON}").into_bytes();
+    let decoded = decode_throw(Encoding::of("", &marked), &marked).unwrap();
+    assert_eq!((decoded.id, decoded.direction), (throw.id, throw.direction), "with a byte order mark");
 }
 
 #[test]
@@ -108,6 +111,12 @@ fn unusable_json_is_an_error_with_the_reason() {
     ] {
         let error = json(from, to).unwrap_err().to_string();
         assert!(error.contains(says), "{to}: {error}");
+    }
+    let utf_16: Vec<u8> = format!("\u{feff}{JSON}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let cbor = encode_throw(Encoding::Cbor, &example());
+    for (bytes, first) in [(&utf_16[..], "0xff"), (&cbor, "0xa"), (b"[1]", "0x5b instead of {: JSON in UTF-8")] {
+        let error = decode_throw(Encoding::Json, bytes).unwrap_err().to_string();
+        assert!(error.contains(&format!("begins with the byte {first}")), "{error}");
     }
     for bytes in [&b""[..], b"{", b"[]", b"{} {}", b"nan", &b"[".repeat(100_000)] {
         assert!(decode_throw(Encoding::Json, bytes).is_err());
