@@ -8,7 +8,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{baseline::BaselineRecord, observation::Evaluated, robust::median};
+use super::{
+    baseline::BaselineRecord,
+    observation::{Evaluated, Observation},
+    robust::median,
+};
 use crate::throw::Direction;
 
 /// Throws of each direction that show the neutral position, half of those of the earliest baseline.
@@ -27,17 +31,8 @@ pub(super) enum Neutral {
     Unknown(Box<[Vec<[f32; 2]>; 2]>),
     /// Near the configured one, or with baselines that do not correct it.
     Configured,
-    /// Another one.
-    Elsewhere(Elsewhere),
-}
-
-/// Another neutral position than the configured one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Elsewhere {
-    /// Distance from the configured one towards reverse, as part of the travel.
-    pub(super) share: f32,
-    /// Ratio of the larger to the smaller friction of the directions.
-    pub(super) ratio: f32,
+    /// At this distance from the configured one towards reverse, as part of the travel.
+    Elsewhere(f32),
 }
 
 impl Default for Neutral {
@@ -49,12 +44,17 @@ impl Default for Neutral {
 impl Neutral {
     /// Adds a throw of a machine without a baseline; returns whether the neutral position was found elsewhere, so that the throws
     /// before must not be part of a baseline.
-    pub(super) fn learn(&mut self, throw: &Evaluated) -> bool {
+    pub(super) fn learn(&mut self, throw: &Observation) -> bool {
         let Self::Unknown(sides) = self else { return false };
-        let Some(duration_s) = throw.duration_s else { return false };
+        let coefficients = throw.estimate.as_ref().map(|(estimate, _)| *estimate).or(throw.not_positive);
+        let (Some(coefficients), Some(direction), Some(duration_s)) =
+            (coefficients, throw.direction, throw.features.duration_s)
+        else {
+            return false;
+        };
         #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-        let values = shown(throw.log, duration_s).map(|value| value as f32);
-        let side = &mut sides[throw.direction.side()];
+        let values = shown(coefficients, duration_s).map(|value| value as f32);
+        let side = &mut sides[direction.side()];
         if side.len() < FIRST && values.iter().all(|value| value.is_finite()) {
             side.push(values);
         }
@@ -64,8 +64,8 @@ impl Neutral {
         let level = |side: &Vec<[f32; 2]>, at: usize| {
             median(&mut side.iter().map(|values| f64::from(values[at])).collect::<Vec<_>>())
         };
-        let levels = sides.each_ref().map(|side| [level(side, 0), level(side, 1)]);
-        *self = Elsewhere::of(levels).map_or(Self::Configured, Self::Elsewhere);
+        *self = elsewhere(sides.each_ref().map(|side| [level(side, 0), level(side, 1)]))
+            .map_or(Self::Configured, Self::Elsewhere);
         matches!(self, Self::Elsewhere(_))
     }
 
@@ -78,46 +78,41 @@ impl Neutral {
 
     /// The throw with the friction that it has without the force of the spring.
     pub(super) fn corrected(&self, throw: Evaluated) -> Evaluated {
-        match self {
-            Self::Elsewhere(Elsewhere { share, .. }) => throw.without_shift((*share).into()),
-            _ => throw,
-        }
+        if let Self::Elsewhere(share) = self { throw.without_shift((*share).into()) } else { throw }
     }
 
     /// The record with a1 as in the estimates, which are not corrected.
     pub(super) fn as_estimated(&self, mut record: BaselineRecord) -> BaselineRecord {
-        if let (Self::Elsewhere(Elsewhere { share, .. }), Some(duration_s)) = (self, record.duration_s) {
+        if let (Self::Elsewhere(share), Some(duration_s)) = (self, record.duration_s) {
             let [_, a1, a0] = record.center;
             record.center[1] = a1 - record.direction.sign() * f64::from(*share) * a0 * duration_s;
         }
         record
     }
 
-    /// The neutral position elsewhere, as corrected, or as the centres of baselines that do not correct it show it: ln b0, ln a1, ln
-    /// a0 and duration \[s\] of each direction.
-    pub(super) fn elsewhere(&self, centres: [Option<([f64; 3], f64)>; 2]) -> Option<Elsewhere> {
-        if let Self::Elsewhere(elsewhere) = self {
-            return Some(*elsewhere);
+    /// The neutral position elsewhere, as corrected, or as the baselines of both directions show it that do not correct it. These have
+    /// the centres b0, a1, a0 and the duration \[s\].
+    pub(super) fn elsewhere(&self, centres: [Option<([f64; 3], f64)>; 2]) -> Option<f32> {
+        if let Self::Elsewhere(share) = self {
+            return Some(*share);
         }
-        let [normal, reverse] = centres.map(|centre| centre.map(|(log, duration_s)| shown(log, duration_s)));
-        Elsewhere::of([normal?, reverse?])
+        let [normal, reverse] =
+            centres.map(|centre| centre.map(|(coefficients, duration_s)| shown(coefficients, duration_s)));
+        elsewhere([normal?, reverse?])
     }
 }
 
 /// a1 / (a0 T) and ln(a0 / b0).
 fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
-    [(a1 - a0).exp() / duration_s, a0 - b0]
+    [a1 / a0 / duration_s, (a0 / b0).ln()]
 }
 
-impl Elsewhere {
-    /// By a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show one.
+/// The share of the travel by a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show another neutral position.
+fn elsewhere(levels: [[f64; 2]; 2]) -> Option<f32> {
+    let [[to_reverse, spring], [to_normal, other_spring]] = Direction::BOTH.map(|direction| levels[direction.side()]);
+    let (less, more) = (to_reverse.min(to_normal), to_reverse.max(to_normal));
+    let is_shown = more > RATIO * less.max(0.0) && (spring - other_spring).abs() < SAME_SPRING;
     #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-    fn of(levels: [[f64; 2]; 2]) -> Option<Self> {
-        let [[to_reverse, spring], [to_normal, other_spring]] =
-            Direction::BOTH.map(|direction| levels[direction.side()]);
-        let ratio = (to_normal / to_reverse).max(to_reverse / to_normal);
-        let share = (to_normal - to_reverse) / 2.0;
-        let is_shown = ratio > RATIO && ratio.is_finite() && (spring - other_spring).abs() < SAME_SPRING;
-        is_shown.then_some(Self { share: share as f32, ratio: ratio as f32 })
-    }
+    let share = ((to_normal - to_reverse) / 2.0) as f32;
+    (is_shown && share.is_finite()).then_some(share)
 }

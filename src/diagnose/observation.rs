@@ -26,6 +26,8 @@ pub struct Observation {
     pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
+    /// (b0, a1, a0) of an estimate that was rejected because one of them is not positive.
+    pub not_positive: Option<[f64; 3]>,
     /// Grade of the estimate; a rough one counts for drifts, not for baselines.
     pub grade: Grade,
     /// Whether only the ratios of the coefficients are known.
@@ -61,6 +63,10 @@ impl Observation {
             direction: found.direction,
             direction_contradicted: found.direction.map(|_| found.direction_contradicted),
             estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
+            not_positive: rejection.and_then(|reason| match reason {
+                Rejection::NotPositive { b0, a1, a0 } => Some([*b0, *a1, *a0]),
+                _ => None,
+            }),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
             incomplete: rejection.is_some_and(Rejection::is_incomplete),

@@ -132,8 +132,7 @@ fn unstressed_at(
         let observation = Observation::of(&throw, &identifier.identify(&throw, &settings));
         let verdict = monitor.observe(&observation, &Settings::default());
         causes.extend(verdict.events.iter().map(|event| event.cause));
-        if (100..110).contains(&throw_no) {
-            let a1 = observation.estimate.unwrap().0[1];
+        if let Some(([_, a1, _], _)) = observation.estimate.filter(|_| (100..110).contains(&throw_no)) {
             let baseline = monitor.baseline(observation.direction.unwrap()).unwrap();
             off = off.max((a1 / baseline.center[1] - 1.0).abs());
         }
@@ -142,6 +141,12 @@ fn unstressed_at(
     causes.dedup();
     let present = present.unwrap();
     (causes, present.drifts, present.caveats, off)
+}
+
+/// The neutral position in the caveats \[mm\].
+fn said_mm(caveats: &[String]) -> f64 {
+    let said = caveats.iter().find_map(|caveat| caveat.split("unstressed at about ").nth(1));
+    said.unwrap().split(' ').next().unwrap().parse().unwrap()
 }
 
 #[test]
@@ -159,12 +164,14 @@ fn a_neutral_position_that_is_not_configured_misleads_nobody() {
                 direction.is_none() && (change_pct - pct).abs() < 3.0 * change_pct_sd,
                 "unstressed at {neutral_mm} mm: {drifts:?}"
             );
-            let said = caveats.iter().find_map(|caveat| caveat.split("unstressed at about ").nth(1));
-            let said_mm: f64 = said.unwrap().split(' ').next().unwrap().parse().unwrap();
-            assert!((said_mm - neutral_mm).abs() < 5.0, "{caveats:?}");
+            assert!((said_mm(&caveats) - neutral_mm).abs() < 5.0, "{caveats:?}");
             assert!(off < 0.5, "the baseline is not that of the stored a1: {off}");
         }
         let (.., caveats, _) = unstressed_at([neutral_mm; 2], Part::Friction, 40.0);
         assert!(!caveats.iter().any(|caveat| caveat.contains("unstressed")), "{caveats:?}");
-    }
+    } // a1 of one direction is negative.
+    let (_, drifts, caveats, _) = unstressed_at([115.0, 0.0], Part::Friction, 40.0);
+    let friction = drifts.iter().find(|drift| drift.cause == Cause::Friction).unwrap();
+    assert!((friction.change_pct - 40.0).abs() < 3.0 * friction.change_pct_sd, "{drifts:?}");
+    assert!((said_mm(&caveats) - 115.0).abs() < 5.0, "{caveats:?}");
 }

@@ -347,11 +347,11 @@ impl MachineMonitor {
 
     /// A sentence about another neutral position than the configured one.
     fn neutral_elsewhere(&self) -> Option<String> {
-        let found = self.neutral.elsewhere(self.tracks.centres())?;
+        let share = self.neutral.elsewhere(self.tracks.centres())?;
         let configured_mm = self.parameters.map_or(0.0, |parameters| parameters.neutral_mm);
         let is_corrected = matches!(self.neutral, Neutral::Elsewhere(_));
         let travel_mm = self.instruments.gauges.normal_travel_mm()?;
-        Some(text::neutral(&self.name, found, configured_mm, travel_mm, is_corrected))
+        Some(text::neutral(&self.name, configured_mm, f64::from(share) * travel_mm, is_corrected))
     }
 
     /// State, drifts and caveats.

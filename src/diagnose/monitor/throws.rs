@@ -50,9 +50,10 @@ impl MachineMonitor {
         // Without its toe sensor a machine is not what its baseline describes.
         let without_position = self.has_position && observation.is_without_position();
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
+        self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)
-            .map(|throw| self.without_preload(throw))
+            .map(|throw| self.neutral.corrected(throw))
             .map(|throw| match self.instruments.gauges.shift(throw.direction, features) {
                 Some(shift) => throw.without_shift(shift),
                 None => throw,
@@ -96,15 +97,13 @@ impl MachineMonitor {
         verdict
     }
 
-    /// The throw without the force of a spring that is unstressed elsewhere than configured. The first throws show this, and are
-    /// then no part of a baseline.
-    fn without_preload(&mut self, throw: Evaluated) -> Evaluated {
+    /// Learns from the first throws whether the spring is unstressed elsewhere than configured. They are then no part of a baseline.
+    fn learn_neutral(&mut self, observation: &Observation) {
         if self.tracks.any_baseline() {
             self.neutral.settle();
-        } else if self.maintenance.is_none() && self.neutral.learn(&throw) {
+        } else if self.maintenance.is_none() && self.neutral.learn(observation) {
             self.tracks = Tracks::default();
         }
-        self.neutral.corrected(throw)
     }
 
     /// Returns the baselines that became usable or complete.

@@ -3,7 +3,6 @@
 use crate::{
     diagnose::{
         explain::percent,
-        neutral::Elsewhere,
         verdict::{Blindness, HidingTemperature},
     },
     throw::Direction,
@@ -79,26 +78,19 @@ pub(crate) fn only_features(name: &str) -> String {
     )
 }
 
-/// Text for a machine whose spring seems to be unstressed elsewhere than configured.
-pub(crate) fn neutral(
-    name: &str,
-    Elsewhere { share, ratio }: Elsewhere,
-    configured_mm: f64,
-    travel_mm: f64,
-    is_corrected: bool,
-) -> String {
-    let elsewhere_mm = configured_mm + f64::from(share) * travel_mm;
-    let harder = if share > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
+/// Text for a machine whose spring seems to be unstressed `off_mm` from the configured position.
+pub(crate) fn neutral(name: &str, configured_mm: f64, off_mm: f64, is_corrected: bool) -> String {
+    let harder = if off_mm > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
     let effect = if is_corrected {
         "The sizes and names of its drifts are corrected for this, a1 of its throws is not."
     } else {
         "Its baseline does not correct this, so the sizes and names of its drifts may be wrong."
     };
     format!(
-        "Machine {name}: its friction seems {ratio:.1} times as large {harder} as in the other direction. With rails that are \
-         unstressed at about {elsewhere_mm:.0} mm it would be equal; configured is neutral_mm = {configured_mm}. {effect} Set \
-         neutral_mm to where the rails lie without the machine (this starts a new baseline); if that is right, look for what is \
-         dry or binds {harder}."
+        "Machine {name}: its friction seems much larger {harder} than in the other direction. With rails that are unstressed at \
+         about {:.0} mm it would be equal; configured is neutral_mm = {configured_mm}. {effect} Set neutral_mm to where the rails \
+         lie without the machine (this starts a new baseline); if that is right, look for what is dry or binds {harder}.",
+        configured_mm + off_mm
     )
 }
 

@@ -401,9 +401,9 @@ impl Tracks {
         self.sides.iter().any(|track| has_throws(track) && !is_final(track))
     }
 
-    /// Centres of the logarithms and of the duration \[s\] of the baselines of both directions.
+    /// Centres of the coefficients, or of the ratios, and of the duration \[s\] of the baselines of both directions.
     pub(super) fn centres(&self) -> [Option<([f64; 3], f64)>; 2] {
-        self.baselines().map(|baseline| baseline.and_then(|of| Some((of.centre, of.duration_s?))))
+        self.baselines().map(|baseline| baseline.and_then(|of| Some((of.centre.map(f64::exp), of.duration_s?))))
     }
 
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
