@@ -96,8 +96,7 @@ impl Course {
             // A drift is not measured by a single throw.
             if at + 1 < points.len() {
                 let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
-                let prior = |(slope_sd, curvature_sd)| Vector4::new(STEP_SD, slope_sd, curvature_sd, 0.0) * scale;
-                let drifted = |shape| Stage::drifted(points[at].age, prior(shape), noise.slow_sd, evidence);
+                let drifted = |shape| Stage::drifted(points[at].age, shape, scale, noise.slow_sd, evidence);
                 stages.extend(SHAPES.map(drifted));
             }
             let kept = series.kept_of_slow(at);
@@ -205,9 +204,9 @@ impl Stage {
         Self { age, drifted: false, mean: Vector4::zeros(), covariance, evidence: 0.0 }
     }
 
-    /// A later stage with the prior standard deviations of a, b, c; `evidence` is that of all series of stages before it.
-    fn drifted(age: f64, mut prior_sd: Vector4<f64>, slow_sd: f64, evidence: f64) -> Self {
-        prior_sd[SLOW] = slow_sd;
+    /// A later stage with the prior of a shape, `scale` times as large; `evidence` is that of all series of stages before it.
+    fn drifted(age: f64, (slope_sd, curvature_sd): (f64, f64), scale: f64, slow_sd: f64, evidence: f64) -> Self {
+        let prior_sd = Vector4::new(scale * STEP_SD, scale * slope_sd, scale * curvature_sd, slow_sd);
         let covariance = Matrix4::from_diagonal(&prior_sd.component_mul(&prior_sd));
         Self { age, drifted: true, mean: Vector4::zeros(), covariance, evidence }
     }

@@ -168,10 +168,11 @@ impl Drift {
         let has_ended =
             cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
         let claim = match named {
-            // A step keeps its level in the next throw, an outlier does not.
-            Some(_) if self.matters() && !self.strongest.is_some_and(|window| window.confirmed) => Claim::Counts,
-            Some(_) if self.matters() && has_ended => Claim::Counts,
-            Some(_) if self.matters() => Claim::Named,
+            Some(_) if self.matters() => {
+                // A step keeps its level in the next throw, an outlier does not.
+                let is_confirmed = self.strongest.is_some_and(|window| window.confirmed);
+                if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
+            }
             // The name is not stable yet, also if throws in between had one.
             _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
                 Claim::Counts

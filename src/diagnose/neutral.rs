@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     baseline::BaselineRecord,
-    observation::{Evaluated, Observation},
+    observation::{Evaluated, Observation, seeming_friction},
     robust::median,
 };
 use crate::throw::Direction;
@@ -84,8 +84,8 @@ impl Neutral {
     /// The record with a1 as in the estimates, which are not corrected.
     pub(super) fn as_estimated(&self, mut record: BaselineRecord) -> BaselineRecord {
         if let (Self::Elsewhere(share), Some(duration_s)) = (self, record.duration_s) {
-            let [_, a1, a0] = record.center;
-            record.center[1] = a1 - record.direction.sign() * f64::from(*share) * a0 * duration_s;
+            let [_, _, a0] = record.center;
+            record.center[1] -= seeming_friction((*share).into(), record.direction, a0, duration_s);
         }
         record
     }

@@ -205,6 +205,13 @@ pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f6
     Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
 }
 
+/// What a spring that is unstressed `shift` times the travel nearer to reverse than configured takes from a1: it seems to be
+/// stressed by k dx less in a throw to reverse and more in one to normal, which in a steady movement (equation 12 without
+/// acceleration) is a0 dx / v.
+pub(super) fn seeming_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
+    direction.sign() * shift * duration_s * a0
+}
+
 impl Evaluated {
     /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
@@ -249,12 +256,11 @@ impl Evaluated {
     }
 
     /// The same throw without the effect of a spring that is unstressed `shift` times the travel nearer to reverse than configured,
-    /// or of a position sensor that reads the normal end shifted by this. The spring then seems to be stressed by k dx more, which in
-    /// a steady movement (equation 12 without acceleration) adds a0 dx / v to a1.
+    /// or of a position sensor that reads the normal end shifted by this.
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
-        let slower_by = self.direction.sign() * shift * self.duration_s.unwrap_or_default();
-        let corrected = (a1.exp() + a0.exp() * slower_by).ln();
+        let seeming = seeming_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
+        let corrected = (a1.exp() + seeming).ln();
         if !corrected.is_finite() {
             return self;
         }

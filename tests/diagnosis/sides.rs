@@ -169,7 +169,9 @@ fn a_neutral_position_that_is_not_configured_misleads_nobody() {
         }
         let (.., caveats, _) = unstressed_at([neutral_mm; 2], Part::Friction, 40.0);
         assert!(!caveats.iter().any(|caveat| caveat.contains("unstressed")), "{caveats:?}");
-    } // a1 of one direction is negative.
+    }
+
+    // a1 of one direction is negative.
     let (_, drifts, caveats, _) = unstressed_at([115.0, 0.0], Part::Friction, 40.0);
     let friction = drifts.iter().find(|drift| drift.cause == Cause::Friction).unwrap();
     assert!((friction.change_pct - 40.0).abs() < 3.0 * friction.change_pct_sd, "{drifts:?}");

@@ -144,19 +144,16 @@ impl Gauges {
         };
         let (level, shown) = lost(WINDOWS[0])?;
         let (longer, longer_shown) = lost(WINDOWS[1])?;
-        let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
-        let size = |shown: f64, level: Level| shown / heat.max(CIRCUIT_SD * level.sd);
-        let latest = size(shown, level);
-        let size = latest.min(size(longer_shown, longer));
+        let latest = relative_size(shown, level, knows_weather);
+        let size = latest.min(relative_size(longer_shown, longer, knows_weather));
         Some(Circuit { level, size, latest, is_doubtful: false, of_inrush: true })
     }
 
     fn circuit_of_resistance(&self, knows_weather: bool) -> Option<Circuit> {
         let (level, longer) = (self.level(Gauge::Resistance, WINDOWS[0])?, self.level(Gauge::Resistance, WINDOWS[1])?);
-        let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
         let is_motor =
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
-        let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
+        let size_of = |level: Level| relative_size(level.value.abs(), level, knows_weather);
         let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
         let size = latest.min(size_of(longer));
         // The inrush, V/R at most, follows the resistance, and not an error of the position, from which the resistance is computed.
@@ -187,4 +184,10 @@ impl Gauges {
 /// Size of an error of the voltage relative to the least one that is named.
 fn error_size(back_emf: Level, ohms: Level) -> f64 {
     back_emf.value.abs() / VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd))
+}
+
+/// The change `shown` of a level relative to what heat explains, and to the scatter.
+fn relative_size(shown: f64, level: Level, knows_weather: bool) -> f64 {
+    let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
+    shown / heat.max(CIRCUIT_SD * level.sd)
 }

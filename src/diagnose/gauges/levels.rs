@@ -157,8 +157,7 @@ impl Gauges {
     pub(in crate::diagnose) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures = self.departures(gauge, throws)?;
         let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
-        let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
-        let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
+        let sd = usual_sd(gauge, &departures);
         // The median has the whole size of a change as soon as most of the throws show it.
         let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
         let of_magnets = gauge.sign_of_magnets();
@@ -200,8 +199,7 @@ impl Gauges {
         let sides =
             by_side(&departures).into_iter().enumerate().filter(|(side, _)| wanted.is_none_or(|of| of == *side));
         let medians: Vec<f64> = sides.filter(|(_, of)| !of.is_empty()).map(|(_, mut of)| median(&mut of)).collect();
-        let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
-        let sd = sd_of_mean(Gauge::Duration, mean(&sds), departures.len() as f64);
+        let sd = usual_sd(Gauge::Duration, &departures);
         (!medians.is_empty()).then(|| Level { value: mean(&medians), sd })
     }
 
@@ -227,6 +225,12 @@ impl Gauges {
     pub(in crate::diagnose) fn forget_recent(&mut self) {
         self.recent.clear();
     }
+}
+
+/// Standard deviation of the mean of these departures, by the normal scatter of each.
+fn usual_sd(gauge: Gauge, departures: &[(usize, f64, f64)]) -> f64 {
+    let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
+    sd_of_mean(gauge, mean(&sds), departures.len() as f64)
 }
 
 /// The values of departures by their side.

@@ -280,18 +280,17 @@ impl Tracks {
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
         let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
         let own = tails.iter().zip(&self.sides).enumerate().filter_map(|(side, (tail, track))| {
-            Some((side, (tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?)))
+            Some((Some(side), tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?))
         });
         let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
-        let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
-        let mut best: Option<(Window, &Scatter)> = None;
-        let mut of_best = None;
-        let streams = own.map(|(side, stream)| (Some(side), stream)).chain(mixed.map(|stream| (None, stream)));
-        for (side, (tail, scatter, thresholds)) in streams {
+        let mixed = mixed.map(|mixed| (None, &mixed_tail, &mixed.scatter, &mixed.thresholds));
+        // With the side, if it is of one.
+        let mut best: Option<(Window, &Scatter, Option<usize>)> = None;
+        for (side, tail, scatter, thresholds) in own.chain(mixed) {
             if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
-                && best.is_none_or(|(best, _)| window.excess > best.excess)
+                && best.is_none_or(|(best, ..)| window.excess > best.excess)
             {
-                (best, of_best) = (Some((window, scatter)), side);
+                best = Some((window, scatter, side));
             }
         }
         let level = |at: usize, longest: usize| {
@@ -306,9 +305,13 @@ impl Tracks {
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
         // The known level is the mean of both directions, in which a machine may have changed differently.
-        let beside = best.zip(of_best).and_then(|((window, _), side)| Some((window, level(1 - side, window.throws)?)));
-        let of_side = beside.map_or_else(Vector3::zeros, |(window, other)| 0.5 * (window.mean - other.mean));
-        let known = &Known { level: known.level.map(|level| level + of_side), ..known.clone() };
+        let of_side = || {
+            let (window, _, side) = best?;
+            Some(0.5 * (window.mean - level(1 - side?, window.throws)?.mean))
+        };
+        let known_level = known.level.map(|level| level + of_side().unwrap_or_default());
+        let known = &Known { level: known_level, ..known.clone() };
+        let best = best.map(|(window, scatter, _)| (window, scatter));
         Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
