@@ -99,6 +99,15 @@ impl<const N: usize> Discrete<N> {
         }
     }
 
+    /// Stores the state before sample `k`, and advances it.
+    #[inline]
+    pub(super) fn pass<const K: usize>(&self, s: &mut [f64; N], v: f64, states: &mut [[f64; K]; N], k: usize) {
+        for i in 0..N {
+            states[i][k] = s[i];
+        }
+        self.advance(s, v);
+    }
+
     #[inline]
     pub(super) fn advance(&self, s: &mut [f64; N], v: f64) {
         let mut back = -v;

@@ -2,6 +2,7 @@
 
 mod acceptance;
 mod armature;
+mod block;
 mod brake;
 mod course;
 mod covariance;
@@ -31,6 +32,7 @@ mod settings;
 mod small;
 pub mod sriv;
 mod start;
+mod sums;
 mod window;
 
 pub use covariance::Noise;

@@ -8,23 +8,19 @@
 //! ```text
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾ = [0, c_1 … c_N] + (Σ z φ')⁻¹ Σ z (y - c_N y_eq,f)
 //! ```
+//!
+//! The samples are taken in blocks: filters and sums in one loop do not fit into the registers, and x̂ of a block is
+//! filtered together with the signals of the next block, so that no filter waits for another one.
 
 use super::{
-    filter::{Discrete, Hold, Readout, dot},
+    block::{BLOCK, Block, Samples},
+    filter::{Discrete, Hold},
     problem::{Problem, Signal, Sriv, Workspace},
+    sums::{Raw, Sums, regressor},
 };
 
 /// Least number of samples of a start.
 const START_SAMPLES: usize = 200;
-
-/// Both sides of the instrumental-variable equations, summed over the samples in one pass.
-pub(super) struct Sums<const P: usize> {
-    /// Σ z φ'.
-    pub(super) normal: [[f64; P]; P],
-    /// Σ z (y - `c_N` `y_eq,f`).
-    pub(super) right: [f64; P],
-}
-
 /// The auxiliary model of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
@@ -34,26 +30,14 @@ pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
     pub(super) denominator: Option<&'a [f64; N]>,
 }
 
-/// Sums over the raw signals: rows are (numerator columns, states of x̂), columns (numerator columns, states of y).
-struct Raw<const P: usize> {
-    rows: [Row<P>; P],
-    /// Σ row · `y_eq,f`, Σ `y_eq,f` · column.
-    shift_rows: [f64; P],
-    shift_columns: [f64; P],
-    /// Σ `y_eq,f` y, Σ `y_eq,f`².
-    shift_output: f64,
-    shift_square: f64,
-    /// Σ x̂ · column, and x̂ with y and `y_eq,f`.
-    model: [f64; P],
-    model_output: f64,
-    model_shift: f64,
-}
-
-/// Sums of a row with the columns, and with y; together, as they are computed two at a time.
-#[derive(Clone, Copy)]
-struct Row<const P: usize> {
-    columns: [f64; P],
-    output: f64,
+/// The filters of a pass; those of the auxiliary model are the second.
+struct Filters<'a, const N: usize, const S: usize, const P: usize> {
+    each: [&'a Discrete<N>; 2],
+    columns: [Columns<N, P>; 2],
+    shift_rows: [[f64; N]; 2],
+    theta: &'a [f64; P],
+    /// Last coefficient of the denominator of the auxiliary model.
+    a_last: f64,
 }
 
 /// Weights of the numerator columns on the states of the input filters.
@@ -63,32 +47,15 @@ struct Columns<const N: usize, const P: usize> {
     through: [f64; P],
 }
 
-impl<const N: usize, const P: usize> Columns<N, P> {
-    fn new<const S: usize>(sriv: &Sriv<N, S, P>, holds: &[Hold; S], filter: &Discrete<N>) -> Self {
-        let mut columns = Self { input: [0; P], state: [[0.0; N]; P], through: [0.0; P] };
-        for (at, (input, derivative)) in sriv.columns[..P - N].iter().enumerate() {
-            let readout = filter.readout(holds[*input]);
-            columns.input[at] = *input;
-            columns.state[at] = readout.state[*derivative];
-            columns.through[at] = readout.through[*derivative];
-        }
-        columns
-    }
-
-    /// The numerator columns at this sample; the rest is 0.
-    #[inline]
-    fn read<const S: usize>(&self, states: &[[f64; N]; S], samples: &[f64; S]) -> [f64; P] {
-        let mut values = [0.0; P];
-        for at in 0..P - N {
-            // A constant at compile time if every numerator is a constant.
-            let input = if P - N == S { at } else { self.input[at] };
-            values[at] = self.through[at] * samples[input];
-            for i in 0..N {
-                values[at] += self.state[at][i] * states[input][i];
-            }
-        }
-        values
-    }
+/// States of the filters before a sample.
+#[derive(Clone, Copy)]
+struct States<const N: usize, const S: usize> {
+    inputs: [[f64; N]; S],
+    model_inputs: [[f64; N]; S],
+    output: [f64; N],
+    auxiliary: [f64; N],
+    shift: [f64; N],
+    model_shift: [f64; N],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
@@ -127,85 +94,52 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     ) -> Option<Sums<P>> {
         let stride = workspace.stride;
         let len = problem.output.len();
-        let step = if IV { 1 } else { (stride / 2).min(len / START_SAMPLES).max(1) };
+        let step = if IV { 1 } else { stride.min(len / START_SAMPLES).max(1) };
         let filter = Discrete::new(c, problem.interval_s * step as f64)?;
         let own_filter = if APART { Some(Discrete::new(a, problem.interval_s)?) } else { None };
         let model_filter = own_filter.as_ref().unwrap_or(&filter);
-        let Workspace { instruments, model_output, ones, .. } = workspace;
-        let output = &problem.output[..len];
-        let model_output = &mut model_output[..len];
-        let equilibrium = &problem.equilibrium.unwrap_or(output)[..len];
-        if problem.inputs.iter().any(|input| matches!(input, Signal::Constant)) {
-            ones.resize(len, 1.0);
-        }
-        let inputs = problem.inputs.map(|input| match input {
-            Signal::Sampled(u, _) => &u[..len],
-            Signal::Constant => &ones[..len],
-        });
-        let at = |k: usize| -> [f64; S] { std::array::from_fn(|s| inputs[s][k]) };
-
         let filters = Filters::new(self, problem, [&filter, model_filter], theta, a[N - 1]);
-        let mut states = filters.start(at(0), output[0]);
         let linear = filter.readout(Hold::First);
-        let mut raw = Raw::new();
-        let (mut from, mut to) = (0, if IV { (stride / 2).min(len) } else { len });
-        let mut kept = instruments.iter_mut();
-        // Between two kept instruments there is no branch.
-        loop {
-            for k in (from..to).step_by(step) {
-                let (u, y) = (at(k), output[k]);
-                let Sample { phi, z, shift, model } = filters.read::<IV, APART, SHIFTED>(&states, &u, y);
-                if IV {
-                    model_output[k] = model;
-                }
-                raw.add::<IV, APART, SHIFTED>(&z, &phi, y, shift, model);
-                filters.advance::<IV, APART, SHIFTED>(&mut states, &u, [y, model, equilibrium[k]]);
+        let mut kept = (stride / 2..).step_by(stride).zip(&mut workspace.instruments).peekable();
+        let mut keep = |block: &Block<N, S, P>, to: usize| {
+            while let Some((k, kept)) = kept.next_if(|(k, _)| *k < to) {
+                let z = std::array::from_fn(|i| block.instrument::<true>(i)[k % BLOCK]);
+                *kept = regressor(&z, linear, block.model[k % BLOCK], block.shift[k % BLOCK]);
             }
-            if to == len {
-                break;
+        };
+
+        let mut states = filters.start(problem);
+        let mut raw = Raw::ZERO;
+        let mut blocks = [Block::ZERO, Block::ZERO];
+        let [mut block, mut before] = blocks.each_mut();
+        for from in (0..len).step_by(BLOCK * step) {
+            let used = block.load(problem, from, step);
+            filters.run::<IV, APART, SHIFTED>(&mut states, block, before);
+            filters.read::<IV, APART, SHIFTED>(block, used);
+            if !IV {
+                raw.add::<IV, APART, SHIFTED, N, S>(block);
+                continue;
             }
-            if let Some(kept) = kept.next() {
-                let Sample { z, shift, model, .. } = filters.read::<IV, APART, SHIFTED>(&states, &at(to), output[to]);
-                *kept = regressor(&z, linear, model, shift);
+            workspace.model_output[from..from + used].copy_from_slice(&block.model[..used]);
+            if from == 0 {
+                states.auxiliary = linear.start(&[0.0; N], block.model[0]);
+            } else {
+                raw.add::<IV, APART, SHIFTED, N, S>(before);
+                keep(before, from);
             }
-            (from, to) = (to, (to + stride).min(len));
+            std::mem::swap(&mut block, &mut before);
         }
+        if IV {
+            filters.run::<IV, APART, SHIFTED>(&mut states, block, before);
+            raw.add::<IV, APART, SHIFTED, N, S>(before);
+            keep(before, len);
+        }
+        let mut raw = raw.total();
         if IV && !APART {
-            raw.model_from_columns(&theta[..P - N], a[N - 1]);
-        } else if !IV {
-            raw.model_is_output();
+            raw.set_model(&theta[..P - N], a[N - 1]);
         }
         Some(raw.sums(linear, c[N - 1]))
     }
-}
-
-/// The filters of a pass; those of the auxiliary model are the second.
-struct Filters<'a, const N: usize, const S: usize, const P: usize> {
-    each: [&'a Discrete<N>; 2],
-    columns: [Columns<N, P>; 2],
-    shift_rows: [[f64; N]; 2],
-    holds: [Hold; S],
-    theta: &'a [f64; P],
-    /// Last coefficient of the denominator of the auxiliary model.
-    a_last: f64,
-}
-
-/// States of the filters before a sample.
-struct States<const N: usize, const S: usize> {
-    inputs: [[f64; N]; S],
-    model: [[f64; N]; S],
-    output: [f64; N],
-    auxiliary: [f64; N],
-    shift: [f64; N],
-    model_shift: [f64; N],
-}
-
-/// Columns of the regressor and of the instrument at a sample, with `y_eq,f` and x̂.
-struct Sample<const P: usize> {
-    phi: [f64; P],
-    z: [f64; P],
-    shift: f64,
-    model: f64,
 }
 
 impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
@@ -216,194 +150,129 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
         theta: &'a [f64; P],
         a_last: f64,
     ) -> Self {
-        let holds: [Hold; S] = problem.inputs.map(|input| match input {
-            Signal::Sampled(_, hold) => hold,
-            Signal::Constant => Hold::Zero,
-        });
+        let holds = problem.inputs.map(|input| input.hold());
         let columns = filters.map(|filter| Columns::new(sriv, &holds, filter));
         let shift_rows = filters.map(|filter| filter.readout(Hold::Zero).state[0]);
-        Self { each: filters, columns, shift_rows, holds, theta, a_last }
+        Self { each: filters, columns, shift_rows, theta, a_last }
     }
 
     /// Every filter starts at rest.
-    fn start(&self, u: [f64; S], y: f64) -> States<N, S> {
-        let start =
-            |filter: &Discrete<N>| std::array::from_fn(|s| filter.readout(self.holds[s]).start(&[0.0; N], u[s]));
-        let [inputs, model] = self.each.map(start);
-        let linear = self.each[0].readout(Hold::First);
-        let first = combined::<N, P>(self.theta, &self.columns[1].read(&model, &u));
-        let [output, auxiliary] = [y, first].map(|first| linear.start(&[0.0; N], first));
-        States { inputs, model, output, auxiliary, shift: [0.0; N], model_shift: [0.0; N] }
+    fn start(&self, problem: &Problem<S>) -> States<N, S> {
+        let first = problem.inputs.map(|input| match input {
+            Signal::Sampled(u, _) => u[0],
+            Signal::Constant => 1.0,
+        });
+        let start = |filter: &Discrete<N>| {
+            std::array::from_fn(|s| filter.readout(problem.inputs[s].hold()).start(&[0.0; N], first[s]))
+        };
+        let [inputs, model_inputs] = self.each.map(start);
+        let output = self.each[0].readout(Hold::First).start(&[0.0; N], problem.output[0]);
+        let none = [0.0; N];
+        States { inputs, model_inputs, output, auxiliary: none, shift: none, model_shift: none }
     }
 
-    #[inline]
-    fn read<const IV: bool, const APART: bool, const SHIFTED: bool>(
-        &self,
-        states: &States<N, S>,
-        u: &[f64; S],
-        y: f64,
-    ) -> Sample<P> {
-        let mut phi = self.columns[0].read(&states.inputs, u);
-        let mut z = phi;
-        let shift = if SHIFTED { dot(&self.shift_rows[0], &states.shift) } else { 0.0 };
-        let mut model = y;
-        if IV {
-            let own = if APART { self.columns[1].read(&states.model, u) } else { phi };
-            model = combined::<N, P>(self.theta, &own);
-            if SHIFTED {
-                let own = if APART { dot(&self.shift_rows[1], &states.model_shift) } else { shift };
-                model += self.a_last * own;
-            }
-        }
-        let auxiliary = if IV { &states.auxiliary } else { &states.output };
-        for i in 0..N {
-            phi[P - N + i] = states.output[i];
-            z[P - N + i] = auxiliary[i];
-        }
-        Sample { phi, z, shift, model }
-    }
-
-    #[inline]
-    fn advance<const IV: bool, const APART: bool, const SHIFTED: bool>(
+    /// Filters the signals of a block, and x̂ of the block before it. Not inlined: the states would not stay in registers.
+    #[inline(never)]
+    fn run<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,
         states: &mut States<N, S>,
-        u: &[f64; S],
-        [y, model, equilibrium]: [f64; 3],
+        block: &mut Block<N, S, P>,
+        before: &mut Block<N, S, P>,
     ) {
         let [filter, model_filter] = self.each;
-        for s in 0..S {
-            filter.advance(&mut states.inputs[s], u[s]);
-            if APART {
-                model_filter.advance(&mut states.model[s], u[s]);
+        let mut now = *states;
+        for k in 0..BLOCK {
+            for s in 0..S {
+                filter.pass(&mut now.inputs[s], block.inputs[s][k], &mut block.input_states[s], k);
+                if APART {
+                    model_filter.pass(
+                        &mut now.model_inputs[s],
+                        block.inputs[s][k],
+                        &mut block.model_input_states[s],
+                        k,
+                    );
+                }
+            }
+            filter.pass(&mut now.output, block.output[k], &mut block.output_states, k);
+            if SHIFTED {
+                filter.pass(&mut now.shift, block.equilibrium[k], &mut block.shift_states, k);
+                if APART {
+                    model_filter.pass(&mut now.model_shift, block.equilibrium[k], &mut block.model_shift_states, k);
+                }
+            }
+            if IV {
+                filter.pass(&mut now.auxiliary, before.model[k], &mut before.auxiliary, k);
             }
         }
-        filter.advance(&mut states.output, y);
-        if IV {
-            filter.advance(&mut states.auxiliary, model);
-        }
-        if SHIFTED {
-            filter.advance(&mut states.shift, equilibrium);
-            if APART {
-                model_filter.advance(&mut states.model_shift, equilibrium);
+        *states = now;
+    }
+
+    /// Reads the columns, `y_eq,f` and x̂ from the states of the filters, for `used` samples.
+    fn read<const IV: bool, const APART: bool, const SHIFTED: bool>(&self, block: &mut Block<N, S, P>, used: usize) {
+        let [columns, model_columns] = &self.columns;
+        for k in 0..BLOCK {
+            let values = columns.read::<S>(&block.input_states, &block.inputs, k);
+            for at in 0..P - N {
+                block.phi[at][k] = values[at];
             }
+            for i in 0..N {
+                block.phi[P - N + i][k] = block.output_states[i][k];
+            }
+            let shift = if SHIFTED { weighted(&self.shift_rows[0], &block.shift_states, k) } else { 0.0 };
+            block.shift[k] = shift;
+            block.model[k] = block.output[k];
+            if IV {
+                let values =
+                    if APART { model_columns.read::<S>(&block.model_input_states, &block.inputs, k) } else { values };
+                let mut model = 0.0;
+                for at in 0..P - N {
+                    model += self.theta[at] * values[at];
+                }
+                if SHIFTED {
+                    let model_shift =
+                        if APART { weighted(&self.shift_rows[1], &block.model_shift_states, k) } else { shift };
+                    model += self.a_last * model_shift;
+                }
+                block.model[k] = model;
+            }
+        }
+        // No product with a sample after the last one.
+        for values in block.phi.iter_mut().chain([&mut block.shift]) {
+            values[used..].fill(0.0);
         }
     }
 }
 
-impl<const P: usize> Raw<P> {
-    fn new() -> Self {
-        Self {
-            rows: [Row { columns: [0.0; P], output: 0.0 }; P],
-            shift_rows: [0.0; P],
-            shift_columns: [0.0; P],
-            shift_output: 0.0,
-            shift_square: 0.0,
-            model: [0.0; P],
-            model_output: 0.0,
-            model_shift: 0.0,
+impl<const N: usize, const P: usize> Columns<N, P> {
+    fn new<const S: usize>(sriv: &Sriv<N, S, P>, holds: &[Hold; S], filter: &Discrete<N>) -> Self {
+        let mut columns = Self { input: [0; P], state: [[0.0; N]; P], through: [0.0; P] };
+        for (at, (input, derivative)) in sriv.columns[..P - N].iter().enumerate() {
+            let readout = filter.readout(holds[*input]);
+            columns.input[at] = *input;
+            columns.state[at] = readout.state[*derivative];
+            columns.through[at] = readout.through[*derivative];
         }
+        columns
     }
 
+    /// The numerator columns at this sample; the rest is 0.
     #[inline]
-    fn add<const IV: bool, const APART: bool, const SHIFTED: bool>(
-        &mut self,
-        z: &[f64; P],
-        phi: &[f64; P],
-        y: f64,
-        shift: f64,
-        model: f64,
-    ) {
-        for i in 0..P {
-            let Row { columns, output } = &mut self.rows[i];
-            for j in 0..P {
-                columns[j] += z[i] * phi[j];
-            }
-            *output += z[i] * y;
+    fn read<const S: usize>(&self, states: &[[Samples; N]; S], inputs: &[Samples; S], k: usize) -> [f64; P] {
+        let mut values = [0.0; P];
+        for at in 0..P - N {
+            // A constant at compile time if every numerator is a constant.
+            let input = if P - N == S { at } else { self.input[at] };
+            values[at] = self.through[at] * inputs[input][k] + weighted(&self.state[at], &states[input], k);
         }
-        if !IV || APART {
-            self.model_output += model * y;
-        }
-        if APART {
-            for j in 0..P {
-                self.model[j] += model * phi[j];
-            }
-        }
-        if SHIFTED {
-            for i in 0..P {
-                self.shift_rows[i] += z[i] * shift;
-                self.shift_columns[i] += shift * phi[i];
-            }
-            self.shift_output += shift * y;
-            self.shift_square += shift * shift;
-            if APART {
-                self.model_shift += model * shift;
-            }
-        }
-    }
-
-    /// x̂ = Σ numerator · column + `a_N` `y_eq,f`, so its sums follow from those of the columns.
-    fn model_from_columns(&mut self, numerators: &[f64], a_last: f64) {
-        self.model = self.shift_columns.map(|sum| a_last * sum);
-        self.model_output = a_last * self.shift_output;
-        self.model_shift = a_last * self.shift_square;
-        for (at, numerator) in numerators.iter().enumerate() {
-            for j in 0..P {
-                self.model[j] += numerator * self.rows[at].columns[j];
-            }
-            self.model_output += numerator * self.rows[at].output;
-            self.model_shift += numerator * self.shift_rows[at];
-        }
-    }
-
-    /// Least squares: y replaces x̂.
-    fn model_is_output(&mut self) {
-        self.model = self.rows.map(|row| row.output);
-        self.model_shift = self.shift_output;
-    }
-
-    /// Converts the sums from states to derivatives.
-    fn sums<const N: usize>(&self, linear: &Readout<N>, c_last: f64) -> Sums<P> {
-        let by_row = |row: &[f64; P], output: f64, shift: f64| regressor(row, linear, output, shift);
-        let rows: [[f64; P]; P] =
-            std::array::from_fn(|i| by_row(&self.rows[i].columns, self.rows[i].output, self.shift_rows[i]));
-        let model_row = by_row(&self.model, self.model_output, self.model_shift);
-        let shift_row = by_row(&self.shift_columns, self.shift_output, self.shift_square);
-        let right: [f64; P] = std::array::from_fn(|i| self.rows[i].output - c_last * self.shift_rows[i]);
-        let model_right = self.model_output - c_last * self.model_shift;
-        let shift_right = self.shift_output - c_last * self.shift_square;
-        let mut normal = [[0.0; P]; P];
-        for j in 0..P {
-            let column: [f64; P] = std::array::from_fn(|i| rows[i][j]);
-            let column = regressor(&column, linear, model_row[j], shift_row[j]);
-            for i in 0..P {
-                normal[i][j] = column[i];
-            }
-        }
-        Sums { normal, right: regressor(&right, linear, model_right, shift_right) }
+        values
     }
 }
 
-/// (columns, states of v) to (columns, -`v_f⁽ᴺ⁻¹⁾` … -(`v_f` - `y_eq,f`)).
 #[inline]
-fn regressor<const N: usize, const P: usize>(raw: &[f64; P], linear: &Readout<N>, sample: f64, shift: f64) -> [f64; P] {
-    let mut regressor = *raw;
-    for i in 0..N {
-        let mut derivative = linear.through[i] * sample;
-        for j in 0..N {
-            derivative += linear.state[i][j] * raw[P - N + j];
-        }
-        regressor[P - 1 - i] = -derivative;
-    }
-    regressor[P - 1] += shift;
-    regressor
-}
-
-/// The numerators applied to their columns.
-#[inline]
-fn combined<const N: usize, const P: usize>(theta: &[f64; P], columns: &[f64; P]) -> f64 {
-    let mut sum = 0.0;
-    for at in 0..P - N {
-        sum += theta[at] * columns[at];
+fn weighted<const N: usize>(weights: &[f64; N], states: &[Samples; N], k: usize) -> f64 {
+    let mut sum = weights[0] * states[0][k];
+    for i in 1..N {
+        sum += weights[i] * states[i][k];
     }
     sum
 }

@@ -11,6 +11,15 @@ pub enum Signal<'a> {
     Constant,
 }
 
+impl Signal<'_> {
+    pub(super) fn hold(&self) -> Hold {
+        match self {
+            Self::Sampled(_, hold) => *hold,
+            Self::Constant => Hold::Zero,
+        }
+    }
+}
+
 /// The data of an identification.
 #[derive(Debug, Clone, Copy)]
 pub struct Problem<'a, const S: usize> {
@@ -45,8 +54,6 @@ pub struct Workspace<const P: usize> {
     pub(super) instruments: Vec<[f64; P]>,
     pub(super) stride: usize,
     pub(super) model_output: Vec<f64>,
-    /// The samples of [`Signal::Constant`].
-    pub(super) ones: Vec<f64>,
 }
 
 /// Longest distance of stored instruments, in units of 1 / root radius of the filter.

@@ -22,10 +22,11 @@
 //! the instruments for the covariance; the buffers are in [`Workspace`] and are reused.
 
 use super::{
-    pass::{Auxiliary, Sums},
+    pass::Auxiliary,
     polynomial::{is_stable, reflected},
     rejection::Rejection,
     small::{Inverse, invert, times},
+    sums::Sums,
 };
 
 pub use super::problem::{Problem, Signal, Sriv, Workspace};
@@ -118,6 +119,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let mut denominator = lag(self.start_per_s);
         let (mut parameters, mut inverse) = solve(self.pass(problem, &denominator, None, workspace), &denominator)?;
         let mut iterations = 0;
+        let mut last_change = f64::INFINITY;
         let mut was_reflected = false;
         let mut termination = Termination::IterationLimit;
         while iterations < self.max_iterations {
@@ -132,10 +134,11 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             iterations += 1;
             let change = distance(&next, &parameters);
             parameters = next;
-            if change <= self.tolerance {
+            if remaining(change, last_change) <= self.tolerance {
                 termination = Termination::Converged;
                 break;
             }
+            last_change = change;
         }
         Ok(Solution {
             parameters,
@@ -170,6 +173,12 @@ pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f6
     (squares(&mut next.iter().zip(before).map(|(n, b)| n - b)) / squares(&mut next.iter().copied())).sqrt()
 }
 
+/// Distance to the end of the iteration after a step of this length: as steps shrink in a geometric progression, the
+/// steps that would follow add up to change² / (last - change). At most the step itself.
+fn remaining(change: f64, last: f64) -> f64 {
+    if change < 0.5 * last && last.is_finite() { change * change / (last - change) } else { change }
+}
+
 /// The coefficients of (s + λ)^N without the leading one.
 fn lag<const N: usize>(lambda: f64) -> [f64; N] {
     let mut a = [0.0; N];
@@ -181,13 +190,16 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
     a
 }
 
-/// 1 - var(y - x̂) / var(y).
+/// 1 - var(y - x̂) / var(y); both from values around those of the first sample, so that no square is much larger than
+/// a variance.
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
-    let [sum] = sums(output, model, |y, _| [y]);
-    let mean = sum / count;
-    let [error, error_square, square] = sums(output, model, |y, x| [y - x, (y - x) * (y - x), (y - mean) * (y - mean)]);
-    1.0 - (error_square - error * error / count) / square
+    let (first, first_error) = (output[0], output[0] - model[0]);
+    let [value, square, error, error_square] = sums(output, model, |y, x| {
+        let (value, error) = (y - first, y - x - first_error);
+        [value, value * value, error, error * error]
+    });
+    1.0 - (error_square - error * error / count) / (square - value * value / count)
 }
 
 /// Sums over pairs in four lanes, as a single chain of additions is slow.

@@ -1,0 +1,79 @@
+//! A block of samples: the signals, the states of their filters, and what is read from these.
+
+use super::problem::{Problem, Signal};
+
+/// Samples of a block.
+pub(super) const BLOCK: usize = 64;
+
+/// A signal in a block; 0 after its last sample.
+pub(super) type Samples = [f64; BLOCK];
+
+/// Signals of a block, the states of their filters, and what is read from these.
+pub(super) struct Block<const N: usize, const S: usize, const P: usize> {
+    pub(super) inputs: [Samples; S],
+    pub(super) output: Samples,
+    pub(super) equilibrium: Samples,
+    /// States of the filters of the inputs and of `y_eq`, and of the same signals in the auxiliary model.
+    pub(super) input_states: [[Samples; N]; S],
+    pub(super) model_input_states: [[Samples; N]; S],
+    pub(super) output_states: [Samples; N],
+    pub(super) shift_states: [Samples; N],
+    pub(super) model_shift_states: [Samples; N],
+    /// Numerator columns, and states of the filter of y.
+    pub(super) phi: [Samples; P],
+    /// States of the filter of x̂.
+    pub(super) auxiliary: [Samples; N],
+    /// `y_eq,f`, x̂.
+    pub(super) shift: Samples,
+    pub(super) model: Samples,
+}
+
+impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
+    pub(super) const ZERO: Self = {
+        let (none, states) = ([0.0; BLOCK], [[0.0; BLOCK]; N]);
+        Self {
+            inputs: [none; S],
+            output: none,
+            equilibrium: none,
+            input_states: [states; S],
+            model_input_states: [states; S],
+            output_states: states,
+            shift_states: states,
+            model_shift_states: states,
+            phi: [none; P],
+            auxiliary: states,
+            shift: none,
+            model: none,
+        }
+    };
+
+    /// Takes every `step`-th sample from the sample `from` on; the number of samples.
+    pub(super) fn load(&mut self, problem: &Problem<S>, from: usize, step: usize) -> usize {
+        let load = |to: &mut Samples, signal: &[f64]| {
+            let signal = &signal[from..signal.len().min(from + BLOCK * step)];
+            let used = signal.len().div_ceil(step);
+            if step == 1 {
+                to[..used].copy_from_slice(signal);
+            } else {
+                to.iter_mut().zip(signal.iter().step_by(step)).for_each(|(to, sample)| *to = *sample);
+            }
+            to[used..].fill(0.0);
+            used
+        };
+        for (to, input) in self.inputs.iter_mut().zip(&problem.inputs) {
+            match input {
+                Signal::Sampled(u, _) => _ = load(to, u),
+                Signal::Constant => to.fill(1.0),
+            }
+        }
+        if let Some(equilibrium) = problem.equilibrium {
+            load(&mut self.equilibrium, equilibrium);
+        }
+        load(&mut self.output, problem.output)
+    }
+
+    /// A row of the instrument: a numerator column, or a state of x̂, or of y without an auxiliary model.
+    pub(super) fn instrument<const IV: bool>(&self, row: usize) -> &Samples {
+        if !IV || row < P - N { &self.phi[row] } else { &self.auxiliary[row - (P - N)] }
+    }
+}
