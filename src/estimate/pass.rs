@@ -94,7 +94,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     ) -> Option<Sums<P>> {
         let stride = workspace.stride;
         let len = problem.output.len();
-        let step = if IV { 1 } else { stride.min(len / START_SAMPLES).max(1) };
+        let step = if IV { 1 } else { stride.div_ceil(2).min(len / START_SAMPLES).max(1) };
         let filter = Discrete::new(c, problem.interval_s * step as f64)?;
         let own_filter = if APART { Some(Discrete::new(a, problem.interval_s)?) } else { None };
         let model_filter = own_filter.as_ref().unwrap_or(&filter);

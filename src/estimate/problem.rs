@@ -41,7 +41,8 @@ pub struct Sriv<const N: usize, const S: usize, const P: usize> {
     pub(super) columns: [(usize, usize); P],
     /// Start of the iteration: least squares with the filter 1/(s+λ)^N, λ in rad/s.
     pub start_per_s: f64,
-    /// Relative change of the parameters at which the iteration has converged.
+    /// Relative distance of the parameters to the end of the iteration at which it has converged; estimated from the
+    /// last two steps.
     pub tolerance: f64,
     /// Largest number of iterations.
     pub max_iterations: usize,

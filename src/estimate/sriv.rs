@@ -34,7 +34,7 @@ pub use super::problem::{Problem, Signal, Sriv, Workspace};
 /// Reason for the end of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// The parameters changed by less than the tolerance.
+    /// Further steps would change the parameters by less than the tolerance.
     Converged,
     /// The iteration limit was reached before convergence.
     IterationLimit,
@@ -173,10 +173,13 @@ pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f6
     (squares(&mut next.iter().zip(before).map(|(n, b)| n - b)) / squares(&mut next.iter().copied())).sqrt()
 }
 
-/// Distance to the end of the iteration after a step of this length: as steps shrink in a geometric progression, the
-/// steps that would follow add up to change² / (last - change). At most the step itself.
+/// Bound of the distance to the end of the iteration after a step of this length. Steps of a fast iteration shrink nearly in
+/// a geometric progression, so the steps that would follow add up to change² / (last - change), of which the bound is four
+/// times; it is at most the step itself.
 fn remaining(change: f64, last: f64) -> f64 {
-    if change < 0.5 * last && last.is_finite() { change * change / (last - change) } else { change }
+    const FAST: f64 = 0.1;
+    const MARGIN: f64 = 4.0;
+    if change < FAST * last && last.is_finite() { MARGIN * change * change / (last - change) } else { change }
 }
 
 /// The coefficients of (s + λ)^N without the leading one.

@@ -94,6 +94,32 @@ fn agrees_with_an_independent_implementation_to_1e_6() {
     }
 }
 
+/// The end is that of an iteration to the last digit. Where the noise is strong, a step is only about half as long as the
+/// one before it, so the steps that would follow are together longer than the last one.
+#[test]
+fn the_iteration_ends_near_its_limit() {
+    fn distance<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, lambda: f64, tolerance: f64) -> f64 {
+        let [end, limit] = [tolerance, 1e-14].map(|tolerance| {
+            let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
+            (sriv.start_per_s, sriv.tolerance) = (lambda, tolerance);
+            let inputs = [Signal::Sampled(u, Hold::Zero)];
+            let problem = Problem { interval_s: h, output: y, inputs, equilibrium: None };
+            SVector::from(sriv.identify(&problem, &mut Workspace::default()).unwrap().parameters)
+        });
+        (end - limit).norm() / limit.norm()
+    }
+    let benchmark = RaoGarnier::new();
+    for seed in 0..40 {
+        for tolerance in [1e-2, 1e-4, 1e-6] {
+            let noise = 0.1 * (seed % 20) as f64;
+            let (u, y) = second_order(203.0, 5.9, 1.56, 2000, 2e-3, noise, seed);
+            let second = distance::<2, 3>(&u, &y, 2e-3, 5.0, tolerance);
+            let fourth = distance::<4, 6>(&benchmark.input, &benchmark.noisy(seed), 0.01, 20.0, tolerance);
+            assert!(second.max(fourth) < 2.0 * tolerance, "{seed}, {tolerance}: {second:e}, {fourth:e}");
+        }
+    }
+}
+
 /// G = (-6400 s + 1600) / (s⁴ + 5 s³ + 408 s² + 416 s + 1600) under a ten-stage PRBS, each bit held for 7 samples.
 struct RaoGarnier {
     input: Vec<f64>,
