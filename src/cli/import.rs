@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 use serde_json::json;
@@ -20,7 +20,7 @@ use super::{
 use crate::{
     daemon::{Judged, Offline, clock},
     store::Spooled,
-    throw::{MachineId, Throw, ThrowRef, counted, utc},
+    throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
 };
 
@@ -161,14 +161,15 @@ fn is_json(file: &Path) -> bool {
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
     let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+    let bytes = wire::unmarked(&bytes);
     if bytes.trim_ascii_start().starts_with(b"[") {
         let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
         return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
     }
-    match wire::decode_throw(Encoding::Json, &bytes) {
+    match wire::decode_throw(Encoding::Json, bytes) {
         Ok(throw) => return Ok(vec![throw]),
         // Any other file may have a throw on each line. Its error must name the line.
-        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(&bytes) => {
+        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
         }
         Err(_) => {}
@@ -190,6 +191,8 @@ fn is_one_object(bytes: &[u8]) -> bool {
 /// A line of `throws.csv`, which `pointsd export --traces` wrote.
 #[derive(Debug, Deserialize)]
 struct Exported {
+    site: String,
+    machine: String,
     trace: PathBuf,
     boot_id: String,
     throw_no: u64,
@@ -203,32 +206,66 @@ struct Exported {
     sample_rate_hz: Option<f64>,
 }
 
-/// The lines of each folder's `throws.csv`, by the names of their traces.
 #[derive(Default)]
-struct Exports(HashMap<PathBuf, HashMap<OsString, Exported>>);
+struct Exports {
+    /// The lines of each `throws.csv`, by the names of their traces.
+    lists: HashMap<PathBuf, HashMap<OsString, Exported>>,
+    /// Machine of the first trace.
+    machine: Option<String>,
+}
 
 impl Exports {
     /// The line of a trace; `None` if there is none.
-    fn line(&mut self, trace: &Path) -> Option<&Exported> {
-        let trace = fs::canonicalize(trace).ok()?;
-        let folders = trace.ancestors().skip(1).take(EXPORT_FOLDERS);
-        let list = folders.map(|folder| folder.join("throws.csv")).find(|list| list.is_file())?;
-        self.0.entry(list).or_insert_with_key(|list| lines(list)).get(trace.file_name()?)
+    fn line(&mut self, trace: &Path) -> anyhow::Result<Option<&Exported>> {
+        let Ok(full) = fs::canonicalize(trace) else { return Ok(None) };
+        let folders = full.ancestors().skip(1).take(EXPORT_FOLDERS);
+        let Some(list) = folders.map(|folder| folder.join("throws.csv")).find(|list| list.is_file()) else {
+            return Ok(None);
+        };
+        if !self.lists.contains_key(&list) {
+            let lines = lines(&list).with_context(|| {
+                format!("{}: restore it, or give --started-at to import without it", list.display())
+            })?;
+            self.lists.insert(list.clone(), lines);
+        }
+        let Some(line) = full.file_name().and_then(|name| self.lists[&list].get(name)) else { return Ok(None) };
+        let machine = format!("{}/{}", line.site, line.machine);
+        let first = self.machine.get_or_insert_with(|| machine.clone());
+        if machine != *first {
+            bail!("{}: a throw of {machine}, after throws of {first}: import each machine alone", trace.display());
+        }
+        Ok(Some(line))
     }
 }
 
-fn lines(list: &Path) -> HashMap<OsString, Exported> {
-    let Ok(reader) = csv::Reader::from_path(list) else { return HashMap::new() };
-    // A list of another program has other columns.
-    let lines = reader.into_deserialize::<Exported>().map_while(Result::ok);
-    let is_valid = |line: &Exported| wire::is_boot_id(&line.boot_id) && i64::try_from(line.throw_no).is_ok();
-    // A throw without a stored trace has no name there. Names are unique, as they have the number of the row.
-    lines.filter(is_valid).filter_map(|line| Some((line.trace.file_name()?.to_owned(), line))).collect()
+/// The lines of a `throws.csv`; none of one that another program wrote, with other columns.
+fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
+    let mut reader = csv::Reader::from_path(list)?;
+    let header: Vec<&str> = reader.headers()?.iter().flat_map(|cell| cell.split([';', '\t'])).collect();
+    if !["trace", "throw_no"].iter().all(|name| header.contains(name)) {
+        return Ok(HashMap::new());
+    }
+    let mut lines = HashMap::new();
+    for line in reader.into_deserialize() {
+        let line: Exported = line?;
+        let is_valid = wire::is_boot_id(&line.boot_id)
+            && i64::try_from(line.throw_no).is_ok()
+            && (line.direction == "unknown" || line.direction.parse::<Direction>().is_ok());
+        if !is_valid {
+            bail!("boot_id, throw_no or direction of {} is wrong", line.trace.display());
+        }
+        // A throw without a stored trace has no name there. Names are unique, as they have the number of the row.
+        if let Some(name) = line.trace.file_name() {
+            lines.insert(name.to_owned(), line);
+        }
+    }
+    Ok(lines)
 }
 
 fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Throw, Failure> {
     let recording = recording::read(file)?;
-    if let Some(line) = exports.line(file).filter(|_| arguments.started_at.is_none()) {
+    let line = if arguments.started_at.is_none() { exports.line(file).or_exit(Exit::Data)? } else { None };
+    if let Some(line) = line {
         return Ok(Throw {
             id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
             started_at: line.started_at,

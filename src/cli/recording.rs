@@ -13,7 +13,10 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 
 use super::{Exit, Failure, ResultExt};
-use crate::throw::{Trace, counted};
+use crate::{
+    throw::{Trace, counted},
+    wire::unmarked,
+};
 
 const TIME: &str = "time_s";
 const CURRENT: &str = "current_a";
@@ -50,10 +53,10 @@ struct Columns {
 /// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = bytes(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
-    parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+    parse(unmarked(&bytes)).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
 }
 
-/// The content of a file, or of standard input for `-`, without the byte order mark of some editors.
+/// The content of a file, or of standard input for `-`.
 pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     if path == Path::new("-") {
@@ -63,9 +66,6 @@ pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
     }
     if bytes.len() as u64 > MAX_BYTES {
         return Err(io::Error::other(format!("it has more than {} MiB: divide it", MAX_BYTES >> 20)));
-    }
-    if bytes.starts_with("\u{feff}".as_bytes()) {
-        bytes.drain(..'\u{feff}'.len_utf8());
     }
     Ok(bytes)
 }

@@ -16,6 +16,7 @@ use zenoh::Session;
 
 use super::{
     clock,
+    presence::Loggers,
     receive::Intake,
     schedule::{AT_A_TIME, Schedule},
 };
@@ -70,9 +71,8 @@ enum QueryEnd {
 /// The task that queries the loggers.
 pub(super) struct Backlog {
     pub(super) querier: Arc<Querier>,
-    /// Machines whose loggers have a liveliness token now.
-    pub(super) alive: watch::Receiver<HashSet<MachineId>>,
-    /// The value of `alive` before its last change.
+    pub(super) loggers: watch::Receiver<Loggers>,
+    /// The loggers with a token before the last change.
     pub(super) seen: HashSet<MachineId>,
     pub(super) with_token: HashSet<MachineId>,
     pub(super) dropped: mpsc::Receiver<String>,
@@ -101,8 +101,8 @@ impl Backlog {
             let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
             tokio::select! {
                 () = stop.cancelled() => return queries.shutdown().await,
-                Ok(()) = self.alive.changed() => {
-                    let alive = self.alive.borrow_and_update().clone();
+                Ok(()) = self.loggers.changed() => {
+                    let alive = self.loggers.borrow_and_update().alive.clone();
                     alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
                     if self.with_token.len() >= WITH_TOKEN {
                         self.with_token.clear();

@@ -11,6 +11,7 @@ use jiff::Timestamp;
 use super::{
     dating::Dating,
     health::{TWO_LOGGERS, health, observation, repeated},
+    presence::Loggers,
     status::Standing,
 };
 use crate::{
@@ -196,20 +197,24 @@ impl Fleet {
         confirmed.unwrap_or_else(is_alone).then_some(stored.received_at)
     }
 
-    /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their
+    /// Advances the time of every machine, with the liveliness tokens; returns the machines to store, with their
     /// events. The monitors count silent time, so that each is also stored at one of [`TICKS_AN_HOUR`] ticks.
     pub(super) fn tick(
         &mut self,
         now: Timestamp,
         settings: &Settings,
-        loggers: &HashSet<MachineId>,
+        loggers: &Loggers,
         own_machine: &MachineId,
     ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
         self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
         for (index, (machine, monitor)) in self.monitors.iter_mut().enumerate() {
             let before = (monitor.is_announced(), monitor.state());
-            let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
+            let mut events = Vec::new();
+            if !monitor.is_announced() && loggers.gone.contains(machine) {
+                events.extend(monitor.logger(true, now, settings));
+            }
+            events.extend(monitor.logger(loggers.alive.contains(machine), now, settings));
             events.extend(monitor.tick(now, settings));
             // After a change of `monitor.site` or `monitor.id` no process ends the alarms under the old name.
             if machine != own_machine && monitor.has_no_logger() && machine.machine.as_str() != ALL_MACHINES {

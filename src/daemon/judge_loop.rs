@@ -2,7 +2,7 @@
 //! through it too.
 
 use std::{
-    collections::{BTreeMap, HashMap, HashSet, VecDeque},
+    collections::{BTreeMap, HashMap, VecDeque},
     future,
     sync::Arc,
     time::{Duration, Instant},
@@ -24,6 +24,7 @@ use super::{
     judge::{Judge, Judged},
     orders::Order,
     peers::Peers,
+    presence::Loggers,
     status::Status,
 };
 use crate::{
@@ -85,7 +86,7 @@ pub(super) struct Links {
     /// Notified when the outbox has a new message, for the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
-    pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
+    pub(super) loggers: watch::Receiver<Loggers>,
     pub(super) orders: mpsc::Receiver<Order>,
     pub(super) peers: Arc<Peers>,
     /// Cancelled when the daemon must end even with unstored changes.
@@ -336,7 +337,7 @@ impl JudgeLoop {
 
     fn update_standing(&mut self) {
         let standing = self.judge.fleet.standing(&self.own_machine);
-        let loggers = self.links.loggers.borrow().clone();
+        let loggers = self.links.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
@@ -435,7 +436,7 @@ impl JudgeLoop {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
             return Ok((false, text));
         }
-        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().contains(machine) {
+        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));

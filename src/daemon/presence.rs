@@ -16,22 +16,34 @@ use crate::{
 /// Largest number of watched tokens.
 const MOST: usize = 100_000;
 
-/// Keeps `alive` the machines whose loggers have a liveliness token in `key_expression`, while the session is open.
+/// The machines whose loggers have a liveliness token, or had one.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Loggers {
+    pub(super) alive: HashSet<MachineId>,
+    /// Loggers that disconnected: one that is connected only between two ticks of the monitors is missed too.
+    pub(super) gone: HashSet<MachineId>,
+}
+
+/// Keeps `loggers` up to date by the tokens in `key_expression`, while the session is open.
 pub(super) async fn watch(
     session: &Session,
     key_expression: &str,
     status: Arc<Status>,
-    alive: watch::Sender<HashSet<MachineId>>,
+    loggers: watch::Sender<Loggers>,
 ) -> Result<(), BusError> {
     let on_change = move |key: &str, is_alive: bool| {
         let Ok((machine, Kind::Alive)) = wire::parse_key(key) else { return };
-        alive.send_modify(|alive| {
+        loggers.send_modify(|Loggers { alive, gone }| {
             if !is_alive {
                 if alive.remove(&machine) {
                     seldom!(warn, %machine, "logger disconnected");
+                    if gone.len() < MOST {
+                        gone.insert(machine);
+                    }
                 }
             } else if alive.len() < MOST && alive.insert(machine.clone()) {
                 seldom!(info, %machine, "logger connected");
+                gone.remove(&machine);
             }
             status.edit().loggers = alive.len();
         });

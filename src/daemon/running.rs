@@ -22,7 +22,7 @@ use super::{
     lock::DatabaseLock,
     orders::{Order, Orders},
     peers::Peers,
-    presence,
+    presence::{self, Loggers},
     publish::Publisher,
     receive::{Intake, ReceiveLoop},
     retention,
@@ -145,7 +145,7 @@ impl Daemon {
         let (config, current) = watch::channel(Arc::clone(&start.config));
         let (watchers, _) = broadcast::channel(WATCHED);
         let (orders, commands) = Orders::new();
-        let (alive, loggers) = watch::channel(HashSet::new());
+        let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(&start.session);
 
         start.notify_webhook().await?;
@@ -154,7 +154,7 @@ impl Daemon {
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
         let sources = start.receive(&outlet, loggers).await?;
 
-        presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), alive).await?;
+        presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
         start.answer(&orders, &sources).await?;
         start
             .tasks
@@ -274,7 +274,7 @@ impl Starting {
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
         watchers: broadcast::Sender<Judged>,
-        loggers: watch::Receiver<HashSet<MachineId>>,
+        loggers: watch::Receiver<Loggers>,
         orders: mpsc::Receiver<Order>,
     ) -> Result<(), StartError> {
         let peers = Arc::new(Peers::new(self.config.monitor.watched()));
@@ -302,7 +302,7 @@ impl Starting {
     async fn receive(
         &mut self,
         outlet: &Outlet,
-        alive: watch::Receiver<HashSet<MachineId>>,
+        loggers: watch::Receiver<Loggers>,
     ) -> Result<StatusSources, StartError> {
         let subscribe = &self.config.subscribe;
         let limits =
@@ -336,7 +336,7 @@ impl Starting {
         };
         let backlog = Backlog {
             querier: Arc::new(querier),
-            alive,
+            loggers,
             seen: HashSet::new(),
             with_token: HashSet::new(),
             dropped,

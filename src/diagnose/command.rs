@@ -114,7 +114,9 @@ pub enum CommandError {
     },
     /// The time is in the past.
     #[error(
-        "`until` is {until}, but the clock of the daemon is at {now}: give a later time, or correct the clock that is wrong"
+        "`until` is {}, but the clock of the daemon is at {}: give a later time, or correct the clock that is wrong",
+        utc(until),
+        utc(now)
     )]
     UntilIsPast {
         /// The given time.
@@ -124,8 +126,8 @@ pub enum CommandError {
     },
     /// Shelving or maintenance would last longer than the settings allow.
     #[error(
-        "`until` is more than {} after the clock of the daemon, which is at {now}: give an earlier time (longest_shelving_days), or correct the clock that is wrong",
-        counted(*days, "day")
+        "`until` is more than {} after the clock of the daemon, which is at {}: give an earlier time (longest_shelving_days), or correct the clock that is wrong",
+        counted(*days, "day"), utc(now)
     )]
     UntilTooFar {
         /// Time of the monitor's clock.

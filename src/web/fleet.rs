@@ -79,6 +79,8 @@ struct Page {
 struct Common {
     badge: Badge,
     says: String,
+    /// Text of one of the alarms; empty if the cause says all.
+    example: String,
     sites: String,
     address: String,
 }
@@ -299,7 +301,8 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         let sites: Vec<String> = sites.into_iter().take(SILENT).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
-            says: format!("{} {machines} {what}{over}, {}{example}", page::count(count), times.unwrap_or_default()),
+            says: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
+            example,
             sites: sites.join(", "),
             address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
         }
@@ -439,20 +442,16 @@ mod tests {
             alarm(Cause::DataLoss, "e", 1, Some("Machine e: 7 throws never arrived.")),
             alarm(Cause::DataLoss, "d", 1, Some("Machine d: the clock of the logger is wrong.")),
         ];
-        let shown: Vec<(String, String)> = common(&alarms).into_iter().map(|it| (it.says, it.sites)).collect();
+        let shown: Vec<_> = common(&alarms).into_iter().map(|it| [it.says, it.example, it.sites]).collect();
         let since = "since 1970-01-01 00:00:00 UTC";
         let expected = [
-            (format!("12 machines not monitored, {since}"), "north 12".to_owned()),
-            (
-                format!("2 machines with data loss, {since}, for example north/b: 2 throws never arrived."),
-                "north 2".to_owned(),
-            ),
-            (format!("1 machine with data loss, {since}: the clock of the logger is wrong."), "north/d".to_owned()),
-            (
-                format!("1 machine with data loss, over and not acknowledged, {since}: 7 throws never arrived."),
-                "north/e".to_owned(),
-            ),
+            ("12 machines not monitored", "", "north 12"),
+            ("2 machines with data loss", ", for example north/b: 2 throws never arrived.", "north 2"),
+            ("1 machine with data loss", ": the clock of the logger is wrong.", "north/d"),
+            ("1 machine with data loss, over and not acknowledged", ": 7 throws never arrived.", "north/e"),
         ];
+        let expected =
+            expected.map(|(says, example, sites)| [format!("{says}, {since}"), example.into(), sites.into()]);
         assert_eq!(shown, expected);
     }
 

@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Invalid;
+use super::{
+    Invalid,
+    text::{not_an_object, unmarked},
+};
 use crate::diagnose::Command;
 
 /// Largest command \[bytes\]: room for names and a reason.
@@ -17,7 +20,10 @@ pub fn decode_command(payload: &[u8]) -> Result<Command, Invalid> {
         return Err(Invalid(format!("the command has {} bytes, must be 1 to {MAX_BYTES}", payload.len())));
     }
     let example = "{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}";
-    serde_json::from_slice(payload).map_err(|error| Invalid(format!("not a command: {error}; for example {example}")))
+    serde_json::from_slice(unmarked(payload)).map_err(|error| {
+        let problem = not_an_object(payload).unwrap_or_else(|| error.to_string());
+        Invalid(format!("not a command: {problem}; for example {example}"))
+    })
 }
 
 /// The daemon's reply to a command.
@@ -45,6 +51,18 @@ pub struct Commander {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_command_may_begin_with_a_byte_order_mark_and_is_an_object() {
+        let command = "{\"command\": \"maintenance_end\", \"by\": \"a\"}";
+        let marked = format!("\u{feff}{command}");
+        assert!(matches!(decode_command(marked.as_bytes()), Ok(Command::MaintenanceEnd { .. })));
+        let utf_16: Vec<u8> = marked.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        for wrong in [&utf_16[..], b"[1]", b"null", b"\"ack\""] {
+            let error = decode_command(wrong).unwrap_err().to_string();
+            assert!(error.contains("instead of {: JSON in UTF-8 is expected; for example"), "{error}");
+        }
+    }
 
     #[test]
     fn the_error_names_a_wrong_end() {

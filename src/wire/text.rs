@@ -7,6 +7,22 @@ use serde::Serialize;
 #[error("{0}")]
 pub struct Invalid(pub(super) String);
 
+/// JSON without the byte order mark of some clients and editors, which a reader may ignore (RFC 8259, section 8.1).
+pub fn unmarked(payload: &[u8]) -> &[u8] {
+    payload.strip_prefix("\u{feff}".as_bytes()).unwrap_or(payload)
+}
+
+/// The first byte of JSON after white space.
+pub(super) fn first_byte(payload: &[u8]) -> Option<u8> {
+    unmarked(payload).trim_ascii_start().first().copied()
+}
+
+/// A sentence about a payload that is no JSON object in UTF-8, by its first byte.
+pub(super) fn not_an_object(payload: &[u8]) -> Option<String> {
+    let first = first_byte(payload).filter(|first| *first != b'{')?;
+    Some(format!("it begins with the byte 0x{first:02x} instead of {{: JSON in UTF-8 is expected"))
+}
+
 /// Encodes a value as JSON, for messages and the database.
 ///
 /// # Panics

@@ -162,7 +162,10 @@ fn shelved_until_a_time_or_a_command() {
         by: by(),
         why: "never".to_owned(),
     };
-    assert!(matches!(act(&mut machine, &long), Err(CommandError::UntilTooFar { .. })));
+    let too_far = act(&mut machine, &long).unwrap_err();
+    assert!(matches!(too_far, CommandError::UntilTooFar { .. }));
+    let at_second = format!("which is at {}: give", now().strftime("%Y-%m-%d %H:%M:%S UTC"));
+    assert!(too_far.to_string().contains(&at_second), "{too_far}");
 }
 
 /// Names and reasons are printed on terminals, which execute control characters.

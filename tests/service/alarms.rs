@@ -58,6 +58,22 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_logger_that_is_gone_before_its_first_throw_is_judged_is_an_alarm() {
+    let (rig, daemon) = Rig::running_with(HASTY);
+    let session = daemon.client().await;
+    let alarms = listen(&session).await;
+    let logger = daemon.client().await;
+    let token = logger.liveliness().declare_token(ALIVE).await.unwrap();
+    daemon.until_status("a logger", |status| status["loggers"] == 1).await;
+    drop((token, logger));
+    daemon.until_status("no logger", |status| status["loggers"] == 0).await;
+    daemon.logger(KEY).await.send([stub("boot", 1)]).await;
+    rig.judged(1).await;
+    let raised = next(&alarms).await.1;
+    assert!(raised.text.contains("logger has been gone"), "{}", raised.text);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_only_once() {
     let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;

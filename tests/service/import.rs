@@ -155,6 +155,19 @@ fn exported_traces_are_imported_as_the_same_throws() {
     let boots = other.sql("SELECT DISTINCT boot_id FROM boot");
     assert_eq!(boots, [serde_json::json!({"boot_id": "recorded"})]);
 
+    // A line that a spreadsheet changed, or separators: without this list the throws would have other times and numbers.
+    let text = fs::read_to_string(&list).unwrap();
+    for changed in [text.replacen(",recorded,2,", ",recorded,two,", 1), text.replace(',', ";")] {
+        fs::write(&list, changed).unwrap();
+        let (code, _, error) = import(&Rig::new(), &files, &[]);
+        assert!(code == Some(65) && error.contains("throws.csv: restore it, or give --started-at"), "{error}");
+    }
+    fs::write(&list, text.replacen("north,21B,recorded,2,", "north,22,recorded,2,", 1)).unwrap();
+    let (code, _, error) = import(&Rig::new(), &files, &[]);
+    assert!(code == Some(65) && error.contains("a throw of north/22, after throws of north/21B"), "{error}");
+    fs::write(&list, "throw,trace\n1,of another program\n").unwrap();
+    assert_eq!(import(&Rig::new(), &files, &[]).0, Some(0));
+
     // Without the list the files still have the times of their throws.
     fs::remove_file(list).unwrap();
     let third = Rig::new();

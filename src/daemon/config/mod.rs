@@ -314,8 +314,8 @@ pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigErro
 /// Checks that the folder of the database exists and is writable.
 fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigError> {
     let complain = |problem: String| Err(document.complain("store.path", problem));
-    if path.is_dir() {
-        return complain(format!("{} is a folder, must be a file", path.display()));
+    if fs::metadata(path).is_ok_and(|at| !at.is_file()) {
+        return complain(format!("{} is a folder or a device, must be a file", path.display()));
     }
     if path.file_name().is_none() {
         return complain(format!("{} is not a file name", path.display()));

@@ -140,6 +140,10 @@ fn an_error_names_line_and_key() {
         ),
         ("[store]\npath = \"/no/such/folder/points.db\"", "pointsd.toml:2: store.path: "),
         ("[store]\npath = \"/tmp\"", "pointsd.toml:2: store.path: /tmp is a folder"),
+        (
+            "[store]\npath = \"/dev/null\"",
+            "pointsd.toml:2: store.path: /dev/null is a folder or a device, must be a file",
+        ),
         ("[store]\nmax_wal_mib = 1", "pointsd.toml:2: store.max_wal_mib: "),
         ("monitor = 3", "pointsd.toml:1: monitor: invalid type"),
         ("[monitor\nid = 3", "pointsd.toml:1: "),

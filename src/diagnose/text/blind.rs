@@ -5,12 +5,12 @@ use crate::{
         explain::percent,
         verdict::{Blindness, HidingTemperature},
     },
-    throw::Direction,
+    throw::{Direction, counted},
 };
 
 /// Text for throws without an estimate, of one direction or of both, with the code of the last reason.
 pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32, reason: Option<&str>) -> String {
-    let (throws, what) = match direction {
+    let (side, what) = match direction {
         None => (String::new(), "the machine is"),
         Some(direction) => (format!(" {direction}"), "this direction is"),
     };
@@ -35,8 +35,9 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     };
     let reason = reason.map_or_else(String::new, |code| format!(" (last reason: {code})"));
     format!(
-        "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated{reason}, so {what} not monitored. Check \
-         {check}; throw_features has the details of each throw."
+        "Machine {name}: the last {}{side} could not be evaluated{reason}, so {what} not monitored. Check \
+         {check}; throw_features has the details of each throw.",
+        counted(in_a_row, "throw")
     )
 }
 
@@ -82,7 +83,7 @@ pub(crate) fn only_features(name: &str) -> String {
 pub(crate) fn neutral(name: &str, configured_mm: f64, off_mm: f64, is_corrected: bool) -> String {
     let harder = if off_mm > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
     let effect = if is_corrected {
-        "The sizes and names of its drifts are corrected for this, a1 of its throws is not."
+        "The sizes and names of its drifts are corrected for this, a1 of its throws and its ratio to b0 are not."
     } else {
         "Its baseline does not correct this, so the sizes and names of its drifts may be wrong."
     };

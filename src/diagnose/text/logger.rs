@@ -103,7 +103,7 @@ pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
 }
 
 pub(crate) fn no_gap(name: &str, throws: u32) -> String {
-    format!("Machine {name}: none of the last {throws} throws was lost, invalid or a repetition.")
+    format!("Machine {name}: none of the last {} was lost, invalid or a repetition.", counted(throws, "throw"))
 }
 
 pub(crate) fn repeated_number(name: &str) -> String {
@@ -116,6 +116,13 @@ pub(crate) fn repeated_number(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_throw_is_no_plural() {
+        assert_eq!(no_gap("21B", 1), "Machine 21B: none of the last 1 throw was lost, invalid or a repetition.");
+        let unevaluated = super::super::blind::unevaluated("21B", Some(crate::throw::Direction::BOTH[0]), 1, None);
+        assert!(unevaluated.contains("the last 1 throw normal to reverse could not"), "{unevaluated}");
+    }
 
     #[test]
     fn one_minute_and_one_hour_are_singular() {

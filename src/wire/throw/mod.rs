@@ -10,7 +10,10 @@ mod values;
 
 pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
-use super::{Invalid, json_bytes};
+use super::{
+    Invalid, json_bytes,
+    text::{first_byte, not_an_object, unmarked},
+};
 use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
 
@@ -29,16 +32,6 @@ impl Encoding {
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         if first_byte(payload) == Some(b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
     }
-}
-
-/// JSON without the byte order mark of some clients, which a reader may ignore (RFC 8259, section 8.1).
-fn unmarked(payload: &[u8]) -> &[u8] {
-    payload.strip_prefix("\u{feff}".as_bytes()).unwrap_or(payload)
-}
-
-/// The first byte of JSON after white space.
-fn first_byte(payload: &[u8]) -> Option<u8> {
-    unmarked(payload).trim_ascii_start().first().copied()
 }
 
 /// Decodes a throw.
@@ -63,8 +56,8 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 
 /// The error with the name of the last field before it; `serde_json` names only its position.
 fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
-    if let Some(first) = first_byte(payload).filter(|first| *first != b'{') {
-        return format!("it begins with the byte 0x{first:02x} instead of {{: JSON in UTF-8 is expected ({error})");
+    if let Some(problem) = not_an_object(payload) {
+        return format!("{problem} ({error})");
     }
     let lines = payload.split_inclusive(|byte| *byte == b'\n');
     let start: usize = lines.take(error.line().saturating_sub(1)).map(<[u8]>::len).sum();
