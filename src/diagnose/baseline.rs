@@ -123,6 +123,15 @@ impl BaselineThrow {
 }
 
 impl Baseline {
+    /// Friction over the force of the spring at the end of the stroke, a1 / (a0 T): of equation (12) in a steady movement over the
+    /// stroke. `None` if the duration T is unknown.
+    pub(super) fn friction_of_spring(&self) -> Option<f64> {
+        /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
+        const MOST: f64 = 10.0;
+        let [_, a1, a0] = self.centre;
+        Some(((a1 - a0).exp() / self.duration_s?).min(MOST))
+    }
+
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
     /// estimates. With the slopes of a trend the centre is that of the first throw, when the machine was least worn.
     pub(super) fn learn(

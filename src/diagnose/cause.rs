@@ -6,13 +6,15 @@
 //! The paper's cross-correlation rule changes the margin between inertia and the rest, unless the natural scatter would
 //! hide inertia of the drift's size from the rule.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
     explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
-    gauges::{BackEmf, Gauges, Level},
+    gauges::{AtStart, BackEmf, Gauges, Level},
     settings::Settings,
     window::Window,
 };
@@ -35,6 +37,14 @@ const CHANGED: f64 = 0.5;
 const CHANGED_SD: f64 = 3.0;
 /// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_OF_GAUGE: f64 = 40.0;
+/// Part of a change of the motor that the acceleration per ampere at the start shows, without a late brake and with one, which is
+/// released by then and lets a faster motor start with less current.
+const MOTOR_AT_START: Range<f64> = 0.4..1.1;
+const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
+/// Largest part of a rise of friction by which it lowers this acceleration: dry friction behind the play of a soft drive.
+const FRICTION_AT_START: f64 = 0.4;
+/// Largest misfit of this acceleration, so that a brake or play that changes at the same time does not decide alone.
+const MOST_OF_START: f64 = 20.0;
 /// Penalty of a motor that loses torque without back-EMF: odds of 1 to 5 against weak magnets.
 const TORQUE_ALONE: f64 = 3.0;
 /// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
@@ -42,6 +52,8 @@ const TORQUE_ALONE_SD: f64 = 0.3;
 /// Change of ln b0 from which a rise of friction may hide a loss of torque, and of the back-EMF from which magnets are not
 /// sound: the default warning limit of the motor.
 const LOST_TORQUE: f64 = -0.05;
+/// Change of ln(a0/b0) from which a rise of friction may hide one of the stiffness: about its default warning limit.
+const RISEN_STIFFNESS: f64 = 0.1;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -123,6 +135,8 @@ pub(super) struct Attribution {
     rule: Option<bool>,
     /// Changes of (ln b0, ln a1, ln a0).
     pub(super) mean: Vector3<f64>,
+    /// Whether only the ratios of the coefficients are known.
+    of_ratios: bool,
     /// Size relative to the warning limit; relevant above 1.
     pub(super) relevance: f64,
     /// Lead of a single name over all explanations without it.
@@ -169,6 +183,7 @@ impl Attribution {
             correlation,
             rule: rule_verdict(&correlation, window, of_one_throw, settings),
             mean: window.mean,
+            of_ratios: !window.shows(Cause::Inertia),
             relevance: all.any.relevance(settings),
             lead: 0.0,
             decides: back_emf,
@@ -207,7 +222,8 @@ impl Attribution {
         };
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(stranger)?;
-        if pair.score >= best.score + CLOSE {
+        let of_far_end = self.decides.is_some() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
+        if pair.score >= best.score + CLOSE || of_far_end {
             return None;
         }
         let rival = if is_sufficient_alone(pair) {
@@ -347,12 +363,17 @@ impl Attribution {
         self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
     }
 
-    /// Whether a rise of friction alone lowers b0 as much as a relevant loss of torque, as dry friction does: the gauges show no
-    /// loss of torque that leaves the back-EMF.
-    pub(super) fn may_hide_a_lost_torque(&self) -> bool {
-        matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0)
-            && self.has_sound_motor()
-            && self.mean.x < LOST_TORQUE
+    /// The part whose change would look the same beside a rise of friction alone. Dry friction lowers b0 as much as a relevant loss
+    /// of torque that leaves the back-EMF, which the gauges do not show; and where it grows along the stroke, it raises a0/b0 as a
+    /// stiffer spring does.
+    pub(super) fn may_hide(&self) -> Option<Cause> {
+        let is_of_friction =
+            matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
+        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?;
+        if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
+            return Some(Cause::Kt);
+        }
+        (self.mean.z - self.mean.x > RISEN_STIFFNESS).then_some(Cause::Stiffness)
     }
 
     /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
@@ -441,26 +462,47 @@ pub(super) fn explained<const K: usize>(
     back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> Fit<K> {
-    let Window { mean, covariance, .. } = window;
-    let Some(BackEmf { level, of_duration }) = back_emf else {
+    let Window { mean, covariance, friction_of_spring, .. } = window;
+    let Some(BackEmf { level, of_duration, at_start }) = back_emf else {
         return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
     };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
+    // Coefficients with their scale have the acceleration at the start in b0.
+    let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
+    let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
     // The leaks of friction and motor differ in the motor's size, which the gauge shows too.
     let beside = |fit: &Fit<K>| {
         let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
-        if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
+        of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
     };
-    let found = fit_beside(LEAKS_BESIDE_GAUGES, causes, mean, covariance, beside, settings);
+    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(*friction_of_spring);
+    let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
     let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
     if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
-        let mut alone = fit(LEAKS_BESIDE_GAUGES.at_equal_speed(), causes, mean, covariance, settings);
-        alone.score += misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
+        let mut alone = fit(leaks.at_equal_speed(), causes, mean, covariance, settings);
+        alone.score +=
+            of_start(&alone) + misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
         if alone.score < found.score {
             return alone;
         }
     }
     found
+}
+
+/// Whether `best` is a rise of friction, and `pair` this and a stiffer spring: one that it seems to be where it grows along the
+/// stroke, as on a rail that bends. Dry slide chairs are commoner than two faults at once.
+fn grows_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
+    best.size_of(Cause::Friction) > 0.0 && pair.includes(Cause::Friction) && pair.size_of(Cause::Stiffness) > 0.0
+}
+
+/// Misfit of the acceleration per ampere at the start, which a weaker motor lowers by about its change, and friction by much less.
+fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, fit: &Fit<K>) -> f64 {
+    let (motor, friction) = (fit.size_of(Cause::Kt), fit.size_of(Cause::Friction));
+    let shown = if is_prompt { MOTOR_AT_START } else { MOTOR_AFTER_BRAKE };
+    let [a, b] = [shown.start * motor, shown.end * motor];
+    let of_friction = -FRICTION_AT_START * friction;
+    let (least, most) = (a.min(b) + of_friction.min(0.0), a.max(b) + of_friction.max(0.0));
+    level.misfit(level.value.clamp(least, most), MOST_OF_START)
 }
 
 /// The explanations with their bonus, the best first. Causes that the window does not show explain nothing.

@@ -84,7 +84,7 @@ pub(super) struct Drift {
 
 impl Drift {
     pub(super) fn new(
-        strongest: Option<(Window, &Scatter)>,
+        strongest: Option<(Window, &Scatter, Option<usize>)>,
         [provisional, is_half_seen]: [bool; 2],
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
@@ -92,9 +92,10 @@ impl Drift {
         known: &Known,
         settings: &Settings,
     ) -> Self {
-        let excess = strongest.map_or(0.0, |(window, _)| window.excess);
-        let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter)| {
-            let is_before = last_few.iter().flatten().any(|last| is_before_motor_fault(&window, last, settings));
+        let excess = strongest.map_or(0.0, |(window, ..)| window.excess);
+        let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter, side)| {
+            let last = side.map_or_else(|| mean_of_both(&last_few), |side| last_few[side]);
+            let is_before = last.is_some_and(|last| is_before_motor_fault(&window, &last, settings));
             let gauges = known.gauges.filter(|_| !is_before);
             let known = &Known { gauges, ..known.clone() };
             Attribution::of(&Case { window: &window, of_one_throw: &scatter.of_one_throw(), known, settings })
@@ -105,7 +106,7 @@ impl Drift {
             Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
             _ => ToAlarms::New,
         };
-        let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
+        let (strongest, testimony) = (strongest.map(|(window, ..)| window), Testimony::default());
         Self {
             excess,
             provisional,
@@ -251,6 +252,13 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
     } else {
         of(cause)
     }
+}
+
+/// The mean of the levels of both directions, in which dry friction may change the coefficients differently.
+fn mean_of_both(levels: &[Option<Window>; 2]) -> Option<Window> {
+    let [a, b] = levels;
+    let (a, b) = (a.as_ref()?, b.as_ref()?);
+    Some(Window { mean: 0.5 * (a.mean + b.mean), covariance: 0.25 * (a.covariance + b.covariance), ..*a })
 }
 
 /// Whether `window` still has the level from before a new fault of the motor, which the last few throws show. The gauges, which

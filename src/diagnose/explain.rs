@@ -12,7 +12,9 @@
 //! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged. On
 //! machines with little inertia, dry friction takes its part of the torque when the machine starts, as if b0 were
 //! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Friction at the far end of a rail that bends grows with the travel until
-//! that end slides, as if the stiffness were larger: (0, 1, s) with s from 0.1 to 0.4.
+//! that end slides, as if a spring became stiffer: by a part p of the rise of the friction at the end of the stroke, with p
+//! from 0.05 to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
+//! it is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a stroke of duration T.
 //!
 //! A motor with weaker magnets turns faster, and dry friction has the same torque at every speed, so in a viscous model its
 //! part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1 (dry load).
@@ -32,20 +34,21 @@ const SECOND_CAUSE: f64 = 5.0;
 /// Leaks of a rise of friction, each equally likely: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks,
 /// and dry on a machine with little inertia.
 const OF_FRICTION: &[Leak] = &[
-    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08] },
-    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12] },
-    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
-    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12] },
-    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
+    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], of_spring: false },
+    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], of_spring: false },
+    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], of_spring: false },
+    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], of_spring: true },
+    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
 ];
-const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3] };
+const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], of_spring: false };
 /// Leaks of a change of the motor: a viscous load, and some that are dry in part, so close that the back-EMF can choose.
 const OF_MOTOR: &[Leak] =
     &[NO_LEAK, Leak::of_dry_load(0.25), Leak::of_dry_load(0.5), Leak::of_dry_load(0.75), Leak::of_dry_load(1.0)];
 /// The leaks that resemble no other fault.
-pub(super) const PLAIN_LEAKS: Leaks = Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0 };
+pub(super) const PLAIN_LEAKS: Leaks =
+    Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_of_spring: 1.0 };
 /// All leaks. Some look like a fault of the motor or the stiffness, so they count only if gauges show the motor.
-pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR };
+pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_of_spring: 1.0 };
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -79,12 +82,20 @@ pub(super) struct Leak {
     parts: [f64; 3],
     /// Standard deviations, of one error, so that the leaks together cover their range evenly.
     sd: [f64; 3],
+    /// Whether the parts are those of a machine whose friction is as large as the force of its spring.
+    of_spring: bool,
 }
 
 impl Leak {
     /// Of a motor whose load is dry in this part.
     const fn of_dry_load(part: f64) -> Self {
-        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0] }
+        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], of_spring: false }
+    }
+
+    /// The same on a machine with this friction over the force of its spring.
+    fn beside_spring(self, friction_of_spring: f64) -> Self {
+        let factor = if self.of_spring { friction_of_spring } else { 1.0 };
+        Self { parts: self.parts.map(|part| factor * part), sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
 
@@ -93,12 +104,19 @@ impl Leak {
 pub(super) struct Leaks {
     friction: &'static [Leak],
     motor: &'static [Leak],
+    /// Friction over the force of the spring at the end of the stroke.
+    friction_of_spring: f64,
 }
 
 impl Leaks {
     /// The leaks beside a motor whose speed has not changed.
     pub(super) fn at_equal_speed(self) -> Self {
         Self { motor: &self.motor[..1], ..self }
+    }
+
+    /// The leaks on a machine with this friction over the force of its spring.
+    pub(super) fn beside_spring(self, friction_of_spring: f64) -> Self {
+        Self { friction_of_spring, ..self }
     }
 }
 
@@ -188,7 +206,8 @@ pub(super) fn fit_beside<const K: usize>(
 ) -> Fit<K> {
     let of = |cause: Cause, leaks: &'static [Leak]| if causes.contains(&cause) { leaks } else { &leaks[..1] };
     let (of_friction, of_motor) = (of(Cause::Friction, leaks.friction), of(Cause::Kt, leaks.motor));
-    let both = of_friction.iter().flat_map(|friction| of_motor.iter().map(move |motor| [*friction, *motor]));
+    let of_friction = of_friction.iter().map(|leak| leak.beside_spring(leaks.friction_of_spring));
+    let both = of_friction.flat_map(|friction| of_motor.iter().map(move |motor| [friction, *motor]));
     let with = |leaks| {
         let fit = fit_with_leaks(leaks, causes, m, v, settings);
         Fit { score: fit.score + misfit(&fit), ..fit }
@@ -289,10 +308,11 @@ pub(super) fn fit_along(
     found
 }
 
-/// Effect of a cause with this leak on the coefficients, per unit of its size. A fall of friction hardly leaks.
+/// Effect of a cause with this leak on the coefficients, per unit of its size; of a size of 0, which is the first guess, that of a
+/// rise. A fall of friction hardly leaks.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     let own = direction_of(part.cause).unwrap_or_else(Vector3::zeros);
-    if part.cause == Cause::Friction && part.size <= 0.0 { own } else { own + Vector3::from(leak.parts) }
+    if part.cause == Cause::Friction && part.size < 0.0 { own } else { own + Vector3::from(leak.parts) }
 }
 
 /// Covariance of the model error of a cause of this size with this leak.

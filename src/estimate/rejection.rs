@@ -25,6 +25,18 @@ impl Channel {
     }
 }
 
+/// A hint at the unit of a position whose travel is a whole stroke in centimetres or inches.
+fn likely_unit(travel_mm: f64, stroke_mm: f64) -> &'static str {
+    let is_stroke = |unit_mm: f64| (0.9..1.1).contains(&(unit_mm * travel_mm / stroke_mm));
+    if is_stroke(10.0) {
+        ", as in a complete throw with the position in centimetres; it must be in millimetres (position_mm)"
+    } else if is_stroke(25.4) {
+        ", as in a complete throw with the position in inches; it must be in millimetres (position_mm)"
+    } else {
+        ""
+    }
+}
+
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
 /// programs, and the tag `code` in JSON.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize, strum::IntoStaticStr)]
@@ -113,7 +125,9 @@ pub enum Rejection {
         current_a: f64,
     },
     /// The toe stopped short of the stroke.
-    #[error("the throw is incomplete: the toe moved {travel_mm:.1} mm of {stroke_mm:.1} mm")]
+    #[error(
+        "the throw is incomplete: the toe moved {travel_mm:.1} mm of {stroke_mm:.1} mm{}", likely_unit(*travel_mm, *stroke_mm)
+    )]
     Incomplete {
         /// Distance moved \[mm\].
         travel_mm: f64,

@@ -20,6 +20,7 @@ mod loaded;
 mod memory;
 mod operational;
 mod pairs;
+mod rails;
 mod ramps;
 mod recordings;
 mod replay;

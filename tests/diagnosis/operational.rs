@@ -12,7 +12,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, with_trace},
     fleet::{Machine, Nature, shift},
 };
 
@@ -510,4 +510,21 @@ fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
     }
     feed(&mut machine, 40, |_| {});
     assert_eq!(machine.monitor.state(), MachineState::Healthy);
+}
+
+#[test]
+fn a_position_in_another_unit_is_asked_for_and_no_throw_is_refused() {
+    let mut drive = Drive::after(40, 72, true);
+    let asks = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("in centimetres (115 mm)"));
+    assert!(!asks(&drive), "{:?}", drive.monitor.caveats());
+    drive = Drive::new(72, true);
+    drive.logger = |throw| with_trace(throw, |rate_hz, a, mm| (rate_hz, a, mm.iter().map(|mm| 0.1 * mm).collect()));
+    drive.stay_healthy(40, State::SOUND);
+    assert!(asks(&drive), "{:?}", drive.monitor.caveats());
+    for (travel_mm, unit) in [(11.4, "centimetres"), (4.5, "inches")] {
+        let text = estimate::Rejection::Incomplete { travel_mm, stroke_mm: 115.0 }.to_string();
+        assert!(text.contains(unit), "{text}");
+    }
+    let stuck = estimate::Rejection::Incomplete { travel_mm: 60.0, stroke_mm: 115.0 }.to_string();
+    assert!(!stuck.contains("position_mm"), "{stuck}");
 }

@@ -10,7 +10,7 @@ mod levels;
 mod normal;
 mod offset;
 
-pub(super) use circuit::{BackEmf, Circuit};
+pub(super) use circuit::{AtStart, BackEmf, Circuit};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges, Level};
 pub(super) use normal::sd_of_mean;

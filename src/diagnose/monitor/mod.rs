@@ -341,8 +341,15 @@ impl MachineMonitor {
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.neutral_elsewhere())
+            .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
+    }
+
+    /// The normal travel \[mm\], if it is far below that of points, which open by 50 mm and more.
+    fn small_travel_mm(&self) -> Option<f64> {
+        const SMALL_MM: f64 = 25.0;
+        self.instruments.gauges.normal_travel_mm().filter(|travel_mm| *travel_mm < SMALL_MM)
     }
 
     /// A sentence about another neutral position than the configured one.

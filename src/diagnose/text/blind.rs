@@ -62,6 +62,16 @@ pub(crate) fn short_of_stroke(name: &str, travel_mm: f64, stroke_mm: f64) -> Str
     )
 }
 
+/// Text for a machine whose toe moves less than that of any points.
+pub(crate) fn small_travel(name: &str, travel_mm: f64) -> String {
+    format!(
+        "Machine {name}: its toe moves {travel_mm:.1} mm, much less than that of most points. If position_mm is in centimetres \
+         ({:.0} mm) or in inches ({:.0} mm), send millimetres and take a new baseline (rebaseline).",
+        10.0 * travel_mm,
+        25.4 * travel_mm
+    )
+}
+
 /// Text for a machine without a toe position whose throws no longer give the coefficients of its baseline.
 pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
     format!(

@@ -221,11 +221,18 @@ fn advice(attribution: &Attribution) -> String {
         _ => look_at(e.cause, e.size).to_owned(),
     };
     match &attribution.naming {
-        Naming::One(e) if attribution.may_hide_a_lost_torque() => format!(
-            "{} Then check gear, clutch and brushes: torque that was lost at the same time would look the same.",
-            look_at(e)
-        ),
-        Naming::One(e) | Naming::Another { new: e, .. } => look_at(e),
+        Naming::One(e) | Naming::Another { new: e, .. } => match attribution.may_hide() {
+            Some(Cause::Kt) => format!(
+                "{} Then check gear, clutch and brushes: torque that was lost at the same time would look the same.",
+                look_at(e)
+            ),
+            Some(_) => format!(
+                "{} Then check rods, stretcher bars and heel for binding: a stiffness that rose at the same time would look the \
+                 same.",
+                look_at(e)
+            ),
+            None => look_at(e),
+        },
         Naming::Either(a, b) | Naming::Both(a, b) | Naming::Beside { first: a, second: b, .. } => {
             format!("{} {}", look_at(a), look_at(b))
         }

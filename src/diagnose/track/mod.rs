@@ -311,7 +311,6 @@ impl Tracks {
         };
         let known_level = known.level.map(|level| level + of_side().unwrap_or_default());
         let known = &Known { level: known_level, ..known.clone() };
-        let best = best.map(|(window, scatter, _)| (window, scatter));
         Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
