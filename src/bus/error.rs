@@ -28,7 +28,7 @@ impl BusError {
     }
 }
 
-/// What to do about an error, where this is known.
+/// Advice for a known error; else empty.
 fn advice(source: &zenoh::Error) -> &'static str {
     if source.to_string().contains("Address already in use") {
         ". Another program listens there, perhaps another pointsd: stop it, or change listen.endpoints of [zenoh]"

@@ -31,7 +31,7 @@ const ALARMS: usize = 16;
 /// as long as the session is open. It compares any other key with every key of the site at each put: 0.2 µs for each.
 const LARGE_SITE: usize = 100;
 /// Number of machines of a site from which their keys are declared although [`DECLARED`] keys are: a put of any other key
-/// takes up to 60 us longer.
+/// takes up to 60 µs longer.
 const VERY_LARGE_SITE: usize = 300;
 /// Number of declared keys from which on only those of very large sites are declared. With 20,000 machines in sites of a
 /// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this bound.
@@ -79,7 +79,7 @@ impl Outlet {
         (Self { alarms, healths, counters }, [first, second])
     }
 
-    /// Counters of published, dropped and refused messages, shared with the threads.
+    /// Counters of published and dropped messages, shared with the threads.
     pub(crate) fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)
     }

@@ -93,11 +93,14 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         printed?;
         if !arguments.json {
             let Count { new, known, refused, alarms } = count;
-            output::line(format_args!(
-                "{} imported ({refused} not evaluated), {known} known before, {}",
-                counted(new, "throw"),
-                counted(alarms, "alarm event")
-            ))?;
+            output::after(
+                output::line(format_args!(
+                    "{} imported ({refused} not evaluated), {known} known before, {}",
+                    counted(new, "throw"),
+                    counted(alarms, "alarm event")
+                )),
+                Exit::Ok,
+            )?;
         }
         outcome
     })
@@ -301,13 +304,16 @@ fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result
             let Health { machine, throw: id, quality, direction, .. } = &throw.health;
             let events: Vec<_> =
                 throw.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
-            output::line(
-                json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
+            output::after(
+                output::line(
+                    json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
                        "alarms": events}),
+                ),
+                Exit::Ok,
             )?;
         } else {
             for event in &throw.events {
-                output::line(&event.text)?;
+                output::after(output::line(&event.text), Exit::Ok)?;
             }
         }
     }

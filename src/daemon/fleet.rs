@@ -32,7 +32,7 @@ const TICKS_AN_HOUR: u64 = 3600 / TICK.as_secs();
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
 
-/// What a judgement of a throw depends on beside the throw.
+/// Settings and time of a judgement, and its place in the transaction.
 #[derive(Clone, Copy)]
 pub(super) struct Circumstances<'a> {
     /// Whether it is the last throw of its machine in the transaction, with which the monitor is stored.
@@ -100,7 +100,7 @@ impl Fleet {
         self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
-    /// Takes over the `open` alarms that no monitor has, as after the loss of a snapshot: nothing else would end them.
+    /// Adopts the `open` alarms that no monitor has, as after the loss of a snapshot: nothing else would end them.
     pub(super) fn adopt(&mut self, open: Vec<Alarm>, now: Timestamp) -> Vec<Outcome> {
         let mut outcomes = Vec::new();
         for Alarm { machine, event, .. } in open {
@@ -227,8 +227,8 @@ impl Fleet {
             }
         }
         self.to_store.clear();
-        let sites: HashSet<Name> = self.monitors.keys().map(|machine| machine.site.clone()).collect();
-        for site in sites {
+        let sites: HashSet<&Name> = self.monitors.keys().map(|machine| &machine.site).collect();
+        for site in sites.into_iter().cloned().collect::<Vec<_>>() {
             let common = self.common(&site, None, now);
             changed.extend(self.follow_site(&site, &common, now, settings));
         }
@@ -247,7 +247,7 @@ impl Fleet {
 
     /// The common change of the machines of a site, without one of them.
     fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
-        let Ok(first) = MachineId::new(site.as_str(), SMALLEST_NAME) else { return Common::default() };
+        let first = MachineId { site: site.clone(), machine: Name::fixed(SMALLEST_NAME) };
         let of_site = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
         let others = of_site.filter(|(machine, _)| Some(*machine) != but).map(|(_, monitor)| &**monitor);
         MachineMonitor::common(others.filter(|monitor| monitor.is_witness()), at)
@@ -261,7 +261,7 @@ impl Fleet {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<(MachineId, Vec<AlarmEvent>)> {
-        let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
+        let id = MachineId { site: site.clone(), machine: Name::fixed(ALL_MACHINES) };
         if !common.is_change() && !self.monitors.contains_key(&id) {
             return None;
         }

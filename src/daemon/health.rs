@@ -1,4 +1,4 @@
-//! What a judgement says about its throw: what the monitor observes of it, and its health.
+//! Observation and health of a throw, from its identification and its verdict.
 
 use crate::{
     diagnose::{BaselineRecord, Observation, Present, Verdict},
@@ -16,7 +16,7 @@ pub(super) const TWO_LOGGERS: &str = "two_loggers";
 /// `quality` of a throw that made the estimator or the diagnosis panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
-/// What the monitor observes of a throw; without an identification only the fields of its message.
+/// The observation of a throw for its monitor; without an identification it has only the fields of the message.
 pub(super) fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {
     let unread = || Observation::without_trace(stored.id.clone(), stored.started_at);
     let observation = match (stored.throw.as_ref().ok(), found) {

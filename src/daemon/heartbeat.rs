@@ -36,7 +36,7 @@ pub(crate) struct Heartbeats {
     last_ms: [AtomicU64; TaskName::VARIANTS.len()],
 }
 
-/// Heartbeats of all loops, fresh now.
+/// Heartbeats of all loops, which count as fresh at the start.
 impl Default for Heartbeats {
     fn default() -> Self {
         let beats = Self { start: clock::monotonic(), last_ms: Default::default() };
@@ -63,7 +63,7 @@ impl Heartbeats {
 
     /// Time since the start.
     pub(super) fn uptime(&self) -> Duration {
-        clock::monotonic().duration_since(self.start)
+        self.start.elapsed()
     }
 
     fn elapsed_ms(&self) -> u64 {

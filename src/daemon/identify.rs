@@ -37,17 +37,15 @@ impl Pool {
             }
             let mut identifier = self.idle.pop().unwrap_or_default();
             running.push(task::spawn_blocking(move || {
-                let found = part.iter().map(|(throw, settings)| guarded(&mut identifier, throw, settings)).collect();
+                let found =
+                    part.iter().map(|(throw, settings)| guarded(&mut identifier, throw, settings)).collect::<Vec<_>>();
                 (identifier, found)
             }));
         }
         let mut all = Vec::new();
         for part in running {
-            let (identifier, found): (_, Vec<_>) = match part.await {
-                Ok(done) => done,
-                // Only when the runtime shuts down: `guarded` catches panics, and nothing cancels the task.
-                Err(_) => return all,
-            };
+            // Only when the runtime shuts down: `guarded` catches panics, and nothing cancels the task.
+            let Ok((identifier, found)) = part.await else { return all };
             self.idle.push(identifier);
             all.extend(found);
         }

@@ -65,7 +65,7 @@ impl Judge {
         Ok(Self { store, fleet, pool, config, last: None, more: false })
     }
 
-    /// Takes over the open alarms that no monitor has; returns the outcomes to store.
+    /// Adopts the open alarms that no monitor has; returns the outcomes to store.
     pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
         let open = self.store.reader().open_alarms(&Selector::default()).await?;
         Ok(self.fleet.adopt(open, clock::now()))

@@ -377,9 +377,7 @@ impl JudgeLoop {
     }
 
     async fn publish_uncommitted(&mut self) {
-        let overdue = |alarm: &PendingDaemonAlarm| {
-            !alarm.published && clock::monotonic().duration_since(alarm.raised) >= LONGEST_SILENCE
-        };
+        let overdue = |alarm: &PendingDaemonAlarm| !alarm.published && alarm.raised.elapsed() >= LONGEST_SILENCE;
         for alarm in self.daemon_alarms.iter_mut().filter(|alarm| overdue(alarm)) {
             alarm.published = true;
             let Outcome { machine, events, .. } = &alarm.outcome;

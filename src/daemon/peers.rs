@@ -24,7 +24,7 @@ const GRACE: Duration = Duration::from_secs(30);
 #[derive(Debug)]
 pub(super) struct Peers {
     started: Instant,
-    /// Of each daemon that is away, since when.
+    /// Absence of each watched daemon; `None` while it is connected.
     away: Mutex<BTreeMap<MachineId, Option<Away>>>,
 }
 

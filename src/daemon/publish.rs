@@ -55,7 +55,7 @@ impl Publisher {
             self.status.edit().connected = connected;
             // A client without its router reaches no subscriber.
             let reaches = connected || !self.is_client;
-            let since = clock::monotonic().duration_since(start);
+            let since = start.elapsed();
             let waited = since >= AUDIENCE_LIMIT;
             let returned = self.is_first || since >= RETURN;
             if reaches && returned && (stopping || waited || self.audience.is_connected().await) {

@@ -124,7 +124,7 @@ impl Intake {
     /// Accepts a throw of a known or new machine.
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
         let mut known = self.machines.lock();
-        // Checked first: the daemon itself is in the database as a machine after its first alarm.
+        // First, so that a reserved name gets its own reason also when max_machines is reached.
         let reason = if let Some(reason) = self.monitor.reserves(&machine) {
             reason
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {

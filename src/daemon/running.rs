@@ -203,7 +203,7 @@ impl Daemon {
         View { sources: self.sources.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
 
-    /// Runs a task like those of the daemon: its end is the end of the daemon.
+    /// Runs a task under the supervision of the daemon, which ends with it.
     pub fn adopt<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
         self.tasks.spawn(name, task);
     }

@@ -38,7 +38,7 @@ pub(super) struct Turn {
 #[derive(Default)]
 pub(super) struct Schedule {
     pub(super) turns: HashMap<MachineId, Turn>,
-    /// Of fast, and of slow loggers.
+    /// Queues of the fast and of the slow loggers.
     due: [BTreeSet<(Instant, MachineId)>; 2],
     slow_in_progress: usize,
 }

@@ -30,7 +30,7 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Throws without an estimate, by the code of the reason.
     refused: Mutex<BTreeMap<String, u64>>,
-    /// Of each machine whose last messages were no valid throws, their number and the last reason.
+    /// Invalid messages since the last valid throw of a machine: their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
     pub(super) alarm_events_lost: RecentCount,
@@ -187,7 +187,7 @@ impl Status {
                  {max_machines}. Look in the quarantine who sends them"
             )
         });
-        // Without their number: such an alarm may itself be rejected.
+        // Without a number: each new number would be a new alarm event, which the database may reject too.
         let lost = self.alarm_events_lost.shown().map(|_| {
             "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
                 .to_owned()

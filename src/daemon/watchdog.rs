@@ -52,12 +52,12 @@ pub(super) async fn watch(sources: StatusSources) {
     let mut routine = time::interval(ROUTINE);
     routine.tick().await;
     let mut trouble = String::new();
-    let mut probe = tokio::spawn(probe_writer(sources.clone()));
+    let mut probe = std::pin::pin!(probe_writer(sources.clone()));
     loop {
         tokio::select! {
             _ = look.tick() => {}
             _ = routine.tick() => tracing::info!("{}", sources.report().line()),
-            _ = &mut probe => return,
+            () = &mut probe => return,
         }
         let report = sources.report();
         let line = report.line();

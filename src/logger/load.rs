@@ -106,7 +106,7 @@ impl Load {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());
         let _subscribers = subscribe(session, boot_id, &healths, &alarms)?;
-        let keys = self.keys(session)?;
+        let keys = self.keys(session, patience)?;
         let mut noise = Noise::new(self.seed);
         let start = clock::monotonic();
         for number in 0..self.throws {
@@ -145,10 +145,14 @@ impl Load {
 
     /// The keys of the throws, after a daemon has subscribed to the first. No key is declared: with a publisher for each
     /// machine zenoh compares every new one with all others, which took minutes for 20,000 machines.
-    fn keys(&self, session: &Session) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
+    fn keys(&self, session: &Session, patience: Duration) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
         if let Some(first) = self.machines.first() {
             let publisher = publisher(session, first)?;
+            let start = clock::monotonic();
             while !publisher.matching_status().wait()?.matching() {
+                if start.elapsed() >= patience {
+                    return Err(LoggerError::Zenoh(format!("no daemon subscribes to the throws of {first}").into()));
+                }
                 thread::sleep(Duration::from_millis(10));
             }
         }

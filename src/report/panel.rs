@@ -42,7 +42,7 @@ fn short<S: Serializer>(points: &[(f64, f64)], serializer: S) -> Result<S::Ok, S
     serializer.collect_seq(points.iter().map(|(x, y)| (x, format!("{y:.4e}").parse().unwrap_or(*y))))
 }
 
-/// A chart with its title, axes and legend. As JSON, data for a script that draws the chart.
+/// A chart with its title, axes and legend. Its JSON is the input of the script that draws the chart.
 #[derive(Debug, Clone, Serialize)]
 #[must_use]
 pub struct Panel {

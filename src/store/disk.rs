@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{File, OpenOptions},
+    fs::File,
     io::{self, Read as _},
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
@@ -162,7 +162,7 @@ impl Disk {
         *self.copies_until.lock() = Some(Instant::now() + AFTER_COPY);
     }
 
-    /// Whether a copy of the database made progress in the last 30 s.
+    /// Whether a copy of the database made progress in the last 30 s, or ended in the last 5 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copies_until.lock().is_some_and(|until| Instant::now() < until)
     }
@@ -211,10 +211,10 @@ impl Disk {
     }
 
     fn allocate(&self, bytes: u64) -> io::Result<()> {
-        let file: File = OpenOptions::new().create(true).truncate(true).write(true).open(&self.ballast)?;
+        let file = File::create(&self.ballast)?;
         let allocated = match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes) {
             // Some file systems cannot preallocate.
-            Err(rustix::io::Errno::OPNOTSUPP) => io::copy(&mut io::repeat(0).take(bytes), &mut &file).map(|_| ()),
+            Err(rustix::io::Errno::OPNOTSUPP) => io::copy(&mut io::repeat(0).take(bytes), &mut &file).map(drop),
             allocated => allocated.map_err(io::Error::from),
         };
         allocated.and_then(|()| file.sync_all()).inspect_err(|_| {

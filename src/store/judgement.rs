@@ -261,7 +261,7 @@ impl Write for Arc<[Outcome]> {
 
 impl Outcome {
     async fn write(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
-        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        let machine_row = machine_row(connection, &self.machine).await?;
         if let Some(monitor) = &self.monitor {
             let set = sqlx::query(sql::SET_MONITOR).bind(machine_row).bind(self.at.as_microsecond());
             monitor.bind(set).execute(&mut *connection).await?;

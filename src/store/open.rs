@@ -268,12 +268,11 @@ enum Trouble {
 
 impl Trouble {
     /// The error of opening the database at the path of `settings`.
-    fn of(self, settings: &Settings) -> StoreError {
-        let path = settings.path.clone();
+    fn of(self, Settings { path, .. }: &Settings) -> StoreError {
         match self {
-            Self::Broken(why) => StoreError::open(&path)(sqlx::Error::Protocol(why)),
+            Self::Broken(why) => StoreError::open(path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
-            Self::Access(source) => StoreError::open(&path)(source),
+            Self::Access(source) => StoreError::open(path)(source),
             Self::Schema(error) => error,
         }
     }
@@ -321,17 +320,15 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
 async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, Trouble> {
     refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::Schema)?;
     let before = applied(&mut *connection).await?;
-    let found = match (fresh, before.is_empty()) {
-        (true, _) | (false, true) => Found::Fresh,
-        (false, false) if stopped_cleanly(&mut *connection).await? => {
-            // The file may have been damaged since the clean stop.
-            check(&mut *connection, Some(CHECK_LIMIT)).await?;
-            Found::Clean
-        }
-        (false, false) => {
-            check(&mut *connection, None).await?;
-            Found::Unclean
-        }
+    let found = if fresh || before.is_empty() {
+        Found::Fresh
+    } else if stopped_cleanly(&mut *connection).await? {
+        // The file may have been damaged since the clean stop.
+        check(&mut *connection, Some(CHECK_LIMIT)).await?;
+        Found::Clean
+    } else {
+        check(&mut *connection, None).await?;
+        Found::Unclean
     };
     migrator().run(&mut *connection).await.map_err(|error| not_migrated(path, error))?;
     sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
@@ -339,8 +336,7 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh:
     if let Err(error) = sqlx::query("PRAGMA wal_checkpoint").execute(&mut *connection).await {
         tracing::debug!(%error, "the mark of the start stays in the log");
     }
-    let known = |version: &i64| MIGRATIONS.iter().any(|migration| migration.version == *version);
-    let newer_schema = before.iter().any(|version| !known(version));
+    let newer_schema = before.iter().any(|version| !MIGRATIONS.version_exists(*version));
     let upgraded_by = applied(&mut *connection).await?.len() - before.len();
     Ok(Report { found, upgraded_by, newer_schema })
 }

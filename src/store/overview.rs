@@ -19,7 +19,7 @@ pub(crate) struct AlarmCount {
     pub(crate) cause: String,
     pub(crate) severity: String,
     pub(crate) open: i64,
-    /// Those that are neither over, shelved nor in maintenance.
+    /// Number of these that are neither over, shelved nor in maintenance.
     pub(crate) active: i64,
 }
 

@@ -50,7 +50,7 @@ impl Write for Page {
     type Output = PageStored;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<PageStored> {
-        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        let machine_row = machine_row(connection, &self.machine).await?;
         let at_us = self.at.as_microsecond();
         let mut last = ThrowPosition::default();
         if let Some(after) = &self.after
@@ -135,7 +135,7 @@ impl Write for WriteOff {
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        let machine_row = machine_row(connection, &self.machine).await?;
         let at_us = self.at.as_microsecond();
         write_off_boots(connection, machine_row, (i64::MIN, self.newest.position), at_us).await?;
         let last = sqlx::query(sql::WRITE_OFF_BEFORE).bind(self.newest.boot_row).bind(self.newest.throw_no).bind(at_us);

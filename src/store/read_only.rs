@@ -173,12 +173,10 @@ impl Backup {
         }
         // SQLite does not say which of the two files it cannot open. It accepts an empty file as the copy.
         std::fs::File::create_new(&self.partial).map_err(file("create"))?;
-        let outcome = self.copy().await;
-        if let Err(error) = outcome {
+        self.copy().await.inspect_err(|_| {
             // Ignored: the first error is reported.
             let _ = std::fs::remove_file(&self.partial);
-            return Err(error);
-        }
+        })?;
         let size = self.copied_bytes();
         std::fs::File::open(&self.partial)
             .and_then(|copy| copy.sync_all())
@@ -192,7 +190,7 @@ impl Backup {
         let mut connection = connect(&self.from).await?;
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
         vacuum.execute(&mut connection).await.map_err(|error| {
-            // Only the copy is written.
+            // The backup writes only the copy, so the full disk is that of the copy.
             let source = std::io::Error::new(std::io::ErrorKind::StorageFull, "no space is left on its disk");
             let full = StoreError::File { action: "write", path: self.partial.clone(), source };
             if is_full(&error) { full } else { StoreError::read(error) }

@@ -58,13 +58,13 @@ impl From<&MachineId> for Selector {
 pub struct StoredThrow {
     /// Row of the throw.
     pub row: ThrowRow,
-    /// Which machine.
+    /// The machine.
     pub machine: MachineId,
     /// Boot and sequence number.
     pub id: ThrowRef,
     /// Wall time of the first sample, from the logger.
     pub started_at: Timestamp,
-    /// When it arrived.
+    /// Time of reception.
     pub received_at: Timestamp,
     /// The throw, or the reason why its trace cannot be read.
     pub throw: Result<Throw, UnreadableTrace>,
@@ -91,7 +91,7 @@ fn is_renumbered(id: &ThrowRef, moved: bool) -> bool {
 /// A stored monitor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoredMonitor {
-    /// Which machine.
+    /// The machine.
     pub machine: MachineId,
     /// Snapshot of the monitor as JSON.
     pub snapshot: String,
@@ -104,7 +104,7 @@ pub struct StoredMonitor {
 pub struct Gap {
     #[sqlx(rename = "gap_row")]
     pub(super) row: i64,
-    /// Which machine.
+    /// The machine.
     #[sqlx(flatten)]
     pub machine: MachineId,
     /// First missing throw number.

@@ -197,16 +197,13 @@ async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_s
     if !has_space {
         return None;
     }
-    match graft(connection, broken).await {
-        Ok(copy) => {
-            let copy = copy?;
-            attach(connection, &copy).await.then_some(copy)
-        }
-        Err(error) => {
-            tracing::error!(%error, "the schema of the broken database cannot be replaced");
-            None
-        }
+    let failed = |error: &sqlx::Error| tracing::error!(%error, "the schema of the broken database cannot be replaced");
+    let copy = graft(connection, broken).await.inspect_err(failed).ok().flatten()?;
+    if attach(connection, &copy).await {
+        return Some(copy);
     }
+    let _ = std::fs::remove_file(copy);
+    None
 }
 
 /// Attaches the broken file read-only; without its log if the log cannot be read.
@@ -243,9 +240,8 @@ async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result
             column => old.iter().any(|old| old == column).then_some((column, column)),
         })
         .collect();
-    let list = |columns: Vec<&str>| columns.join(", ");
-    let (to, from) = both.into_iter().unzip::<_, _, Vec<_>, Vec<_>>();
-    Ok((!to.is_empty()).then(|| (list(to), list(from))))
+    let (to, from): (Vec<_>, Vec<_>) = both.into_iter().unzip();
+    Ok((!to.is_empty()).then(|| (to.join(", "), from.join(", "))))
 }
 
 /// The copy of one table.

@@ -46,7 +46,6 @@ impl Spool {
 
     pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
-        // 64 bits, so that two throws of a machine are never taken for repetitions of each other by chance.
         let has_position = throw.trace.has_position();
         let second = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
         Self {
@@ -57,6 +56,7 @@ impl Spool {
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
+            // 64 bits, so that two throws of a machine are never taken for repetitions of each other by chance.
             trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(second),
         }
     }
@@ -90,12 +90,14 @@ impl Spool {
             let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
             add_boot(connection, boot.machine_row, new, self.received_at_us).await?
         };
-        let same = sqlx::query_scalar(sql::SAME_CONTENT)
+        let same: Option<i64> = sqlx::query_scalar(sql::SAME_CONTENT)
             .bind(boot.machine_row)
             .bind(self.trace_hash)
             .bind(self.content_crc32)
-            .bind(again.boot_row);
-        if same.fetch_optional(&mut *connection).await?.is_some_and(|_: i64| true) {
+            .bind(again.boot_row)
+            .fetch_optional(&mut *connection)
+            .await?;
+        if same.is_some() {
             return Ok(Spooled::Duplicate);
         }
         count(connection, "contradicted_throws", 1).await?;
@@ -286,12 +288,12 @@ impl Spool {
         repeated: bool,
         follows: Follows,
     ) -> sqlx::Result<(Spooled, Boot)> {
-        let (machine_row, known) = machine_row(connection, &self.machine).await?;
+        let machine_row = machine_row(connection, &self.machine).await?;
         let boot_id = &self.throw.id.boot_id;
         let (spooled, boot) = if let Some(boot) = boot(connection, machine_row, boot_id).await? {
             (self.store_in(connection, boot, repeated).await?, boot)
         } else {
-            let new = NewBoot { machine_row, known, boot_id, at_us: self.received_at_us, follows };
+            let new = NewBoot { machine_row, boot_id, at_us: self.received_at_us, follows };
             let boot = new.begin(connection, self.throw_no()).await?;
             (Spooled::New(self.insert(connection, boot, self.throw_no()).await?), boot)
         };
@@ -321,16 +323,13 @@ impl Spool {
     }
 }
 
-/// The row of a machine, and whether it existed before.
-pub(super) async fn machine_row(connection: &mut SqliteConnection, id: &MachineId) -> sqlx::Result<(i64, bool)> {
+/// The row of a machine, which is added if it is new.
+pub(super) async fn machine_row(connection: &mut SqliteConnection, id: &MachineId) -> sqlx::Result<i64> {
     let (site, machine) = (id.site.as_str(), id.machine.as_str());
-    let row: Option<i64> =
-        sqlx::query_scalar(sql::MACHINE).bind(site).bind(machine).fetch_optional(&mut *connection).await?;
-    if let Some(row) = row {
-        return Ok((row, true));
+    match sqlx::query_scalar(sql::MACHINE).bind(site).bind(machine).fetch_optional(&mut *connection).await? {
+        Some(row) => Ok(row),
+        None => sqlx::query_scalar(sql::ADD_MACHINE).bind(site).bind(machine).fetch_one(connection).await,
     }
-    let row = sqlx::query_scalar(sql::ADD_MACHINE).bind(site).bind(machine).fetch_one(connection).await?;
-    Ok((row, false))
 }
 
 /// Adds to a stored counter.
@@ -355,7 +354,6 @@ const SPACING: i64 = 1 << 20;
 /// A boot that is received for the first time.
 struct NewBoot<'a> {
     machine_row: i64,
-    known: bool,
     boot_id: &'a str,
     at_us: i64,
     follows: Follows,
@@ -375,7 +373,7 @@ impl NewBoot<'_> {
         let boot = add_boot(connection, self.machine_row, new, self.at_us).await?;
         let from_zero: bool =
             sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(self.machine_row).fetch_one(&mut *connection).await?;
-        let kind = if self.known && before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
+        let kind = if before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
         let begins_later =
             add_gap(connection, boot.boot_row, (i64::from(!from_zero), first_no - 1), kind, self.at_us).await?;
         if let Some(before) = before {

@@ -10,7 +10,7 @@ macro_rules! statements {
     };
 }
 
-/// Throws with their traces, for [`StoredThrow`](super::rows::StoredThrow).
+/// Columns and joins of a query of throws with their traces, for [`StoredThrow`](super::rows::StoredThrow).
 macro_rules! throw_rows {
     () => {
         "throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, samples, \

@@ -35,7 +35,7 @@ pub(super) struct WritingConnection {
     pub(super) broken: bool,
     /// Identity of the open files, after the first write; renewed after each move.
     pub(super) identity: Option<Identity>,
-    /// When the identity of the open files was last compared with that of the files at the configured path.
+    /// Time of the last comparison of the open files with those at the configured path.
     pub(super) looked: Option<Instant>,
     /// Size of the log that starts a checkpoint or a move \[bytes\].
     pub(super) log_bound: u64,

@@ -22,7 +22,7 @@ use super::{
     trouble,
 };
 use crate::{
-    daemon::{View, clock},
+    daemon::{StatusReport, View, clock},
     diagnose::{Cause, MachineState, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
     throw::{MachineId, counted, utc},
@@ -194,7 +194,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let grouped = group_silent(&mut query, &tally);
     let rows = reader.fleet(&query, &itself).await?;
     let windows = reader.windows(None).await?;
-    let limits = web.view.config().diagnosis.clone();
+    let limit_pct = web.view.config().diagnosis.friction_limit_pct;
     let matching = match query.state {
         Some(state) => tally.of(state),
         None => tally.total().saturating_sub(grouped),
@@ -216,7 +216,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
         states: WORST_FIRST.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
-        rows: rows.iter().map(|row| shown(row, &windows, limits.friction_limit_pct)).collect(),
+        rows: rows.iter().map(|row| shown(row, &windows, limit_pct)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
@@ -228,7 +228,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         silent: silent(&web.view, reader).await?,
         without_throw: report.without_throw.join(", "),
         refused: report.refused.join("; "),
-        daemon: daemon(&web.view, &overview),
+        daemon: daemon(&report, &overview),
         volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
         filters,
     }))
@@ -373,11 +373,11 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
     points
 }
 
-fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
-    let (report, statistics) = (view.sources.report(), &overview.statistics);
+fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, String)> {
+    let statistics = &overview.statistics;
     let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
     vec![
-        ("version", report.version),
+        ("version", report.version.clone()),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk.as_ref())),

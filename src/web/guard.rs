@@ -108,15 +108,20 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
     if !wants_gzip || bytes.len() < LEAST_COMPRESSED {
         return Response::from_parts(parts, Body::from(bytes));
     }
-    let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 4), Compression::fast());
-    match encoder.write_all(&bytes).and_then(|()| encoder.finish()) {
-        Ok(short) => {
+    // Too long for an async worker.
+    let page = bytes.clone();
+    let compressed = tokio::task::spawn_blocking(move || {
+        let mut encoder = GzEncoder::new(Vec::with_capacity(page.len() / 4), Compression::fast());
+        encoder.write_all(&page).and_then(|()| encoder.finish())
+    });
+    match compressed.await {
+        Ok(Ok(short)) => {
             parts.headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
             parts.headers.remove(header::CONTENT_LENGTH);
             Response::from_parts(parts, Body::from(short))
         }
-        // Cannot happen: compression into memory does not fail.
-        Err(_) => Response::from_parts(parts, Body::from(bytes)),
+        // Only when the runtime shuts down: compression into memory does not fail.
+        _ => Response::from_parts(parts, Body::from(bytes)),
     }
 }
 

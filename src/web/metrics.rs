@@ -29,10 +29,7 @@ use prometheus_client::{
 use strum::VariantArray as _;
 use tokio::time;
 
-use super::{
-    overview::{Overview, Web},
-    page,
-};
+use super::overview::{Overview, Web};
 use crate::{
     daemon::{StatusReport, TaskName, View},
     diagnose::{Cause, MachineState, Severity},
@@ -49,8 +46,9 @@ const LIMIT: Duration = Duration::from_secs(2);
 
 pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
     let mut registry = Registry::with_prefix("pointsd");
-    throws(&mut registry, &web.view);
-    daemon(&mut registry, &web.view.sources.report());
+    let report = web.view.sources.report();
+    throws(&mut registry, &web.view, &report);
+    daemon(&mut registry, &report);
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
@@ -66,7 +64,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
     }
     let mut text = String::new();
     if let Err(error) = encode(&mut text, &registry) {
-        return page::text(StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"));
+        return (StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"))
+            .into_response();
     }
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
     let (kind, text) =
@@ -142,8 +141,7 @@ fn machines(registry: &mut Registry, rows: &[FleetRow]) {
     registry.register("machine_throws_to_limit", "Estimated throws until the drift reaches its critical limit", limit);
 }
 
-fn throws(registry: &mut Registry, view: &View) {
-    let report = view.sources.report();
+fn throws(registry: &mut Registry, view: &View, report: &StatusReport) {
     for (name, help, value) in [
         ("throws_received", "Messages received on the keys of throws", report.received),
         ("throws_stored", "Throws stored", report.stored),

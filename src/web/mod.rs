@@ -37,7 +37,6 @@ use axum::{
     extract::State,
     http::StatusCode,
     middleware,
-    response::Response,
     routing::{get, post},
 };
 use tokio::net::TcpListener;
@@ -122,10 +121,10 @@ fn router(web: Arc<Web>) -> Router {
 }
 
 /// Healthy while no loop of the daemon is without a fresh heartbeat.
-async fn healthz(State(web): State<Arc<Web>>) -> Response {
+async fn healthz(State(web): State<Arc<Web>>) -> (StatusCode, String) {
     let silent = web.view.sources.report().silent;
     if silent.is_empty() {
-        return page::text(StatusCode::OK, "every loop of the daemon beats\n".to_owned());
+        return (StatusCode::OK, "every loop of the daemon beats\n".to_owned());
     }
-    page::text(StatusCode::SERVICE_UNAVAILABLE, format!("these loops of the daemon hang: {}\n", silent.join(", ")))
+    (StatusCode::SERVICE_UNAVAILABLE, format!("these loops of the daemon hang: {}\n", silent.join(", ")))
 }

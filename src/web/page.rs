@@ -104,10 +104,6 @@ pub(super) fn json(value: &serde_json::Value) -> Response {
     ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], wire::json(value)).into_response()
 }
 
-pub(super) fn text(status: StatusCode, text: String) -> Response {
-    (status, text).into_response()
-}
-
 /// A file of the program; `cache` is the header that says how long browsers keep it.
 pub(super) fn asset(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
     let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)];

@@ -77,13 +77,13 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let (stored, health) = found(reader, &machine, &throw).await?;
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
     let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
-    let settings = web.view.config().machines.of(&machine).clone();
+    let config = web.view.config();
     let address = |throw: ThrowRef| page::throw_address(&machine, &throw);
     let (pictures, csv, no_trace) = match &stored.throw {
         Ok(throw) => {
             let typical = typical.as_ref().and_then(|typical| Some(&typical.throw.as_ref().ok()?.trace));
             let csv = format!("{}/trace.csv", page::throw_address(&machine, &stored.id));
-            (pictures(throw, health.as_ref(), typical, &settings), Some(csv), None)
+            (pictures(throw, health.as_ref(), typical, config.machines.of(&machine)), Some(csv), None)
         }
         Err(unreadable) => (Vec::new(), None, Some(unreadable.to_string())),
     };
@@ -137,7 +137,9 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
     let _turn = web.turn().await?;
     let (stored, _) = found(web.reader(), &machine, &throw).await?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
-    let text = throw.trace.to_csv();
+    let trace = throw.trace.clone();
+    // Too long for an async worker.
+    let text = tokio::task::spawn_blocking(move || trace.to_csv()).await.map_err(|_| Failure::busy())?;
     if text.len() > guard::LARGEST {
         let says = format!(
             "The trace of {} samples is too large for a page. Write it to a file with: pointsd export {machine} --traces DIR",

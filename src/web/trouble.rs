@@ -29,9 +29,7 @@ impl Web {
 }
 
 pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
-    let mut trouble = of_daemon(view);
-    trouble.extend(of_data(overview));
-    trouble
+    [of_daemon(view), of_data(overview)].concat()
 }
 
 /// Problems known without the database.

@@ -22,4 +22,4 @@ pub use key::{
 };
 pub use query::{HistoryQuery, MAX_HISTORY, only_known};
 pub use text::{Invalid, json, json_bytes, unmarked};
-pub use throw::{Encoding, MAX_BOOT_ID_BYTES, decode_throw, encode_throw, is_boot_id, throw_id};
+pub use throw::{Encoding, decode_throw, encode_throw, is_boot_id, throw_id};

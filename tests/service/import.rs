@@ -1,6 +1,6 @@
 //! Import of recorded throws in JSON, as from a foreign logger, into the database without a daemon.
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, process::Stdio};
 
 use pointsd::wire::{Encoding, encode_throw};
 
@@ -16,6 +16,20 @@ fn import_as(rig: &Rig, machine: &str, files: &[&Path], more: &[&str]) -> (Optio
     let output = command.arg(rig.config()).args(more).args(files).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn a_closed_pipe_does_not_end_an_import() {
+    let rig = Rig::new();
+    let files: Vec<_> = (0..3).map(|number| rig.folder().join(format!("{number}.json"))).collect();
+    for (file, throw) in files.iter().zip(throws("recorded", 3)) {
+        fs::write(file, encode_throw(Encoding::Json, &throw)).unwrap();
+    }
+    let mut command = pointsd(&["import", "--json", "--machine", "north/21B", "--config"]);
+    let mut import = command.arg(rig.config()).args(&files).stdout(Stdio::piped()).spawn().unwrap();
+    drop(import.stdout.take());
+    assert_eq!(import.wait().unwrap().code(), Some(0));
+    assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 3);
 }
 
 #[test]

@@ -21,7 +21,8 @@ use zenoh::bytes::Encoding as ContentType;
 
 use crate::{
     http::KEY,
-    rig::{Daemon, PATIENCE, Rig, faulty_throws, matched, pointsim, put, stub, throws},
+    region::router,
+    rig::{Daemon, PATIENCE, Rig, ends, faulty_throws, matched, pointsim, put, stub, throws},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -343,6 +344,14 @@ async fn a_load_is_judged_whole() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM health_history WHERE quality = 'good' GROUP BY machine");
     assert!(stored.len() == 10 && stored.iter().all(|machine| machine["throws"] == 10), "{stored:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_load_without_a_daemon_ends_with_an_error() {
+    let (_router, endpoint) = router().await;
+    let load = ["load", "--machines", "1", "--rate", "50", "--seconds", "2", "--connect", &endpoint];
+    let said = ends(69, &mut pointsim(&load));
+    assert!(said.contains("no daemon subscribes to the throws of"), "{said}");
 }
 
 /// A slow subscriber receives every health message, or the daemon counts it as dropped.

@@ -108,7 +108,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let rows = outcome::rows(daemon.store().reader(), &machines).await.or_exit(Exit::Io)?;
     output::line(outcome::table(&rows))?;
     let right = rows.iter().all(outcome::Row::is_right);
-    output::line(outcome::sentence(&rows, clock::monotonic().duration_since(began)))?;
+    output::line(outcome::sentence(&rows, began.elapsed()))?;
     if folder.is_kept {
         output::line(outcome::queries(&database))?;
     }

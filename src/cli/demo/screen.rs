@@ -59,8 +59,7 @@ impl Screen {
         if !line.learned {
             line.bar.set_message(format!("baseline {so_far} of {needed}"));
         }
-        let completed = !line.learned && needed > 2 && so_far >= needed;
-        if completed {
+        if !line.learned && needed > 2 && so_far >= needed {
             line.learned = true;
             line.bar.set_message("monitored");
             self.print(&format!("{}: baseline complete, {so_far} throws", judged.health.machine));

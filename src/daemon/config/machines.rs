@@ -1,4 +1,4 @@
-//! Settings of the estimator for each machine: defaults, and differences of some machines.
+//! Settings of the estimator: defaults for all machines, and overrides for single machines.
 
 use std::collections::HashMap;
 
@@ -22,15 +22,11 @@ pub struct MachineEntry {
 /// Settings of the estimator for all machines.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Machines {
-    default: Settings,
-    own: HashMap<MachineId, Settings>,
+    pub(super) default: Settings,
+    pub(super) own: HashMap<MachineId, Settings>,
 }
 
 impl Machines {
-    pub(super) fn new(default: Settings, own: HashMap<MachineId, Settings>) -> Self {
-        Self { default, own }
-    }
-
     /// The settings of one machine.
     pub fn of(&self, machine: &MachineId) -> &Settings {
         self.own.get(machine).unwrap_or(&self.default)
@@ -49,7 +45,6 @@ impl MachineEntry {
 
     /// The `defaults` with the keys of this entry, or the first invalid key with its problem.
     pub(super) fn over(&self, defaults: &Settings) -> Result<Settings, (String, String)> {
-        let fails = |key: &str, problem: &toml::de::Error| (key.to_owned(), problem.message().replace('\n', ", "));
         let mut settings = defaults.clone();
         for (key, value) in &self.differing {
             let mut table = match Value::try_from(&settings) {
@@ -57,7 +52,8 @@ impl MachineEntry {
                 other => return Err((key.clone(), format!("cannot replace a default: {other:?}"))),
             };
             table.insert(key.clone(), value.clone());
-            settings = Settings::deserialize(table).map_err(|error| fails(key, &error))?;
+            settings =
+                Settings::deserialize(table).map_err(|error| (key.clone(), error.message().replace('\n', ", ")))?;
         }
         settings.check_ranges().map_err(|error| (error.key.clone(), error.problem()))?;
         Ok(settings)

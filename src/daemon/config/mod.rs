@@ -252,7 +252,7 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
             return Err(document.complain(&format!("machine[{index}].machine"), problem));
         }
     }
-    Ok(Machines::new(config.machine_defaults.clone(), own))
+    Ok(Machines { default: config.machine_defaults.clone(), own })
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
@@ -348,7 +348,12 @@ fn checked_session(
     document: &Document,
 ) -> Result<::zenoh::Config, ConfigError> {
     let session = zenoh::session_config(kind, section, document)?;
-    section.map_or(Ok(()), |section| zenoh::check(section, document)).map(|()| session)
+    if let Some(section) = section {
+        // What zenoh would refuse only at the start of a session that listens.
+        zenoh::check_endpoints(section, document)?;
+        zenoh::check_access(section, document)?;
+    }
+    Ok(session)
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.

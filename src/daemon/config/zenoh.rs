@@ -93,11 +93,6 @@ fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> 
     Ok(())
 }
 
-/// Checks what zenoh would refuse only at the start of a session that listens.
-pub(super) fn check(section: &Table, document: &Document) -> Result<(), ConfigError> {
-    check_endpoints(section, document).and_then(|()| check_access(section, document))
-}
-
 /// Refuses endpoints in the place of their table, of which zenoh says only that it expected an integer.
 pub(super) fn check_sides(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let is_wrong = |side: &&str| section.get(*side).is_some_and(|value| !value.is_table());
@@ -108,7 +103,7 @@ pub(super) fn check_sides(section: &Table, document: &Document) -> Result<(), Co
 }
 
 /// Checks the endpoints, with which zenoh would fail only at the start.
-fn check_endpoints(section: &Table, document: &Document) -> Result<(), ConfigError> {
+pub(super) fn check_endpoints(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let has =
         |key: &str| tls(section).is_some_and(|tls| tls.contains_key(key) || tls.contains_key(&format!("{key}_base64")));
     let has_certificate = has("listen_certificate") && has("listen_private_key");
@@ -156,7 +151,7 @@ pub(crate) fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<
 }
 
 /// Checks that the policies of the access control name rules and subjects that exist, each once.
-fn check_access(section: &Table, document: &Document) -> Result<(), ConfigError> {
+pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let Some(access) = section.get("access_control").and_then(Value::as_table) else { return Ok(()) };
     if access.get("enabled").and_then(Value::as_bool) != Some(true) {
         return Ok(());

@@ -57,7 +57,7 @@ pub(super) struct Notifier {
 /// A message for the receiver.
 struct Message {
     body: Bytes,
-    /// Number of events that it reports.
+    /// Number of events in the message.
     events: u64,
     /// The last of them; all notifications up to this row are done with the message.
     last: i64,

@@ -14,7 +14,7 @@ pub(super) const SCHEMA: &str = "points.throw/1";
 /// The direction of a throw whose logger does not know it.
 pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
 /// Longest `boot_id` \[bytes\]: room for a UUID or a serial number. It is part of keys in the database.
-pub const MAX_BOOT_ID_BYTES: usize = 128;
+const MAX_BOOT_ID_BYTES: usize = 128;
 /// Highest `throw_no`: the database stores a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 

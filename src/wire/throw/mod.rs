@@ -8,7 +8,7 @@ mod cbor;
 mod fields;
 mod values;
 
-pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
+pub use fields::is_boot_id;
 
 use super::{
     Invalid, json_bytes,
