@@ -201,7 +201,7 @@ impl Alarms {
         if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
     }
 
-    /// The sensor of the active alarm about one.
+    /// The sensor that the active sensor alarm names.
     pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
         self.find_active(Cause::Sensor)?.channel
     }

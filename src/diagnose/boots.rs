@@ -54,7 +54,7 @@ pub(super) struct TwoLoggers {
 pub(super) struct Boots {
     /// In the order of their last throws.
     last: Vec<Boot>,
-    /// Few machines have any, so it is boxed.
+    /// Boxed, as few machines have turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     turns: Option<Box<Turns>>,
 }

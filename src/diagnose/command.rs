@@ -249,17 +249,13 @@ impl Command {
         if self.why().is_some_and(|why| !fits(why)) {
             return Err(CommandError::Text { field: "why" });
         }
-        let until = match self {
-            Self::Shelve { until, .. } | Self::MaintenanceStart { until, .. } => Some(*until),
-            _ => None,
-        };
-        let days = settings.longest_shelving_days;
-        match until {
-            Some(until) if until <= now => Err(CommandError::UntilIsPast { until, now }),
-            Some(until) if until.duration_since(now) > settings.longest_shelving() => {
-                Err(CommandError::UntilTooFar { days, now })
-            }
-            _ => Ok(()),
+        let (Self::Shelve { until, .. } | Self::MaintenanceStart { until, .. }) = *self else { return Ok(()) };
+        if until <= now {
+            Err(CommandError::UntilIsPast { until, now })
+        } else if until.duration_since(now) > settings.longest_shelving() {
+            Err(CommandError::UntilTooFar { days: settings.longest_shelving_days, now })
+        } else {
+            Ok(())
         }
     }
 }

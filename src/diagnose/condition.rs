@@ -72,7 +72,7 @@ pub(super) enum Transition {
     Stay,
     Raise(Severity),
     Escalate,
-    /// The alarm goes on in the other sense: what had fallen has risen above its limit, or the other way round.
+    /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
     /// The drift has ended; `at_once`: within a few throws.
     Clear {

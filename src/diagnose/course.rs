@@ -143,7 +143,7 @@ impl Course {
         if above(0.0) > 0.5 || reached < LIKELY {
             return None;
         }
-        let share = |share: f64| first(&above, share * reached);
+        let share = |share: f64| first(above, share * reached);
         Some(LimitForecast { low: share(TAIL)?, mid: share(0.5)?, high: share(1.0 - TAIL)? })
     }
 }
@@ -265,7 +265,7 @@ fn total_evidence(stages: &[Stage]) -> f64 {
 }
 
 /// First number of throws ahead at which `share` is reached, by growing steps and bisection.
-fn first(above: &dyn Fn(f64) -> f64, share: f64) -> Option<f64> {
+fn first(above: impl Fn(f64) -> f64, share: f64) -> Option<f64> {
     let (mut low, mut high) = (0.0, 1.0);
     if above(0.0) >= share {
         return Some(0.0);

@@ -154,9 +154,9 @@ impl Drift {
                     && attribution.relevance > 1.0
             });
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
-        // What the temperature hides, or no throw shows, is no health.
+        // A level that is missing, or that the temperature hides, does not count as healthy.
         let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
-        // A part beside another one has not the size that it had alone.
+        // The size of a part is smaller or larger when a second part is fitted beside it.
         let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
         let extent = |window: &Window| extent(cause, other_part, window, settings);
         let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);

@@ -117,7 +117,7 @@ impl DriftAlarms {
                 // The window may contain throws in which the drift was larger.
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
                 let least = 1.0 - settings.deadband_pct / 100.0;
-                // A part is not named whose change may be none.
+                // A part is named only if its change is significant.
                 let has_changed =
                     now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
                 let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;

@@ -102,7 +102,7 @@ pub enum SensorChannel {
     /// Sensor of the temperature.
     #[strum(to_string = "temperature sensor")]
     Temperature,
-    /// Of the supply voltage.
+    /// Sensor of the supply voltage.
     #[strum(to_string = "sensor of the supply voltage")]
     Supply,
 }

@@ -156,11 +156,6 @@ impl FeatureWatch {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
-    /// Deletes the last throws, after maintenance.
-    pub(super) fn reset(&mut self) {
-        *self = Self::default();
-    }
-
     /// Keeps the earlier changes of a side of a machine without a temperature.
     fn follow_season(&mut self, side: usize, celsius: Option<f64>, at: Timestamp) {
         if celsius.is_some() {

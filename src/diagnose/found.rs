@@ -1,4 +1,4 @@
-//! What a rule finds in the last throws, and its alarm.
+//! Result of a rule over the last throws, and its alarm.
 
 use super::{
     alarm::Alarms,
@@ -22,7 +22,7 @@ pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
     };
 }
 
-/// What a rule finds in the last throws.
+/// Result of a rule over the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Found {
     /// A fault.

@@ -259,7 +259,7 @@ impl Instruments {
         Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
     }
 
-    /// What is left of the fault of a sensor, by the gauges that it changes, as part of its size when it was named; `None` if
+    /// Remaining part of the fault of a sensor, by the gauges that it changes, as part of its size when it was named; `None` if
     /// they are unknown, or another was named since.
     fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
         if sensor == Some(SensorChannel::Supply) {

@@ -214,7 +214,7 @@ impl Intermittent {
         let p = throws / (throws + exposure);
         let k = count as f64;
         let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
-        // Summed directly, as one minus the rest would be lost in rounding; each term from the one before.
+        // The tail is summed directly, as 1 minus the head would lose its digits. Each term follows from the term before.
         let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
         iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
     }

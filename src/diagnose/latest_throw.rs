@@ -1,4 +1,4 @@
-//! The latest throw, and what the drift that it shows is at this throw.
+//! The latest throw, and the size of the drift at this throw.
 
 use jiff::Timestamp;
 

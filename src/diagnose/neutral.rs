@@ -13,7 +13,6 @@ use super::{
     observation::{Evaluated, Observation, seeming_friction},
     robust::median,
 };
-use crate::throw::Direction;
 
 /// Throws of each direction that show the neutral position, half of those of the earliest baseline.
 const FIRST: usize = 6;
@@ -24,7 +23,7 @@ const RATIO: f64 = 1.5;
 /// each of them.
 const SAME_SPRING: f64 = 0.06;
 
-/// What the throws show about the neutral position.
+/// Evidence of the throws about the neutral position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Neutral {
     /// a1 / (a0 T) and ln(a0 / b0) of the first throws of each direction; boxed, as most monitors of a fleet have learned it.
@@ -108,8 +107,7 @@ fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
 }
 
 /// The share of the travel by a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show another neutral position.
-fn elsewhere(levels: [[f64; 2]; 2]) -> Option<f32> {
-    let [[to_reverse, spring], [to_normal, other_spring]] = Direction::BOTH.map(|direction| levels[direction.side()]);
+fn elsewhere([[to_reverse, spring], [to_normal, other_spring]]: [[f64; 2]; 2]) -> Option<f32> {
     let (less, more) = (to_reverse.min(to_normal), to_reverse.max(to_normal));
     let is_shown = more > RATIO * less.max(0.0) && (spring - other_spring).abs() < SAME_SPRING;
     #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]

@@ -205,7 +205,7 @@ pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f6
     Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
 }
 
-/// What a spring that is unstressed `shift` times the travel nearer to reverse than configured takes from a1: it seems to be
+/// Apparent loss of a1 by a spring that is unstressed `shift` times the travel nearer to reverse than configured: it seems to be
 /// stressed by k dx less in a throw to reverse and more in one to normal, which in a steady movement (equation 12 without
 /// acceleration) is a0 dx / v.
 pub(super) fn seeming_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {

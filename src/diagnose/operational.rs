@@ -62,7 +62,7 @@ enum Logger {
     There,
     /// The token existed, and is gone.
     Gone {
-        /// Time since then \[s\].
+        /// Time since the loss of the token \[s\].
         for_s: f64,
         /// Whether this has raised an alarm.
         alarmed: bool,

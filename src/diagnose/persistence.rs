@@ -25,7 +25,7 @@ const NODES: (usize, f64, f64) = (9, -0.3, 0.3);
 /// Inverse hyperbolic tangent of the typical phi of 0.35.
 const USUAL_PHI: f64 = 0.365;
 
-/// A kind of machines.
+/// Prior for a kind of machine: typical, or unlike most.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kind {
     /// Logarithm of the prior odds.

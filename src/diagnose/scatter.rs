@@ -258,7 +258,7 @@ impl Scatter {
         2.0 * (Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose())) + sensor)
     }
 
-    /// Ratio of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), to
+    /// Excess of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), over
     /// [`Self::of_mean`]. The mean innovation differs from the mean only by the throws at both ends; for autoregressive
     /// scatter it has the variance of such a part of a long series.
     pub(super) fn more_of_score(&self, w: usize, sensor: &Matrix3<f64>) -> Matrix3<f64> {
@@ -282,18 +282,17 @@ impl Scatter {
     /// of the innovations, a larger correlation also means a larger variance of one throw. Each coefficient has a third of the
     /// probability. Few throws are not enough for this: see [`super::persistence`].
     pub(super) fn doubt(&self, w: usize) -> Doubt {
-        /// Standard deviations from the estimate, and between the nodes.
+        /// Nodes on each side of the estimate, and their distance in standard deviations.
         const NODES: (i32, f64) = (6, 0.8);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
-        let of_natural = |phi: f64| {
-            (inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws) / (1.0 - phi * phi)
-        };
+        let w = w as f64;
+        let of = |phi: f64| inflation(phi, w) / w + inflation(phi, self.throws) / self.throws;
+        let of_natural = |phi: f64| of(phi) / (1.0 - phi * phi);
         if !self.possible.is_empty() {
             let nodes = self.possible.len() / 3;
-            let of = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
             let factor = |(at, possible): (usize, &Possible)| {
                 let i = at / nodes;
-                let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
+                let fixed = sensor[(i, i)] * (1.0 / w + 1.0 / self.throws);
                 let natural_of_mean = f64::from(possible.variance) * of(phi_of(at % nodes));
                 let factor =
                     (natural_of_mean + fixed) / (natural[(i, i)] * of(self.lag1[i]) + fixed).max(f64::MIN_POSITIVE);
@@ -307,7 +306,7 @@ impl Scatter {
         for i in 0..3 {
             let phi = self.lag1[i];
             let sd = self.lag1_sd(i);
-            let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
+            let fixed = sensor[(i, i)] * (1.0 / w + 1.0 / self.throws);
             let assumed = natural[(i, i)] * of_natural(phi) * (1.0 - phi * phi);
             factors.extend((-NODES.0..=NODES.0).map(|node| {
                 let z = f64::from(node) * NODES.1;
@@ -415,7 +414,7 @@ fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 
     slow
 }
 
-/// The limit of [`inflation`] for long series, with the lag-1 correlation clamped to [`LAG1_RANGE`].
+/// The limit of [`inflation`] for long series, with the lag-1 correlation clamped to 0 and the upper end of [`LAG1_RANGE`].
 pub(super) fn serial_inflation(phi: f64) -> f64 {
     let phi = phi.clamp(0.0, LAG1_RANGE.1);
     (1.0 + phi) / (1.0 - phi)

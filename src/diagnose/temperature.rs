@@ -51,7 +51,7 @@ const LEVEL_SD: f64 = 4.0;
 const USUAL_THROWS: f64 = 50.0;
 
 /// A known point of the line, and sums over the throws since then.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Anchor {
     /// Number of throws of the point; `None`: the centre of the baseline.
     throws: Option<u32>,
@@ -68,12 +68,6 @@ impl Anchor {
     /// The centre, before the first later throw.
     const CENTRE: Self =
         Self { throws: None, distance: 0.0, residual: [0.0; 3], later: 0.0, distances: 0.0, residuals: [0.0; 3] };
-}
-
-impl Default for Anchor {
-    fn default() -> Self {
-        Self::CENTRE
-    }
 }
 
 /// Compensation of temperature: x - `per_k` (T - reference).

@@ -1,4 +1,4 @@
-//! What the gauges say about a drift: caused by a part, by a sensor or the clock, or by the supply.
+//! Verdict of the gauges on a drift: caused by a part, by a sensor or the clock, or by the supply.
 
 use super::event::{RunnerUp, SensorChannel};
 
@@ -19,7 +19,7 @@ pub(super) enum Testimony {
     Lingers { is_alike: bool },
 }
 
-/// What would distinguish part and sensor.
+/// Evidence that would distinguish part and sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Awaited {
     /// More throws.

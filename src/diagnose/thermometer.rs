@@ -53,7 +53,7 @@ pub(super) struct Thermometer {
     /// Number of accepted readings, up to [`SETTLED_READINGS`] + 1.
     #[serde(default)]
     accepted: u32,
-    /// Few machines have one, so it is boxed.
+    /// Boxed, as few machines have rejected readings.
     #[serde(skip_serializing_if = "Option::is_none")]
     doubt: Option<Box<Doubt>>,
     #[serde(default)]

@@ -63,7 +63,8 @@ pub struct Drifting {
 const OF_USE_PCT: f64 = 45.0;
 
 impl Drifting {
-    /// Whether the size says something: its 95 % interval is at most three times as wide as the size, or narrow.
+    /// Whether the size is certain enough to publish: its 95 % interval is at most three times as wide as the size, or its half
+    /// width is at most [`OF_USE_PCT`].
     pub(super) fn has_size(&self) -> bool {
         let half_width_pct = 1.96 * self.change_pct_sd;
         half_width_pct <= OF_USE_PCT || 2.0 * half_width_pct <= 3.0 * self.change_pct.abs()
@@ -92,14 +93,14 @@ pub struct HidingTemperature {
     pub baseline_c: f64,
 }
 
-/// How a machine is at present.
+/// Present condition of a machine.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Present {
     /// State of the machine.
     pub state: MachineState,
     /// Drifts with an active alarm and their present size, named parts first, then the most severe.
     pub drifts: Vec<Drifting>,
-    /// Sentences about what the monitor cannot show: blindness, a baseline with a trend.
+    /// Sentences about the limits of what the monitor shows at present, such as blindness or a baseline with a trend.
     pub caveats: Vec<String>,
 }
 

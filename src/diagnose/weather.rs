@@ -1,4 +1,4 @@
-//! What a drift may claim beside weather, which changes the friction most: rain lowers it for days, a season changes it
+//! Limits of the claims about a drift beside weather, which changes the friction most: rain lowers it for days, a season changes it
 //! for months.
 
 use std::ops::Range;

@@ -222,7 +222,7 @@ impl<'a> Stream<'a> {
     /// of the other throws only.
     pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
         let last = self.0.get(..throws)?;
-        let sensor = self.mean_sensor(throws);
+        let sensor = mean_sensor(last);
         let mut distance = [0.0; 2];
         let mut residuals = [Vector3::zeros(); KEPT];
         for (residual, (side, throw)) in residuals.iter_mut().zip(last) {
@@ -339,7 +339,7 @@ impl<'a> Stream<'a> {
     ) -> Option<f64> {
         // A misfit that repeats is in no innovation, except for its part in one throw.
         let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / Estimate::LONGEST_WINDOW);
-        let sensor = self.mean_sensor(window.throws) - repeated;
+        let sensor = mean_sensor(&self.0[..window.throws]) - repeated;
         // The correlation of the machine alone: beside a large outlier the errors of the estimates are small.
         let phi = scatter.highest_lag1();
         let outliers = if wild { 2 } else { 1 };
@@ -363,7 +363,7 @@ impl<'a> Stream<'a> {
     /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: the regression of its changes
     /// between the throws of a direction on its size before them.
     fn fades(&self, window: &Window, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> bool {
-        let covariance = scatter.of_change(&self.mean_sensor(window.throws));
+        let covariance = scatter.of_change(&mean_sensor(&self.0[..window.throws]));
         let Some(inverse) = sym3::inverse(&covariance) else { return false };
         let along = inverse * window.mean;
         let along = along / along.dot(&window.mean).sqrt();
@@ -395,7 +395,7 @@ impl<'a> Stream<'a> {
     /// Lag-1 correlations of the last throws of `window`, and the inverse covariance of their mean innovation as a level, in
     /// a test with this limit.
     fn innovation(&self, window: &Window, limit: f64, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-        let sensor = self.mean_sensor(window.throws);
+        let sensor = mean_sensor(&self.0[..window.throws]);
         let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
         Some((scatter.lag1_of_one(&sensor), sym3::inverse(&covariance)?))
     }
@@ -407,11 +407,6 @@ impl<'a> Stream<'a> {
         };
         let rough = self.0[..throws].iter().filter(repeats);
         rough.map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
-    }
-
-    /// Mean covariance of the estimates of the last throws.
-    fn mean_sensor(&self, throws: usize) -> Matrix3<f64> {
-        mean_sensor(&self.0[..throws])
     }
 
     /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean

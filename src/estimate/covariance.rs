@@ -57,14 +57,14 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     ) -> [[f64; P]; P] {
         let (z, stride) = (&workspace.instruments, workspace.stride);
         // Each stored instrument represents `stride` instruments.
-        let times = stride as f64;
+        let represented = stride as f64;
         let mut middle = [[0.0; P]; P];
         let mut sum = [0.0; P];
         let mut take = |v: &[f64; P]| {
-            add_square(&mut middle, v, times * noise.output);
-            add(&mut sum, v, times);
+            add_square(&mut middle, v, represented * noise.output);
+            add(&mut sum, v, represented);
         };
-        match excess(solution).zip(Discrete::new(&solution.denominator, times * problem.interval_s)) {
+        match excess(solution).zip(Discrete::new(&solution.denominator, represented * problem.interval_s)) {
             None => z.iter().for_each(take),
             Some((excess, filter)) => {
                 backwards(z, &filter, Hold::First, &excess, |k, v| take(&std::array::from_fn(|i| z[k][i] + v[i])));
@@ -73,14 +73,14 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         add_square(&mut middle, &sum, noise.offsets[1]);
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
             let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
-            let Some(filter) = Discrete::new(&solution.denominator, times * problem.interval_s) else { continue };
+            let Some(filter) = Discrete::new(&solution.denominator, represented * problem.interval_s) else { continue };
             let numerator = self.numerator(&solution.parameters, s);
             let scale = noise.scale.filter(|_| s == 0);
             let mut sum = [0.0; P];
             backwards(z, &filter, hold, &numerator, |k, w| {
                 let [mean, square] = scale.map_or([1.0; 2], |scale| moments(&scale[k * stride..], stride));
-                add_square(&mut middle, w, variance * times * square);
-                add(&mut sum, w, times * mean);
+                add_square(&mut middle, w, variance * represented * square);
+                add(&mut sum, w, represented * mean);
             });
             if s == 0 {
                 // The error of an offset is common to all samples of the trace.

@@ -129,8 +129,8 @@ pub(super) fn sticking(
     Ok(())
 }
 
-/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\]. A level in
-/// the middle of a code repeats the code most often: white noise stays in it with the probability erf(1 / (2 √2 noise)).
+/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\]. Worst case: a
+/// level in the middle of a code. White noise then keeps the code with the probability erf(1 / (2 √2 noise)).
 fn repeated_by_chance(noise: f64) -> f64 {
     let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
     REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())

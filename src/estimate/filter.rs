@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     polynomial::{normalised, root_radius},
-    small::{invert, times},
+    small::{invert, product, times},
 };
 
 /// Course of a signal between two samples.
@@ -233,10 +233,6 @@ impl<const N: usize> Interval<N> {
 /// F z for the companion matrix F of `a`.
 fn companion<const N: usize>(a: &[f64; N], z: &[f64; N]) -> [f64; N] {
     std::array::from_fn(|i| if i + 1 < N { z[i + 1] } else { -(0..N).map(|j| a[N - 1 - j] * z[j]).sum::<f64>() })
-}
-
-fn product<const N: usize>(left: &[[f64; N]; N], right: &[[f64; N]; N]) -> [[f64; N]; N] {
-    std::array::from_fn(|i| std::array::from_fn(|j| (0..N).map(|k| left[i][k] * right[k][j]).sum()))
 }
 
 /// Scalar product; a loop, as this is in the inner loop of a pass.

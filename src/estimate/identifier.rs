@@ -69,9 +69,6 @@ struct Buffers {
     free: Vec<f64>,
 }
 
-/// The model of equation (12): two poles, one input, three parameters.
-type ThrowModel = Sriv<2, 1, 3>;
-
 impl Identifier {
     /// Identifies a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
@@ -280,7 +277,8 @@ impl Buffers {
         movement: &Movement<'_>,
         window: &Window,
     ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
-        let Some(mut model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
+        // The model of equation (12): two poles, one input, three parameters.
+        let Some(mut model) = Sriv::<2, 1, 3>::new([0]) else { return (None, Err(Rejection::Singular)) };
         model.tolerance = TOLERANCE;
         let problem = Problem {
             interval_s: window.interval_s,
@@ -311,7 +309,7 @@ impl Buffers {
             let fitted = Fitted {
                 input: &self.input,
                 output: &self.output,
-                model: self.workspace.model_output(),
+                model: &self.workspace.model_output,
                 equilibrium: problem.equilibrium,
                 parameters: solution.parameters,
                 foot,
@@ -423,7 +421,7 @@ fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
     (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
 }
 
-/// Identifies a throw of a machine without a toe sensor; `values` is the check of its samples.
+/// Identifies a throw of a machine without a toe sensor; `values`: the verdict of [`damage::values`] on its samples.
 fn identify_current(
     throw: &Throw,
     movement: &Movement<'_>,
@@ -436,8 +434,7 @@ fn identify_current(
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
         .and_then(|()| {
-            let inrush_s = (start_s - movement.interval_s, start_s + damage::INRUSH_S);
-            missing::within(trace, inrush_s.0, inrush_s.1).map_or(Ok(()), Err)
+            missing::within(trace, start_s - movement.interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err)
         })
         .and_then(|()| usable(movement, settings))
         .and_then(|()| {

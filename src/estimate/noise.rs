@@ -84,9 +84,9 @@ pub(super) fn noise_level(
     scratch.clear();
     scratch.push(0.0);
     let (mut sum, square) = (0.0, 6.0 * usual * usual);
-    for (k, w) in current[..last].windows(3).enumerate() {
+    for (k, [a, b, c]) in current[..last].array_windows().enumerate() {
         if (settled..last).contains(&k) || k + 3 < movement.start() {
-            sum += (w[2] - 2.0 * w[1] + w[0]).powi(2) / square;
+            sum += (c - 2.0 * b + a).powi(2) / square;
             scratch.push(sum);
         }
     }

@@ -54,6 +54,7 @@ pub struct Workspace<const P: usize> {
     /// Every `stride`-th instrument: instruments are smooth, and a covariance needs two digits only.
     pub(super) instruments: Vec<[f64; P]>,
     pub(super) stride: usize,
+    /// The output x̂ of the auxiliary model in the last iteration, one value for each sample.
     pub(super) model_output: Vec<f64>,
 }
 
@@ -74,11 +75,6 @@ impl<const P: usize> Workspace<P> {
         self.stride = stride;
         self.instruments.resize((len - stride / 2).div_ceil(stride), [0.0; P]);
         self.model_output.resize(len, 0.0);
-    }
-
-    /// The output x̂ of the auxiliary model in the last iteration, one value for each sample.
-    pub fn model_output(&self) -> &[f64] {
-        &self.model_output
     }
 }
 

@@ -39,7 +39,6 @@ const LARGEST_RESIDUAL: f64 = 0.006;
 /// a1/b0 and a0/b0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Ratios {
-    /// a1/b0 and a0/b0.
     pub(super) values: [f64; 2],
     /// Covariances of the logarithms: of errors that differ in each throw, and of errors that are equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
@@ -109,7 +108,7 @@ pub(super) fn covariance(coefficients: [f64; 3], scale_sd: f64, of_ratios: Matri
     scale * log * scale
 }
 
-/// Half of the interval of the difference for the speed \[samples\].
+/// Distance of either sample of a central difference from its middle \[samples\]; see [`SPEED_S`].
 fn reach(interval_s: f64) -> usize {
     samples_in(SPEED_S, interval_s).max(1)
 }
@@ -156,7 +155,7 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let (mut squares, mut total) = (0.0, 0.0_f64);
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
-    // Charge of an offset of the current of 1 A.
+    // Charge by a current offset of 1 A.
     let mut extra = 0.0;
     for (at, (row, charge)) in rows().enumerate() {
         let time_s = at as f64 * interval_s;

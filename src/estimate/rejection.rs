@@ -199,7 +199,7 @@ pub enum Rejection {
     PositionJump {
         /// Size of the jump \[mm\].
         jump_mm: f64,
-        /// Time of the jump \[s\].
+        /// Time of the jump from the start of the trace \[s\].
         at_s: f64,
     },
     /// The current stepped: its gain or offset changed, or samples are missing.
@@ -210,7 +210,7 @@ pub enum Rejection {
     CurrentJump {
         /// Size of the jump \[A\].
         jump_a: f64,
-        /// Time of the jump \[s\].
+        /// Time of the jump from the start of the trace \[s\].
         at_s: f64,
     },
     /// The noise of the current, and so its gain, changed for some time.

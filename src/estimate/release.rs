@@ -91,7 +91,7 @@ pub(super) fn complete_onset(
 
 /// The onset of the rise: its place in samples after the foot, and its slope \[A per sample\].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Onset {
+struct Onset {
     at: f64,
     slope: f64,
     /// Root mean square departure of the first samples from a linear system of second order \[A\].
@@ -131,7 +131,7 @@ fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
     let [first, second] = [rise[0] - offset, rise[1] - offset];
     let at_foot = (second - alpha * first) / beta;
     let before = (first - alpha * at_foot) / beta;
-    // Newton's cubic through -1, 0, 1, 2, and its zero.
+    // Cubic through the samples at -1, 0, 1 and 2 (Newton's form), and its zero.
     let (d1, d2, d3) = (
         at_foot - before,
         0.5 * (first - 2.0 * at_foot + before),

@@ -36,10 +36,13 @@ pub(super) fn times<const P: usize>(matrix: &[[f64; P]; P], vector: &[f64; P]) -
     std::array::from_fn(|i| matrix[i].iter().zip(vector).map(|(m, v)| m * v).sum())
 }
 
+pub(super) fn product<const P: usize>(left: &[[f64; P]; P], right: &[[f64; P]; P]) -> [[f64; P]; P] {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..P).map(|k| left[i][k] * right[k][j]).sum()))
+}
+
 /// The product A S Aᵀ of `outer` A and `inner` S.
 pub(super) fn sandwich<const P: usize>(outer: &[[f64; P]; P], inner: &[[f64; P]; P]) -> [[f64; P]; P] {
-    let half: [[f64; P]; P] =
-        std::array::from_fn(|i| std::array::from_fn(|j| (0..P).map(|k| outer[i][k] * inner[k][j]).sum()));
+    let half = product(outer, inner);
     std::array::from_fn(|i| std::array::from_fn(|j| (0..P).map(|k| half[i][k] * outer[j][k]).sum()))
 }
 

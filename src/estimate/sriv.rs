@@ -169,8 +169,8 @@ pub(super) fn solve<const N: usize, const P: usize>(
 
 /// ‖next - before‖ / ‖next‖.
 pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f64 {
-    let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
-    (squares(&mut next.iter().zip(before).map(|(n, b)| n - b)) / squares(&mut next.iter().copied())).sqrt()
+    let squares = |values: [f64; P]| values.iter().map(|v| v * v).sum::<f64>();
+    (squares(std::array::from_fn(|i| next[i] - before[i])) / squares(*next)).sqrt()
 }
 
 /// Bound of the distance to the end of the iteration after a step of this length. Steps of a fast iteration shrink nearly in

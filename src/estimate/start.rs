@@ -79,13 +79,12 @@ pub(super) fn free_movement(
 
 /// The start of a movement whose motor starts with the first sample; `None` if the samples do not show it.
 pub(super) fn find(
-    channels: (&[f64], &[f64]),
+    (input, output): (&[f64], &[f64]),
     equilibrium: &[f64],
     ratios: [f64; 2],
     interval_s: f64,
     free: &mut Vec<f64>,
 ) -> Option<Start> {
-    let (input, output) = channels;
     let travel = *output.last()?;
     let last = output.iter().take(samples_in(LONGEST_S, interval_s)).position(|y| *y > START_SHARE * travel)?;
     let end = (last + samples_in(AHEAD_S, interval_s).max(1) + 1).min(output.len());

@@ -103,8 +103,8 @@ impl MachineMonitor {
         Self { name: name.into(), ..self }
     }
 
-    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. Of a monitor in the place of
-    /// another, it is that other one, if it can be read now.
+    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. If the snapshot replaced an
+    /// unreadable one that can be read now, returns the replaced monitor.
     ///
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
@@ -274,7 +274,7 @@ impl MachineMonitor {
         self.drift.reset();
         self.drift.now.clear();
         self.instruments = Instruments::default();
-        self.features.reset();
+        self.features = FeatureWatch::default();
         self.start = StartWatch::default();
         self.trail = Trail::default();
         self.blind = None;
@@ -307,7 +307,7 @@ impl MachineMonitor {
         self.drift.now.clear();
         self.tracks.forget_recent();
         self.instruments.forget_recent();
-        self.features.reset();
+        self.features = FeatureWatch::default();
         self.start = StartWatch::default();
         self.drift.reset();
         self.end_rules(now);

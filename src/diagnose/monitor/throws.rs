@@ -129,7 +129,7 @@ impl MachineMonitor {
         for sensor in [Offset::Current, Offset::Position] {
             self.instruments.judge_offset(sensor, step);
         }
-        // Ratios show less than coefficients, so their machines keep the features.
+        // Ratios show fewer faults than coefficients, so machines with ratios keep the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, step);
         found::withdraw_explained(step);
@@ -211,7 +211,7 @@ impl MachineMonitor {
         let testimony = drift.as_ref().map(|drift| drift.testimony);
         let excused = testimony.is_some_and(Testimony::excuses);
         let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
-        // A sensor that explains a resistance explains a drift that matters, too.
+        // A sensor counts as an explanation of a changed resistance only if the drift that it may explain is above its limit.
         let may_be_sensor = |drift: &&Drift| matches!(drift.testimony, Testimony::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());

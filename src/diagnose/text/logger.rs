@@ -7,7 +7,7 @@ use crate::{
     throw::{counted, utc},
 };
 
-/// Text for messages of a machine that are no valid throws.
+/// Text for messages of a machine that are not valid throws.
 pub(crate) fn invalid(name: &str, count: u32, reason: &str) -> String {
     format!(
         "Machine {name}: the last {count} messages of its logger are not valid throws, so the machine is not monitored: \

@@ -233,7 +233,7 @@ mod tests {
 
     use super::*;
 
-    /// A trend by chance in one baseline, which the last throw of the other ends, must not leave wide limits without a word.
+    /// A trend by chance in one baseline, which the last throw of the other ends, must not leave wide limits without a statement.
     #[test]
     fn baselines_without_a_trend_are_complete() {
         let settings = Settings::default();

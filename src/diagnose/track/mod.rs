@@ -141,8 +141,7 @@ impl Tracks {
     }
 
     /// Adds a throw to the last throws of its direction; the throw that leaves them updates the temperature compensation.
-    /// Returns the residual, of ratios with the common scale of the last throw that has
-    /// one; `None` without a baseline.
+    /// Returns the residual, of ratios with the common scale of the last throw that has one; `None` without a baseline.
     pub(super) fn push(
         &mut self,
         throw: &Evaluated,
@@ -284,7 +283,7 @@ impl Tracks {
         });
         let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
         let mixed = mixed.map(|mixed| (None, &mixed_tail, &mixed.scatter, &mixed.thresholds));
-        // With the side, if it is of one.
+        // The strongest window, its scatter, and its side; `None` for the mixed stream.
         let mut best: Option<(Window, &Scatter, Option<usize>)> = None;
         for (side, tail, scatter, thresholds) in own.chain(mixed) {
             if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
