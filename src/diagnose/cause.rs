@@ -20,7 +20,7 @@ use super::{
 };
 
 /// Lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
-const CLOSE: f64 = 6.0;
+pub(super) const CLOSE: f64 = 6.0;
 /// Lead without doubt, needed for critical severity: odds of 1000 to 1.
 pub(super) const DECISIVE: f64 = 13.8;
 /// Factor on the margin: divides it if the cross-correlation rule agrees with the named cause, multiplies it if not.

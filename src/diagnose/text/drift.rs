@@ -2,7 +2,7 @@
 
 use super::{half_width_pct, sensor::look_at_sensor};
 use crate::diagnose::{
-    cause::{Attribution, Naming, Rival},
+    cause::{Attribution, CLOSE, DECISIVE, Naming, Rival},
     course::LimitForecast,
     event::{Cause, RunnerUp, SensorChannel},
     explain::{Explanation, percent},
@@ -197,13 +197,10 @@ fn coefficients(attribution: &Attribution) -> String {
 }
 
 fn runner_up(runner_up: Option<&RunnerUp>) -> String {
-    /// Margins as twice the log-likelihood ratio: odds of 1000 to 1, and of 20 to 1.
-    const UNLIKELY: f64 = 13.8;
-    const LESS_LIKELY: f64 = 6.0;
     runner_up.map_or_else(String::new, |r| {
         let how = match r.margin {
-            m if m >= UNLIKELY => "unlikely",
-            m if m >= LESS_LIKELY => "less likely",
+            m if m >= DECISIVE => "unlikely",
+            m if m >= CLOSE => "less likely",
             _ => "possible",
         };
         format!("; runner-up {}, {how}", r.cause)
