@@ -3,6 +3,7 @@
 use std::{
     collections::HashMap,
     ffi::{OsStr, OsString},
+    fmt::Display,
     fs,
     path::{Path, PathBuf},
 };
@@ -93,14 +94,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         printed?;
         if !arguments.json {
             let Count { new, known, refused, alarms } = count;
-            output::after(
-                output::line(format_args!(
-                    "{} imported ({refused} not evaluated), {known} known before, {}",
-                    counted(new, "throw"),
-                    counted(alarms, "alarm event")
-                )),
-                Exit::Ok,
-            )?;
+            print(format_args!(
+                "{} imported ({refused} not evaluated), {known} known before, {}",
+                counted(new, "throw"),
+                counted(alarms, "alarm event")
+            ))?;
         }
         outcome
     })
@@ -296,6 +294,11 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
     })
 }
 
+/// Prints a line; a closed pipe does not end the import.
+fn print(line: impl Display) -> Outcome {
+    output::after(output::line(line), Exit::Ok)
+}
+
 fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result<(), Failure> {
     for throw in judged {
         count.refused += u64::from(throw.health.is_rejected());
@@ -304,16 +307,11 @@ fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result
             let Health { machine, throw: id, quality, direction, .. } = &throw.health;
             let events: Vec<_> =
                 throw.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
-            output::after(
-                output::line(
-                    json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
-                       "alarms": events}),
-                ),
-                Exit::Ok,
-            )?;
+            print(json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
+                       "alarms": events}))?;
         } else {
             for event in &throw.events {
-                output::after(output::line(&event.text), Exit::Ok)?;
+                print(&event.text)?;
             }
         }
     }

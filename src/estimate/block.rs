@@ -5,7 +5,7 @@ use super::problem::{Problem, Signal};
 /// Samples of a block.
 pub(super) const BLOCK: usize = 64;
 
-/// A signal in a block; 0 after its last sample.
+/// A signal, or a state of a filter, in a block.
 pub(super) type Samples = [f64; BLOCK];
 
 /// Signals of a block, the states of their filters, and what is read from these.
@@ -47,7 +47,7 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         }
     };
 
-    /// Takes every `step`-th sample from the sample `from` on; the number of samples.
+    /// Takes every `step`-th sample from the sample `from` on, and 0 after the last one; returns the number of samples.
     pub(super) fn load(&mut self, problem: &Problem<S>, from: usize, step: usize) -> usize {
         let load = |to: &mut Samples, signal: &[f64]| {
             let signal = &signal[from..signal.len().min(from + BLOCK * step)];

@@ -60,7 +60,7 @@ struct States<const N: usize, const S: usize> {
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares), and
-    /// only every `workspace.stride`-th sample is used, as this is a start for the iteration. `None` if C cannot be
+    /// only two samples of each `workspace.stride` are used, as this is a start for the iteration. `None` if C cannot be
     /// discretised.
     pub(super) fn pass(
         &self,
