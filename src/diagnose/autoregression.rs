@@ -10,9 +10,13 @@ pub(super) struct Autoregression {
     pub(super) error: f64,
 }
 
+/// Relative change of the variance from which the filter is stationary: the rounding error of a few steps.
+const SETTLED: f64 = 1e-15;
+
 /// The Kalman filter of an autoregression with errors; it is the same for all series of a length.
 pub(super) struct Whitening {
-    /// For each value the weights of mean and value in the next mean, and the standard deviation of the innovation.
+    /// For each value the weights of mean and value in the next mean, and the standard deviation of the innovation; the
+    /// last ones are those of all further values.
     steps: Vec<[f64; 3]>,
     /// Logarithm of the determinant of the covariance of a series.
     pub(super) ln_determinant: f64,
@@ -22,14 +26,19 @@ impl Autoregression {
     /// The filter for series of this length.
     pub(super) fn whitening(&self, len: usize) -> Whitening {
         let (mut variance, mut ln_determinant) = (self.natural, 0.0);
-        let step = |_| {
+        let mut steps = Vec::new();
+        for at in 0..len {
             let of_innovation = variance + self.error;
             let gain = variance / of_innovation;
-            variance = self.phi * self.phi * variance * (1.0 - gain) + self.natural * (1.0 - self.phi * self.phi);
+            steps.push([self.phi * (1.0 - gain), self.phi * gain, of_innovation.sqrt()]);
+            let next = self.phi * self.phi * variance * (1.0 - gain) + self.natural * (1.0 - self.phi * self.phi);
+            if (next - variance).abs() <= SETTLED * variance {
+                ln_determinant += (len - at) as f64 * of_innovation.ln();
+                break;
+            }
             ln_determinant += of_innovation.ln();
-            [self.phi * (1.0 - gain), self.phi * gain, of_innovation.sqrt()]
-        };
-        let steps = (0..len).map(step).collect();
+            variance = next;
+        }
         Whitening { steps, ln_determinant }
     }
 }
@@ -43,7 +52,8 @@ impl Whitening {
             mean = of_mean * mean + of_value * value;
             innovation
         };
-        series.iter().zip(&self.steps).map(innovation).collect()
+        let settled = self.steps.last().into_iter().cycle();
+        series.iter().zip(self.steps.iter().chain(settled)).map(innovation).collect()
     }
 }
 

@@ -25,6 +25,10 @@ const MOST_ASIDE: usize = WINDOWS[3];
 /// Numbers of throws set aside in a direction at which they show the scatter.
 const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
 
+/// Throws of a machine from one test for a trend to the next. A trend shows over dozens of throws, and the test is most of the
+/// work of learning.
+const TREND_EVERY: u64 = 4;
+
 /// The suspicion against adding a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::diagnose) enum Suspicion {
@@ -109,7 +113,9 @@ impl Tracks {
             track.aside.push(BaselineThrow::new(order, throw));
             track.sensor = mean_with(track.sensor, &throw.sensor, track.learned.len() + track.aside.len());
         }
-        self.follow_trend(settings);
+        if order.is_multiple_of(TREND_EVERY) {
+            self.follow_trend(settings);
+        }
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
@@ -130,9 +136,8 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        if self.follow_wet_spells() {
-            self.follow_trend(settings);
-        }
+        self.follow_wet_spells();
+        self.follow_trend(settings);
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
@@ -155,12 +160,9 @@ impl Tracks {
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// Looks for wet spells in the same throws; returns whether they changed.
-    fn follow_wet_spells(&mut self) -> bool {
-        let wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
-        let is_changed = wet != self.wet;
-        self.wet = wet;
-        is_changed
+    /// Looks for wet spells in the same throws.
+    fn follow_wet_spells(&mut self) {
+        self.wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
     }
 
     /// Whether the throws of both directions have the same values: the coefficients, or the ratios only.
