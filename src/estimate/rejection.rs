@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::brief;
+use crate::throw::{CENTIMETRE_MM, INCH_MM, brief};
 
 /// One of the two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
@@ -28,9 +28,9 @@ impl Channel {
 /// A hint at the unit of a position whose travel is a whole stroke in centimetres or inches.
 fn likely_unit(travel_mm: f64, stroke_mm: f64) -> &'static str {
     let is_stroke = |unit_mm: f64| (0.9..1.1).contains(&(unit_mm * travel_mm / stroke_mm));
-    if is_stroke(10.0) {
+    if is_stroke(CENTIMETRE_MM) {
         ", as in a complete throw with the position in centimetres; it must be in millimetres (position_mm)"
-    } else if is_stroke(25.4) {
+    } else if is_stroke(INCH_MM) {
         ", as in a complete throw with the position in inches; it must be in millimetres (position_mm)"
     } else {
         ""

@@ -94,6 +94,9 @@ pub struct Throw {
     pub anti_alias_hz: Option<f64>,
 }
 
+/// Length of the units in which a logger may send the position by mistake \[mm\].
+pub(crate) const CENTIMETRE_MM: f64 = 10.0;
+pub(crate) const INCH_MM: f64 = 25.4;
 /// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
 pub const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
 /// Possible supply voltages \[V\]: point machines have 20 to 400 V. Outside this range the sensor has failed.
