@@ -16,7 +16,7 @@ pub enum Grade {
     #[default]
     Good,
     /// The movement departs from the model in a way that a machine can cause, and the covariance includes this departure.
-    /// The diagnosis compares such estimates with a baseline, but takes no complete baseline from them.
+    /// The diagnosis compares the estimate with a baseline, but learns no baseline of all three coefficients from it.
     Rough,
     /// Estimated without a toe position, from current and supply voltage.
     CurrentOnly,
