@@ -20,7 +20,7 @@ settings! {
     /// Sensor of a channel; all values in the unit of the channel (A or mm).
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Channel {
+    pub struct Sensor {
         /// Standard deviation of white noise.
         pub noise: f64 = 0.02, AtLeast(0.0);
         /// Constant error.
@@ -37,7 +37,7 @@ settings! {
 /// The two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Which {
+pub enum Channel {
     /// Motor current.
     Current,
     /// Toe position.
@@ -56,9 +56,9 @@ settings! {
         /// Recording after the motor is cut off \[s\].
         pub after_s: f64 = 0.2, Within(0.0, 5.0, "s");
         /// Motor current \[A\].
-        pub current: Channel = Channel::default();
+        pub current: Sensor = Sensor::default();
         /// Toe position \[mm\].
-        pub position: Channel = Channel::default();
+        pub position: Sensor = Sensor::default();
         /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
         pub signed_current: bool = false;
         /// Standard deviation of the sampling instants \[s\].
@@ -77,7 +77,7 @@ settings! {
 #[serde(deny_unknown_fields)]
 pub struct Stuck {
     /// The channel at fault.
-    pub channel: Which,
+    pub channel: Channel,
     /// Time of the last correct value, after the start of the motor \[s\].
     pub from_s: f64,
 }
@@ -94,7 +94,7 @@ pub struct Recording {
 impl Sensors {
     /// Sensors without noise and errors, sampled at `sample_rate_hz`.
     pub fn perfect(sample_rate_hz: f64) -> Self {
-        let channel = Channel { noise: 0.0, ..Channel::default() };
+        let channel = Sensor { noise: 0.0, ..Sensor::default() };
         Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
     }
 
@@ -149,8 +149,8 @@ impl Sensors {
             let mut mm = self.position.reading(interpolate(&position, time_s / motion.step_s), rng);
             if let Some(stuck) = self.stuck.filter(|stuck| nominal_s >= stuck.from_s) {
                 let value = match stuck.channel {
-                    Which::Current => &mut a,
-                    Which::Position => &mut mm,
+                    Channel::Current => &mut a,
+                    Channel::Position => &mut mm,
                 };
                 *value = *stuck_at.get_or_insert(*value);
             }
@@ -180,7 +180,7 @@ impl Stuck {
     }
 }
 
-impl Channel {
+impl Sensor {
     fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         if self.bits.is_none() {
