@@ -16,8 +16,8 @@ use super::{
 const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
 /// Largest standard deviation of each coefficient for a trace that ends during the movement \[%\].
 const MAX_SD_CUT_PCT: f64 = 1.2;
-/// Largest differences of measured and modelled output that dry friction, rails and a soft drive cause in a healthy throw,
-/// as share of the travel: their root mean square, and the largest mean over [`MISFIT_STRETCH_S`] seconds.
+/// Largest differences of measured and modelled output that dry friction, rails and a soft drive cause in a healthy
+/// throw, as share of the travel: their root mean square, and the largest mean over [`MISFIT_STRETCH_S`] seconds.
 const MISFIT_RMS: f64 = 4e-4;
 const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
@@ -53,8 +53,8 @@ pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Resul
     }
 }
 
-/// Rejects a movement that departs from the model by more than noise and usual dry friction explain. Returns the root mean
-/// square of the slow departure, without that from noise \[mm\].
+/// Rejects a movement that departs from the model by more than noise and usual dry friction explain. Returns the root
+/// mean square of the slow departure, without that from noise \[mm\].
 pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm: f64) -> Result<f64, Rejection> {
     let Fitted { output, model, parameters: [b0, a1, a0], .. } = *fitted;
     // Variance of the modelled output, in steady state, for white noise of variance 1 on the input.
@@ -87,8 +87,8 @@ pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm:
 /// The estimate with its covariance, from an accepted solution; rejects a solution that is too uncertain.
 ///
 /// `dry` and `offset` are the errors of (b0, a1, a0) from dry friction and from the current at rest, `load` is the
-/// covariance of their errors from a random load. `cut_after_mm` is the travel of a trace that ends during the movement,
-/// `None` for a complete one.
+/// covariance of their errors from a random load. `cut_after_mm` is the travel of a trace that ends during the
+/// movement, `None` for a complete one.
 pub(super) fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],

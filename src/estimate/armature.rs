@@ -1,18 +1,18 @@
 //! No-load speed of a throw, and resistance and back-EMF constant if the supply voltage is known.
 //!
-//! The equation of the armature, (1), is V = R i + L i' + K ω, with supply voltage V, resistance R, inductance L, back-EMF
-//! constant K and speed ω. Its integral from the start of the motor has no derivative. The toe may start later than the
-//! motor, because of play, lost motion or a late position, and the motor starts at an unknown moment between two samples.
-//! So while the toe moves, the angle of the motor is that of the toe plus a constant, and the time since the start is known
-//! up to a constant. Both constants are in c:
+//! The equation of the armature, (1), is V = R i + L i' + K ω, with supply voltage V, resistance R, inductance L,
+//! back-EMF constant K and speed ω. Its integral from the start of the motor has no derivative. The toe may start later
+//! than the motor, because of play, lost motion or a late position, and the motor starts at an unknown moment between
+//! two samples. So while the toe moves, the angle of the motor is that of the toe plus a constant, and the time since
+//! the start is known up to a constant. Both constants are in c:
 //!
 //! ```text
 //! V t = R ∫i dt + L i + K θ + c
 //! ```
 //!
-//! with the angle θ of the toe, in radians of the screw. The equation is linear in R, L, K and c. The rest of the inrush
-//! after the first movement of the toe separates R from K. (Without c, 0.2 mm of play changes R by a factor of two.) If V
-//! is constant but unknown, the equation divided by V gives R / V and K / V.
+//! with the angle θ of the toe, in radians of the screw. The equation is linear in R, L, K and c. The rest of the
+//! inrush after the first movement of the toe separates R from K. (Without c, 0.2 mm of play changes R by a factor of
+//! two.) If V is constant but unknown, the equation divided by V gives R / V and K / V.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -20,8 +20,8 @@ use super::{features::Features, movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush \[Hz\]: it gives 60 samples in the 0.3 s of the inrush.
 const LEAST_RATE_HZ: f64 = 200.0;
-/// The toe counts as moving after this share of its travel (0.3 mm of 115 mm), and after this many standard deviations of
-/// the position's noise.
+/// The toe counts as moving after this share of its travel (0.3 mm of 115 mm), and after this many standard deviations
+/// of the position's noise.
 const MOVES_SHARE: f64 = 0.0026;
 const MOVES_SD: f64 = 5.0;
 

@@ -47,8 +47,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         }
     };
 
-    /// Copies every `step`-th sample of the signals, from the sample `from` on, into the block, with zeros after the last
-    /// one. Returns the number of samples copied.
+    /// Copies every `step`-th sample of the signals, from the sample `from` on, into the block, with zeros after the
+    /// last one. Returns the number of samples copied.
     pub(super) fn load(&mut self, problem: &Problem<S>, from: usize, step: usize) -> usize {
         let load = |to: &mut Samples, signal: &[f64]| {
             let signal = &signal[from..signal.len().min(from + BLOCK * step)];
@@ -73,8 +73,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         load(&mut self.output, problem.output)
     }
 
-    /// Row number `row` of the instrument: a numerator column, or a state of the filter of x̂ (of y without an auxiliary
-    /// model).
+    /// Row number `row` of the instrument: a numerator column, or a state of the filter of x̂ (of y without an
+    /// auxiliary model).
     pub(super) fn instrument<const IV: bool>(&self, row: usize) -> &Samples {
         if !IV || row < P - N { &self.phi[row] } else { &self.auxiliary[row - (P - N)] }
     }

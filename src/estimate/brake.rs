@@ -1,10 +1,11 @@
 //! Uncertainty of the common scale of b0, a1 and a0 because of a brake that may drag at the start of a movement.
 //!
-//! A brake that releases after the start of the motor takes a part of the current u. Let B be the brake's torque over KT.
-//! Without friction and stiffness the acceleration is b0 (u - min(B, u)) until the release, and b0 u after it. Later the
-//! machine runs at nearly constant speed, where lost charge and larger inertia have the same effect. Only the curvature of
-//! the first 50 ms distinguishes them, to some 20 % with 20 um of noise. So brakes with torques up to the motor's largest
-//! and releases up to 40 ms are fitted, and the uncertainty of the scale includes every brake that fits the start.
+//! A brake that releases after the start of the motor takes a part of the current u. Let B be the brake's torque over
+//! KT. Without friction and stiffness the acceleration is b0 (u - min(B, u)) until the release, and b0 u after it.
+//! Later the machine runs at nearly constant speed, where lost charge and larger inertia have the same effect. Only the
+//! curvature of the first 50 ms distinguishes them, to some 20 % with 20 um of noise. So brakes with torques up to the
+//! motor's largest and releases up to 40 ms are fitted, and the uncertainty of the scale includes every brake that fits
+//! the start.
 
 use super::{
     movement::samples_in,

@@ -10,50 +10,53 @@ use super::{
     settings::Settings,
 };
 
-/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. The toe of a locked
-/// rail that bends moves less.
+/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. The toe of a
+/// locked rail that bends moves less.
 const LEAST_TRAVEL_MM: f64 = 2.0;
 const LEAST_TRAVEL_SHARE: f64 = 0.02;
 const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
-/// The rails bend when the toe is locked, so the toe moves up to this distance \[mm\]. With a larger travel (from the mean
-/// at rest to the median at the end), larger also than this many standard deviations of the noise, the toe was not locked.
+/// The rails bend when the toe is locked, so the toe moves up to this distance \[mm\]. With a larger travel (from the
+/// mean at rest to the median at the end), larger also than this many standard deviations of the noise, the toe was not
+/// locked.
 const LARGEST_BEND_MM: f64 = 20.0;
 const MEDIAN_SIGMAS: f64 = 3.0;
-/// The toe was displaced before the throw if the means of the first and the last quarter of the quiet samples (those before
-/// the start of the motor) differ by more than this many of their standard deviations. Over 200 samples, white noise or hum
-/// gives less than 0.8, a displacement at any time 0.9 or more.
+/// The toe was displaced before the throw if the means of the first and the last quarter of the quiet samples (those
+/// before the start of the motor) differ by more than this many of their standard deviations. Over 200 samples, white
+/// noise or hum gives less than 0.8, a displacement at any time 0.9 or more.
 const DISPLACED_SIGMAS: f64 = 0.85;
-/// In a noisy position the toe still moves if it is faster than this share of its mean speed, and moves by more than this
-/// many standard deviations of the noise.
+/// In a noisy position the toe still moves if it is faster than this share of its mean speed, and moves by more than
+/// this many standard deviations of the noise.
 const LEAST_SPEED_SHARE: f64 = 0.25;
 const MOVED_SIGMAS: f64 = 4.0;
 /// Range of possible strokes if none is configured \[mm\], to recognise a position in metres.
 const USUAL_STROKES_MM: (f64, f64) = (50.0, 500.0);
-/// Least ratio of the travel to noise and converter step in a position in metres: a sensor with 0.2 mm of noise over 115 mm
-/// has 575. If the same numbers were millimetres, the sensor would have less than 0.3 um of noise.
+/// Least ratio of the travel to noise and converter step in a position in metres: a sensor with 0.2 mm of noise over
+/// 115 mm has 575. If the same numbers were millimetres, the sensor would have less than 0.3 um of noise.
 const METRES_RESOLUTION: f64 = 400.0;
 /// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
-/// A shorter travel, down to this share of the stroke, may be that of a complete throw, if the gain of the position sensor
-/// or `stroke_mm` is wrong. Then the throw must end as a complete one.
+/// A shorter travel, down to this share of the stroke, may be that of a complete throw, if the gain of the position
+/// sensor or `stroke_mm` is wrong. Then the throw must end as a complete one.
 const WRONG_GAIN_SHARE: f64 = 0.85;
-/// Time from the arrival of the toe to the end of the motor in a complete throw \[s\]: the motor pushes the toe against the
-/// stock rail until the detection ends the throw. A motor that lost its supply does not push. At an obstruction the motor
-/// slips its clutch, or stalls, until a time-out of seconds or an overload protection, which lets an inrush of 0.1 s pass.
+/// Time from the arrival of the toe to the end of the motor in a complete throw \[s\]: the motor pushes the toe against
+/// the stock rail until the detection ends the throw. A motor that lost its supply does not push. At an obstruction the
+/// motor slips its clutch, or stalls, until a time-out of seconds or an overload protection, which lets an inrush of
+/// 0.1 s pass.
 const PUSH_S: (f64, f64) = (0.01, 0.1);
 /// Least peak of the current of a pushing motor, as multiple of the running current.
 const PUSH_FACTOR: f64 = 1.5;
-/// Least mean speed of a toe over its last movement before the arrival, as share of its mean speed before that. At the stock
-/// rail the toe stops at once, at a soft obstruction it slows down first.
+/// Least mean speed of a toe over its last movement before the arrival, as share of its mean speed before that. At the
+/// stock rail the toe stops at once, at a soft obstruction it slows down first.
 const SHARP_STOP_SHARE: f64 = 0.7;
 /// Length of this last movement, as share of the travel; the movement before it is nine times as long.
 const LAST_SHARE: f64 = 0.01;
-/// Largest movement back after the end of a complete throw \[mm\], beyond the noise: an obstruction pushes the toe back.
+/// Largest movement back after the end of a complete throw \[mm\], beyond the noise: an obstruction pushes the toe
+/// back.
 const LARGEST_REBOUND_MM: f64 = 1.0;
-/// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale of the
-/// sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. Noise may reduce the
-/// travel by this many standard deviations.
+/// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale
+/// of the sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. Noise may
+/// reduce the travel by this many standard deviations.
 const WHOLE_SHARE: f64 = 0.98;
 const WHOLE_SIGMAS: f64 = 4.0;
 /// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
@@ -66,8 +69,8 @@ const LEAST_CURRENT_SIGMAS: f64 = 6.0;
 /// multiple of the noise's standard deviation, as the largest noise of several thousand samples counts.
 const WRONG_WAY_SHARE: f64 = 0.02;
 const WRONG_WAY_SIGMAS: f64 = 10.0;
-/// Largest displacement of three consecutive positions at the start of the motor, in standard deviations of the noise. Noise
-/// exceeds it in 1 of 1,000,000 healthy throws.
+/// Largest displacement of three consecutive positions at the start of the motor, in standard deviations of the noise.
+/// Noise exceeds it in 1 of 1,000,000 healthy throws.
 const EARLY_SIGMAS: f64 = 2.8;
 /// Current of the first sample, as share of the peak, above which the recording began too late.
 const LATE_START_SHARE: f64 = 0.25;
@@ -148,8 +151,8 @@ pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     Ok(())
 }
 
-/// Whether the position is in metres: the travel is a thousandth of a stroke, and finely resolved. The travel of a locked toe
-/// may be as small, but is not as finely resolved.
+/// Whether the position is in metres: the travel is a thousandth of a stroke, and finely resolved. The travel of a
+/// locked toe may be as small, but is not as finely resolved.
 fn is_in_metres(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> bool {
     let (low, high) = settings.stroke_mm.map_or(USUAL_STROKES_MM, |stroke_mm| (0.9 * stroke_mm, 1.1 * stroke_mm));
     (low..=high).contains(&(1000.0 * movement.travel_mm))
@@ -157,8 +160,8 @@ fn is_in_metres(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> 
 }
 
 /// Standard deviation of the noise of the position \[mm\], also for hum and other noise that is not white: then the
-/// positions at rest scatter more than the differences of neighbouring samples. A toe that is displaced before the throw
-/// does not count as noise.
+/// positions at rest scatter more than the differences of neighbouring samples. A toe that is displaced before the
+/// throw does not count as noise.
 fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
     let Movement { position_mm: position, position_noise_mm: noise_mm, .. } = *movement;
     let Level { mean: centre, sd, samples, .. } = movement.position;
@@ -194,8 +197,8 @@ fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut 
     if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
 }
 
-/// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a moment.
-/// False if the motor is off before the toe arrives, as a motor that loses its supply leaves the same trace.
+/// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a
+/// moment. False if the motor is off before the toe arrives, as a motor that loses its supply leaves the same trace.
 fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>) -> bool {
     let Movement { current_a: current, sign, travel_mm, arrived, .. } = *movement;
     let start = movement.start();
@@ -215,8 +218,8 @@ fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>)
 }
 
 /// Whether the toe moves until the end of the motor. In a noisy position the first sample near the end of the travel is
-/// much too early. So the time from this sample to the end of the motor is cut into thirds, and the mean positions of the
-/// second and the last third are compared.
+/// much too early. So the time from this sample to the end of the motor is cut into thirds, and the mean positions of
+/// the second and the last third are compared.
 fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     let third = off.saturating_sub(movement.near_end) / 3;
     if third == 0 {
@@ -228,8 +231,8 @@ fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
 }
 
-/// Rejects a toe that already moves at the start of the motor. The mean of three consecutive positions decides, as noise
-/// can displace a single one.
+/// Rejects a toe that already moves at the start of the motor. The mean of three consecutive positions decides, as
+/// noise can displace a single one.
 pub(super) fn early(movement: &Movement<'_>) -> Result<(), Rejection> {
     if movement.quiet <= 2 * MIN_QUIET {
         return Ok(());
@@ -270,8 +273,8 @@ pub(super) fn rise_samples(movement: &Movement<'_>) -> usize {
     crest + flat - start + 1
 }
 
-/// Largest step of the position between two samples. It is the sum of a multiple of the mean step of the movement, of the
-/// noise's standard deviation, and of the converter's step, which counts as 0.5 mm at most.
+/// Largest step of the position between two samples. It is the sum of a multiple of the mean step of the movement, of
+/// the noise's standard deviation, and of the converter's step, which counts as 0.5 mm at most.
 const JUMP_MEAN_STEPS: f64 = 5.0;
 const JUMP_SIGMAS: f64 = 10.0;
 const JUMP_QUANTA: f64 = 3.0;

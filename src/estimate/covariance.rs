@@ -8,20 +8,21 @@
 //! ```
 //!
 //! with instrument z and regressor φ, as the equation error, filtered by 1/A, is the output noise `n_y` minus the noise
-//! `n_s` of each input s filtered by the model. Let T be the lower triangular matrix of the sampled response of B/A. Then
-//! Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered backwards in time. So, for white noise of variances `s_y²` and `s_s²`,
+//! `n_s` of each input s filtered by the model. Let T be the lower triangular matrix of the sampled response of B/A.
+//! Then Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered backwards in time. So, for white noise of variances `s_y²`
+//! and `s_s²`,
 //!
 //! ```text
 //! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
 //! ```
 //!
-//! With a prefilter 1/C other than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`. So W is Z filtered
-//! by B/C, and Z filtered by A/C replaces Z in Z'Z.
+//! With a prefilter 1/C other than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`. So W is Z
+//! filtered by B/C, and Z filtered by A/C replaces Z in Z'Z.
 //!
-//! The start position and the current's offset are means over n quiet samples, those before the start of the motor. Their
-//! errors, of variances `s_y²/n` and `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)'
-//! to the bracket, with the rows w of W. (If the noise is below half a step of the converter, the mean is no better than
-//! one sample, so the variance of the rounding error is added to theirs.)
+//! The start position and the current's offset are means over n quiet samples, those before the start of the motor.
+//! Their errors, of variances `s_y²/n` and `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n`
+//! (Σw)(Σw)' to the bracket, with the rows w of W. (If the noise is below half a step of the converter, the mean is no
+//! better than one sample, so the variance of the rounding error is added to theirs.)
 
 use nalgebra::Matrix3;
 
@@ -40,8 +41,8 @@ pub struct Noise<'a, const S: usize> {
     pub output: f64,
     /// Variance on each input; 0 for inputs that are not measured.
     pub inputs: [f64; S],
-    /// For a first input that is a nonlinear function of the measured value: the standard deviation of the noise of each
-    /// of its samples, as multiple of the square root of `inputs[0]`. `None` if it is the same for all samples.
+    /// For a first input that is a nonlinear function of the measured value: the standard deviation of the noise of
+    /// each of its samples, as multiple of the square root of `inputs[0]`. `None` if it is the same for all samples.
     pub scale: Option<&'a [f64]>,
     /// Variances of the offsets that were removed from the first input and from the output; 0 if none was removed.
     pub offsets: [f64; 2],
@@ -97,15 +98,15 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-/// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything from
-/// 0 to 1.
+/// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
+/// from 0 to 1.
 pub(super) const DRY_SHARE: f64 = 0.58;
 /// Share of the travel after which the machine has its running speed.
 const STARTED_SHARE: f64 = 0.05;
 
 impl Sriv<2, 1, 3> {
-    /// Covariance of the errors of (b0, a1, a0) from a random load. A charge of 1 A s in one sample of the input changes
-    /// them by M⁻¹ w / T, with the sampling interval T. `None` if the movement does not determine the load.
+    /// Covariance of the errors of (b0, a1, a0) from a random load. A charge of 1 A s in one sample of the input
+    /// changes them by M⁻¹ w / T, with the sampling interval T. `None` if the movement does not determine the load.
     pub(super) fn load_covariance(
         &self,
         problem: &Problem<1>,
@@ -127,10 +128,10 @@ impl Sriv<2, 1, 3> {
     /// share, and those from an error `offset` of the current's offset, with the `scale` of [`Noise`].
     ///
     /// A disturbance d of the acceleration changes the output by n = d/A (d/C with a prefilter 1/C) and the estimate by
-    /// M⁻¹ Σ z n. The model has only viscous friction. It stands for a dry friction F with the same torque at the speed ω,
-    /// and the two differ by d = -F (1 - y'/ω) at the speed y'. ω is the mean speed of the movement after its start. A mean
-    /// over less of the movement would depend on the spring, which brakes one direction and drives the other, and the
-    /// resulting interval would not contain the true friction.
+    /// M⁻¹ Σ z n. The model has only viscous friction. It stands for a dry friction F with the same torque at the speed
+    /// ω, and the two differ by d = -F (1 - y'/ω) at the speed y'. ω is the mean speed of the movement after its start.
+    /// A mean over less of the movement would depend on the spring, which brakes one direction and drives the other,
+    /// and the resulting interval would not contain the true friction.
     pub(super) fn systematic_errors(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,

@@ -1,18 +1,18 @@
 //! A throw without a toe position: its features from the current, and its coefficients if supply voltage and stroke are
 //! known.
 //!
-//! The back-EMF shows the speed of the motor. The armature is V = R i + L i' + K y', with supply voltage V, resistance R,
-//! inductance L and back-EMF constant K. Let V be constant from the motor's start, Q = ∫i and P = ∫Q. With the model of
-//! equation (12), the armature's equation integrated twice is linear in five unknowns,
+//! The back-EMF shows the speed of the motor. The armature is V = R i + L i' + K y', with supply voltage V, resistance
+//! R, inductance L and back-EMF constant K. Let V be constant from the motor's start, Q = ∫i and P = ∫Q. With the model
+//! of equation (12), the armature's equation integrated twice is linear in five unknowns,
 //!
 //! ```text
 //! V (t + a0 t³/6) - a0 R ∫P = L i + (R + a1 L) Q + (K b0 + a1 R + a0 L) P + c t² + d
 //! ```
 //!
-//! which are found by least squares over the inrush. (c contains friction and the preload of the spring, d the moment of
-//! the start.) Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke. The ratios a1/b0 and a0/b0
-//! follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with a1 and a0
-//! are corrected in a few rounds.
+//! which are found by least squares over the inrush. (c contains friction and the preload of the spring, d the moment
+//! of the start.) Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke. The ratios a1/b0 and
+//! a0/b0 follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with
+//! a1 and a0 are corrected in a few rounds.
 
 use nalgebra::{Matrix2, Matrix5, Vector5};
 
@@ -33,26 +33,27 @@ use crate::throw::{Direction, Throw};
 pub(super) const LEAST_RATE_HZ: f64 = 500.0;
 /// Length of the part of the inrush from which the armature's constants are estimated \[s\].
 const INRUSH_S: f64 = 0.2;
-/// Number of corrections of the terms with a1 and a0. Each is smaller than the previous one by the factor a1 L / R, a few
-/// per cent.
+/// Number of corrections of the terms with a1 and a0. Each is smaller than the previous one by the factor a1 L / R, a
+/// few per cent.
 const ROUNDS: usize = 6;
-/// Standard deviation of ln b0, and that added to the logarithms of the ratios. In simulated throws with 20 mA of noise b0
-/// scatters by 0.15 % and a1 by 0.3 % at 1 kHz, and twice as much at 500 Hz.
+/// Standard deviation of ln b0, and that added to the logarithms of the ratios. In simulated throws with 20 mA of noise
+/// b0 scatters by 0.15 % and a1 by 0.3 % at 1 kHz, and twice as much at 500 Hz.
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
-/// Standard deviation of the logarithms of the ratios from errors that are equal in every throw of a machine: because of dry
-/// friction, or a filter, the armature's constants are wrong by some per cent.
+/// Standard deviation of the logarithms of the ratios from errors that are equal in every throw of a machine: because
+/// of dry friction, or a filter, the armature's constants are wrong by some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
-/// A motor that stalls at the end of the stroke until it is switched off has a peak of the current there. The peak of the
-/// second half of the throw is above this multiple of the median there.
+/// A motor that stalls at the end of the stroke until it is switched off has a peak of the current there. The peak of
+/// the second half of the throw is above this multiple of the median there.
 const STALL_FACTOR: f64 = 2.0;
 /// The stalled motor has its supply voltage while its current is above this share of the peak.
 const STALLED_SHARE: f64 = 0.95;
-/// Longest current without a supply voltage, after the stall \[s\]. A longer current is that of a movement after a heavy
-/// load.
+/// Longest current without a supply voltage, after the stall \[s\]. A longer current is that of a movement after a
+/// heavy load.
 const FREEWHEEL_S: f64 = 0.3;
-/// A current without a supply voltage decays: the mean of its second half is at most this share of that of its first half.
+/// A current without a supply voltage decays: the mean of its second half is at most this share of that of its first
+/// half.
 const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Reasons why a throw without a toe position has no coefficients.
@@ -88,8 +89,8 @@ fn solve(
     Some((scaled.try_inverse()? * right.component_mul(&scale)).component_mul(&scale))
 }
 
-/// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds resistance
-/// and back-EMF constant to the features.
+/// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds
+/// resistance and back-EMF constant to the features.
 pub(super) fn estimate(
     movement: &Movement<'_>,
     throw: &Throw,
@@ -186,9 +187,9 @@ fn unknown(throw: &Throw, settings: &Settings) -> &'static str {
     }
 }
 
-/// The last sample with the supply voltage at the motor; `None` if the motor was never on. A motor that stalls at the end of
-/// the stroke winds up the drive, which turns the motor back after the cut-off. Then a current flows for a tenth of a second
-/// without a supply voltage.
+/// The last sample with the supply voltage at the motor; `None` if the motor was never on. A motor that stalls at the
+/// end of the stroke winds up the drive, which turns the motor back after the cut-off. Then a current flows for a tenth
+/// of a second without a supply voltage.
 fn end_of_voltage(movement: &Movement<'_>) -> Option<usize> {
     let off = movement.motor_off?;
     let from = movement.start().midpoint(off);

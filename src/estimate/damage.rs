@@ -13,9 +13,9 @@ use super::{
 const LARGEST_CURRENT_A: f64 = 1000.0;
 /// Largest plausible position \[mm\].
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A plateau of the largest value is clipped if it has at least this many samples and its flanks fall by at least this many
-/// steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most one step
-/// within the plateau, so one width outside it has fallen by nine steps at most.
+/// A plateau of the largest value is clipped if it has at least this many samples and its flanks fall by at least this
+/// many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
+/// one step within the plateau, so one width outside it has fallen by nine steps at most.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
 /// Least number of equal consecutive samples of a stuck channel.
@@ -25,12 +25,13 @@ const REPEATED_CHANCE: f64 = 1e-9;
 /// A fast first search compares only the two ends of parts of this many samples: every stretch of at least
 /// [`REPEATED_SAMPLES`] equal samples contains one whole part.
 const REPEATED_PART: usize = 13;
-/// A position without noise may repeat longer: this many times the time of one converter step at mean speed, and at least
-/// this time \[s\] for the slow start of the toe.
+/// A position without noise may repeat longer: this many times the time of one converter step at mean speed, and at
+/// least this time \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
 /// While the machine unlocks, the toe stands within this many converter steps of its position at rest. It leaves this
-/// position by at most as many steps plus this multiple of the mean movement between samples. A stuck sensor jumps instead.
+/// position by at most as many steps plus this multiple of the mean movement between samples. A stuck sensor jumps
+/// instead.
 const STANDING_STEPS: f64 = 1.5;
 const DEPARTURE_MEAN_STEPS: f64 = 2.0;
 /// Longest repetition of a current without noise, as share of the movement: such a current may be constant.
@@ -83,8 +84,9 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 
 /// Rejects a channel that repeats a value during the movement for longer than the converter step explains.
 ///
-/// A machine may unlock for some tenths of a second before its toe moves. A converter whose step is larger than the noise
-/// repeats the position at rest for this time, and then goes on from it step by step. This is not a stuck channel.
+/// A machine may unlock for some tenths of a second before its toe moves. A converter whose step is larger than the
+/// noise repeats the position at rest for this time, and then goes on from it step by step. This is not a stuck
+/// channel.
 pub(super) fn sticking(
     movement: &Movement<'_>,
     channel: Channel,
@@ -129,9 +131,9 @@ pub(super) fn sticking(
     Ok(())
 }
 
-/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\], for the worst
-/// case: a level in the middle of a converter step. White noise then leaves the value within the step with the probability
-/// erf(1 / (2 √2 noise)).
+/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\], for the
+/// worst case: a level in the middle of a converter step. White noise then leaves the value within the step with the
+/// probability erf(1 / (2 √2 noise)).
 fn repeated_by_chance(noise: f64) -> f64 {
     let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
     REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())
@@ -144,18 +146,18 @@ const SPIKE_SIGMAS: f64 = 12.0;
 /// Factor on these shares for a filtered trace, which usually has a low rate: there vibrations of the machine look like
 /// spikes.
 const SPIKE_FILTERED_FACTOR: f64 = 10.0;
-/// Least height of a spike as share of the signal's change over two samples: on a steep flank, jitter of the sampling looks
-/// like a spike.
+/// Least height of a spike as share of the signal's change over two samples: on a steep flank, jitter of the sampling
+/// looks like a spike.
 const SPIKE_SLOPE_SHARE: f64 = 0.4;
-/// Tolerance of the shape of a spike, as share of its height. A value minus the mean of its neighbours is the height at the
-/// spike, minus half the height next to it, and 0 two samples away.
+/// Tolerance of the shape of a spike, as share of its height. A value minus the mean of its neighbours is the height at
+/// the spike, minus half the height next to it, and 0 two samples away.
 const SPIKE_BESIDE_SHARE: f64 = 0.3;
 /// This many spikes, or more, are a ripple that the sampling hardly resolves.
 const RIPPLE_SPIKES: usize = 6;
 
-/// Rejects single values far from their neighbours. The second difference is large at such a spike, half as large with the
-/// opposite sign at the neighbours, and small two samples away, unlike the ringing of an anti-alias filter after the inrush.
-/// A few spikes are corrupt values. Many are a ripple that the sampling hardly resolves, and pass.
+/// Rejects single values far from their neighbours. The second difference is large at such a spike, half as large with
+/// the opposite sign at the neighbours, and small two samples away, unlike the ringing of an anti-alias filter after
+/// the inrush. A few spikes are corrupt values. Many are a ripple that the sampling hardly resolves, and pass.
 pub(super) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) -> Result<(), Rejection> {
     let values = movement.values(channel);
     let range = if channel == Channel::Current {
@@ -201,16 +203,16 @@ const INRUSH_STEP_SHARE: f64 = 0.18;
 const INRUSH_STEP_SIGMAS: f64 = 12.0;
 /// Samples after the start of the motor that are checked for such a step.
 const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
-/// Least height of a step in means of half the length: as share of its height in the long means (1 for a step, an eighth
-/// for a smooth signal), and in standard deviations of its noise.
+/// Least height of a step in means of half the length: as share of its height in the long means (1 for a step, an
+/// eighth for a smooth signal), and in standard deviations of its noise.
 const SHORT_MEAN_SHARE: f64 = 0.6;
 const SHORT_MEAN_SIGMAS: f64 = 5.0;
 /// Length of the mean on each side of a step \[s\].
 const STEP_S: f64 = 0.008;
 /// Least height of a step in standard deviations of its noise: a trace has several thousand places for a false step.
 const STEP_SIGNIFICANCE: f64 = 6.5;
-/// Longest sampling interval at which a smooth movement shows no step \[s\]. The apparent step grows with the third power of
-/// the interval.
+/// Longest sampling interval at which a smooth movement shows no step \[s\]. The apparent step grows with the third
+/// power of the interval.
 const SMOOTH_S: f64 = 0.003;
 /// Duration of the inrush \[s\]. In this time the current changes too fast for the check with means.
 pub(super) const INRUSH_S: f64 = 0.15;
@@ -238,10 +240,10 @@ fn inrush_step(movement: &Movement<'_>, sd: f64) -> Result<(), Rejection> {
     }
 }
 
-/// Rejects a lasting step between two samples. Inductance and inertia prevent such a step in current and position, so the
-/// cause is a changed gain, a shifted offset or lost samples. The difference of the means over 8 ms before and after a sample,
-/// without the trend, is compared with that over 4 ms: both are the height of a step, but for a smooth signal the shorter
-/// means differ by an eighth. Many steps are a ripple that the sampling hardly resolves, and pass.
+/// Rejects a lasting step between two samples. Inductance and inertia prevent such a step in current and position, so
+/// the cause is a changed gain, a shifted offset or lost samples. The difference of the means over 8 ms before and
+/// after a sample, without the trend, is compared with that over 4 ms: both are the height of a step, but for a smooth
+/// signal the shorter means differ by an eighth. Many steps are a ripple that the sampling hardly resolves, and pass.
 pub(super) fn steps(
     movement: &Movement<'_>,
     channel: Channel,

@@ -1,7 +1,7 @@
 //! Decimation of high sampling rates to about 1 kHz, with the same anti-alias filter for both channels.
 //!
-//! The model is linear, so a filter may change the signals if it is the same for current and position. It is a fourth-order
-//! Butterworth low-pass (two biquads by the bilinear transform) with a cut-off at 0.4 of the new rate.
+//! The model is linear, so a filter may change the signals if it is the same for current and position. It is a
+//! fourth-order Butterworth low-pass (two biquads by the bilinear transform) with a cut-off at 0.4 of the new rate.
 
 /// Traces of twice this rate or more are decimated, to this rate or more \[Hz\].
 pub(super) const TARGET_RATE_HZ: f64 = 1000.0;
@@ -25,8 +25,8 @@ struct Biquad {
 }
 
 impl Biquad {
-    /// Low-pass with this quality factor and `warped` = tan(π f/fs), with cut-off f and sampling rate fs, in steady state for
-    /// the constant `level`.
+    /// Low-pass with this quality factor and `warped` = tan(π f/fs), with cut-off f and sampling rate fs, in steady
+    /// state for the constant `level`.
     fn low_pass(warped: f64, quality: f64, level: f64) -> Self {
         let square = warped * warped;
         let scale = 1.0 / (1.0 + warped / quality + square);

@@ -12,11 +12,11 @@ pub struct Features {
     pub duration_s: Option<f64>,
     /// Time from the motor's start until the toe has moved 0.5 % of its travel \[s\].
     pub release_s: Option<f64>,
-    /// Delay of the movement behind the current at the start \[s\]. A healthy machine has some milliseconds of either sign. A
-    /// brake that releases late, play, lost motion or a late position signal changes it.
+    /// Delay of the movement behind the current at the start \[s\]. A healthy machine has some milliseconds of either
+    /// sign. A brake that releases late, play, lost motion or a late position signal changes it.
     pub start_delay_s: Option<f64>,
-    /// b0 from the start of the movement alone, without that delay \[rad s⁻² A⁻¹\]. A brake that drags, or more inertia,
-    /// lowers it.
+    /// b0 from the start of the movement alone, without that delay \[rad s⁻² A⁻¹\]. A brake that drags, or more
+    /// inertia, lowers it.
     pub start_gain: Option<f64>,
     /// Largest magnitude of the current \[A\]. Below 1 kHz it depends on the sampling instants and scatters by 13 %.
     pub peak_current_a: Option<f64>,
@@ -40,8 +40,8 @@ pub struct Features {
     pub supply_v: Option<f64>,
     /// Resistance of armature and leads \[ohm\], from the inrush; needs `supply_v`, and the position or the stroke.
     pub resistance_ohm: Option<f64>,
-    /// Back-EMF constant K at the screw \[V s/rad\]: (V - R i) / ω in steady state, with supply voltage V, resistance R and
-    /// screw speed ω; needs `supply_v`, and the position or the stroke.
+    /// Back-EMF constant K at the screw \[V s/rad\]: (V - R i) / ω in steady state, with supply voltage V, resistance R
+    /// and screw speed ω; needs `supply_v`, and the position or the stroke.
     pub back_emf_v_s_per_rad: Option<f64>,
     /// No-load speed of the motor, as speed of the screw, V / K \[rad/s\]. It needs the position, and a voltage that is
     /// constant during the throw, but not its value.

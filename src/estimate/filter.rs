@@ -1,7 +1,7 @@
 //! The state-variable filter 1/A(s), discretised exactly for a signal that is constant or linear between its samples.
 //!
-//! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form
-//! ż = F z + `e_n` v, with the n-th unit vector `e_n`, gives over one sampling interval h, for a signal that is linear
+//! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form ż = F
+//! z + `e_n` v, with the n-th unit vector `e_n`, gives over one sampling interval h, for a signal that is linear
 //! between its samples, `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
 //!
 //! ```text
@@ -23,10 +23,11 @@
 //! ```
 //!
 //! with the coefficients α of the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ,
-//! `k_{N-j}` = Ψ `k_{N-j+1}` + `α_j` Γ of K. As Ψ is of the order of h, there is no cancellation at high sampling rates.
+//! `k_{N-j}` = Ψ `k_{N-j+1}` + `α_j` Γ of K. As Ψ is of the order of h, there is no cancellation at high sampling
+//! rates.
 //!
-//! Ψ, Γ0 and Γ1 come from Taylor series with scaling and squaring, in time multiplied by the root radius ρ of A: then powers
-//! of a fast pole do not dominate. The companion matrix in this time is that of `a_i` / ρ^i.
+//! Ψ, Γ0 and Γ1 come from Taylor series with scaling and squaring, in time multiplied by the root radius ρ of A: then
+//! powers of a fast pole do not dominate. The companion matrix in this time is that of `a_i` / ρ^i.
 
 use serde::{Deserialize, Serialize};
 
@@ -74,8 +75,8 @@ struct Interval<const N: usize> {
 }
 
 impl<const N: usize> Discrete<N> {
-    /// Discretises 1/A(s) for the interval `h` \[s\], with A = s^N + `a_1` s^(N-1) + … + `a_N`. `None` if the samples do not
-    /// determine all states: for poles that are not finite, or at a harmonic of the sampling rate.
+    /// Discretises 1/A(s) for the interval `h` \[s\], with A = s^N + `a_1` s^(N-1) + … + `a_N`. `None` if the samples
+    /// do not determine all states: for poles that are not finite, or at a harmonic of the sampling rate.
     pub(super) fn new(a: &[f64; N], h: f64) -> Option<Self> {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
@@ -133,7 +134,8 @@ impl<const N: usize> Discrete<N> {
 }
 
 impl<const N: usize> Readout<N> {
-    /// K and D from values in normalised time; `scales` converts each derivative to seconds. `None` if K has no inverse.
+    /// K and D from values in normalised time; `scales` converts each derivative to seconds. `None` if K has no
+    /// inverse.
     fn new(
         psi: &[[f64; N]; N],
         alpha: &[f64; N],
@@ -159,8 +161,8 @@ impl<const N: usize> Readout<N> {
         dot(&self.state[derivative], state) + self.through[derivative] * v
     }
 
-    /// The sum of derivatives of x with the coefficients `polynomial` (that of the d-th derivative at index d), as weights
-    /// on the states and on the sample.
+    /// The sum of derivatives of x with the coefficients `polynomial` (that of the d-th derivative at index d), as
+    /// weights on the states and on the sample.
     pub(super) fn combined(&self, polynomial: &[f64; N]) -> ([f64; N], f64) {
         (
             std::array::from_fn(|j| (0..N).map(|i| polynomial[i] * self.state[i][j]).sum()),
@@ -206,8 +208,8 @@ impl<const N: usize> Interval<N> {
         interval
     }
 
-    /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)! and of the ramp response
-    /// Σ Fᵏe hᵏ⁺²/(k+2)! (from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
+    /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)! and of the ramp response Σ
+    /// Fᵏe hᵏ⁺²/(k+2)! (from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
     fn taylor(a: &[f64; N], h: f64) -> Self {
         let mut psi = [[0.0; N]; N];
         for j in 0..N {

@@ -1,16 +1,16 @@
-//! Channels with fewer new values than samples. A logger that reads a slow sensor, or samples slowly, repeats each value
-//! until the next one, or sends `null` instead.
+//! Channels with fewer new values than samples. A logger that reads a slow sensor, or samples slowly, repeats each
+//! value until the next one, or sends `null` instead.
 
 use super::movement::{median_of, quantum, samples_in, start_of_motor};
 use crate::throw::Trace;
 
 /// A channel with this many new values, or fewer, is left as it is.
 const LEAST_UPDATES: usize = 10;
-/// Least median change from one value to the next \[steps of the converter\]. A coarse converter without noise repeats its
-/// values as well, but then changes by one step.
+/// Least median change from one value to the next \[steps of the converter\]. A coarse converter without noise repeats
+/// its values as well, but then changes by one step.
 const LEAST_CHANGE: f64 = 1.5;
-/// New values must come regularly: this share of the times from one to the next must equal their median, within one sample
-/// or within `REGULAR_TOLERANCE` of it.
+/// New values must come regularly: this share of the times from one to the next must equal their median, within one
+/// sample or within `REGULAR_TOLERANCE` of it.
 const REGULAR_SHARE: f64 = 0.6;
 const REGULAR_TOLERANCE: f64 = 0.1;
 
@@ -44,9 +44,10 @@ pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
     Some(Resampled { trace, position_every })
 }
 
-/// Power of the noise at low frequencies if one of `every` samples is measured and lines join these, as multiple of that of
-/// white noise with the same variance of all samples. A sample at the share f of the way between two measured samples has
-/// 1 - 2 f + 2 f² of their variance. With n for `every`, the mean over f is 1 - (n - 1) / n + (n - 1) (2 n - 1) / (3 n²).
+/// Power of the noise at low frequencies if one of `every` samples is measured and lines join these, as multiple of
+/// that of white noise with the same variance of all samples. A sample at the share f of the way between two measured
+/// samples has 1 - 2 f + 2 f² of their variance. With n for `every`, the mean over f is 1 - (n - 1) / n + (n - 1) (2
+/// n - 1) / (3 n²).
 pub(super) fn noise_power(every: f64) -> f64 {
     let between = (every - 1.0) / every;
     every / (1.0 - between + between * (2.0 * every - 1.0) / (3.0 * every))
@@ -63,8 +64,8 @@ struct Updates {
 impl Updates {
     /// `None` if the channel does not repeat its values.
     fn of(values: &[f64]) -> Option<Self> {
-        // A fast check for the usual traces: a new value in most samples, or a coarse converter. A comparison with NaN is
-        // false.
+        // A fast check for the usual traces: a new value in most samples, or a coarse converter. A comparison with NaN
+        // is false.
         let changes_of = |least: f64| values.array_windows().filter(|[a, b]| (b - a).abs() > least).count();
         let changed = changes_of(0.0);
         if 3 * changed > 2 * values.len() || 2 * changes_of(LEAST_CHANGE * quantum(values)) < changed {
@@ -92,8 +93,8 @@ impl Updates {
         is_held.then_some(Self { every, at })
     }
 
-    /// Index of the first sample with a new value if all were regular: the most frequent remainder of the indices divided by
-    /// `every`.
+    /// Index of the first sample with a new value if all were regular: the most frequent remainder of the indices
+    /// divided by `every`.
     fn phase(&self) -> usize {
         let mut counts = vec![0_usize; self.every];
         for at in &self.at {
@@ -102,9 +103,9 @@ impl Updates {
         (0..self.every).max_by_key(|phase| counts[*phase]).unwrap_or(0)
     }
 
-    /// The channel with a line from each new value to the next one. If a value is repeated for longer than usual, the sensor
-    /// measured the same value again: then the line begins `every` samples before the next value. A line across the sample
-    /// `start` begins there. Longer stretches of missing samples stay missing.
+    /// The channel with a line from each new value to the next one. If a value is repeated for longer than usual, the
+    /// sensor measured the same value again: then the line begins `every` samples before the next value. A line across
+    /// the sample `start` begins there. Longer stretches of missing samples stay missing.
     fn joined(&self, values: &[f64], start: Option<usize>) -> Vec<f64> {
         let mut joined = values.to_vec();
         let mut measured = 0;

@@ -1,9 +1,10 @@
 //! Mains hum on the current: detected at rest, removed from the whole trace.
 //!
 //! A sine of the nominal frequency and a straight line are fitted to the quiet samples before the start of the motor,
-//! and to each stretch of five periods after the inrush. The frequency of the mains may differ by 0.1 Hz from the nominal
-//! one, so the phase drifts from fit to fit. Between the centres of two fits the hum is the linear interpolation of their
-//! sines, which follows such a drift to first order. The interpolation also covers the inrush, where no fit is possible.
+//! and to each stretch of five periods after the inrush. The frequency of the mains may differ by 0.1 Hz from the
+//! nominal one, so the phase drifts from fit to fit. Between the centres of two fits the hum is the linear
+//! interpolation of their sines, which follows such a drift to first order. The interpolation also covers the inrush,
+//! where no fit is possible.
 
 use nalgebra::{Matrix4, Vector4};
 

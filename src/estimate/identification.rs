@@ -15,8 +15,9 @@ pub enum Grade {
     /// The model fits the throw; the covariance is that of the sensors' noise.
     #[default]
     Good,
-    /// The movement departs from the model in a way that a machine can cause, and the covariance includes this departure.
-    /// The diagnosis compares the estimate with a baseline, but learns no baseline of all three coefficients from it.
+    /// The movement departs from the model in a way that a machine can cause, and the covariance includes this
+    /// departure. The diagnosis compares the estimate with a baseline, but learns no baseline of all three coefficients
+    /// from it.
     Rough,
     /// Estimated without a toe position, from current and supply voltage.
     CurrentOnly,
@@ -41,16 +42,16 @@ pub struct Estimate {
     pub a1: f64,
     /// Kspr / J \[s⁻²\].
     pub a0: f64,
-    /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is set to 1, with a
-    /// large variance.
+    /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is set to 1,
+    /// with a large variance.
     #[serde(default)]
     pub ratios_only: bool,
     /// Covariance of (b0, a1, a0) from the sensors' noise, which differs in each throw.
     #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
     /// Covariance of the errors of (b0, a1, a0) that the sensors do not cause. Dry friction in the viscous model, and a
-    /// possible brake at the start, act equally in every throw of a machine. A random load is part of the scatter of its
-    /// baseline. So a comparison with a baseline does not contain these errors.
+    /// possible brake at the start, act equally in every throw of a machine. A random load is part of the scatter of
+    /// its baseline. So a comparison with a baseline does not contain these errors.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// Errors of (b0, a1, a0) for one standard deviation of the part of the current at rest that the machine does not
@@ -88,10 +89,10 @@ impl Estimate {
 
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///
-    /// Errors that are equal in every throw cancel in this comparison. If only the ratios are known, they do not cancel, as
-    /// the baseline may consist of complete estimates. Nor do they average out over the throws of a window, so their
-    /// covariance is multiplied by [`Self::LONGEST_WINDOW`]. The same holds for `covariance` of the ratios, which comes from
-    /// the departure from the model, and this departure repeats.
+    /// Errors that are equal in every throw cancel in this comparison. If only the ratios are known, they do not
+    /// cancel, as the baseline may consist of complete estimates. Nor do they average out over the throws of a window,
+    /// so their covariance is multiplied by [`Self::LONGEST_WINDOW`]. The same holds for `covariance` of the ratios,
+    /// which comes from the departure from the model, and this departure repeats.
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
@@ -127,8 +128,8 @@ impl Estimate {
 /// The result of the estimator for a throw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identification {
-    /// Direction of the movement from the position, or the direction that the logger declared if the position does not show
-    /// it.
+    /// Direction of the movement from the position, or the direction that the logger declared if the position does not
+    /// show it.
     pub direction: Option<Direction>,
     /// Whether the logger declared the direction opposite to that of the position.
     pub direction_contradicted: bool,
@@ -139,8 +140,8 @@ pub struct Identification {
     /// A sentence about the fields of the message whose values are not possible; `None` if there are none.
     #[serde(default)]
     pub unused_fields: Option<String>,
-    /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the gain
-    /// of the position sensor, or the configured stroke, is wrong.
+    /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the
+    /// gain of the position sensor, or the configured stroke, is wrong.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub short_of_stroke_mm: Option<f64>,
 }

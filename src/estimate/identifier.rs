@@ -35,11 +35,11 @@ const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
 /// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
-/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz
-/// and its multiples) becomes a constant current.
+/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains
+/// (100 Hz and its multiples) becomes a constant current.
 const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
-/// Largest relative standard deviation of a usable ratio if the full model fails. After a long unlocking stroke it is 2 to
-/// 4 %; with a position that has nothing to do with the current it is 70 %.
+/// Largest relative standard deviation of a usable ratio if the full model fails. After a long unlocking stroke it is 2
+/// to 4 %; with a position that has nothing to do with the current it is 70 %.
 const LARGEST_RATIO_ERROR: f64 = 0.2;
 /// Hum is searched if the standard deviation of the current before the start of the motor is above this multiple of the
 /// noise that its second differences show.
@@ -174,8 +174,8 @@ impl Buffers {
             start::find(channels, equilibrium, estimate.ratios(), movement.interval_s, &mut self.free).unzip();
     }
 
-    /// Checks the samples of a complete movement. `filter_hz` is the cut-off of the logger's anti-alias filter. If the start
-    /// is disturbed, only the ratios may be known: then it returns the reason.
+    /// Checks the samples of a complete movement. `filter_hz` is the cut-off of the logger's anti-alias filter. If the
+    /// start is disturbed, only the ratios may be known: then it returns the reason.
     fn check_samples(
         &mut self,
         trace: &Trace,
@@ -271,8 +271,8 @@ impl Buffers {
         if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
     }
 
-    /// Fits the full model to the window. Returns fit and iterations of the solution, if there is one, and the estimate or
-    /// the reason why the solution is not accepted.
+    /// Fits the full model to the window. Returns fit and iterations of the solution, if there is one, and the estimate
+    /// or the reason why the solution is not accepted.
     fn fit(
         &mut self,
         settings: &Settings,
@@ -342,8 +342,8 @@ impl Buffers {
         (Some(found), accepted())
     }
 
-    /// Cuts the window out of the trace and converts it into the buffers: the input is positive if it drives the throw, the
-    /// output is the angle of the screw from the start \[rad\].
+    /// Cuts the window out of the trace and converts it into the buffers: the input is positive if it drives the throw,
+    /// the output is the angle of the screw from the start \[rad\].
     fn window(
         &mut self,
         settings: &Settings,
@@ -410,9 +410,9 @@ impl Buffers {
     }
 }
 
-/// Standard deviations of the noise of current \[A\] and position \[mm\]. They are measured at rest. Without enough samples
-/// at rest that of the current is the configured one, that of the position the smaller one of the configured noise and that
-/// of the second differences. Both are at least the rounding error of the converter.
+/// Standard deviations of the noise of current \[A\] and position \[mm\]. They are measured at rest. Without enough
+/// samples at rest that of the current is the configured one, that of the position the smaller one of the configured
+/// noise and that of the second differences. Both are at least the rounding error of the converter.
 fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
     let current = if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
     let position = if movement.position.samples >= MIN_QUIET {
@@ -454,8 +454,8 @@ fn identify_current(
     }
 }
 
-/// The supply voltage as published \[V\], also if it is impossible, which the diagnosis reports. `None` for a series motor,
-/// as the diagnosis compares voltage, current and speed by the equations of a permanent-magnet motor.
+/// The supply voltage as published \[V\], also if it is impossible, which the diagnosis reports. `None` for a series
+/// motor, as the diagnosis compares voltage, current and speed by the equations of a permanent-magnet motor.
 fn supply_v(throw: &Throw, settings: &Settings) -> Option<f64> {
     throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet)
 }
@@ -518,8 +518,8 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
-/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor. A trace with a larger first
-/// value began during the inrush.
+/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor. A trace with a larger
+/// first value began during the inrush.
 const REST_SHARE: f64 = 0.05;
 
 /// The current before the trace \[A\], for the initial state of the decimation filter: the first value if it may be the

@@ -1,9 +1,10 @@
-//! Check of the delay of the movement behind the current: a brake, play, lost motion or a time shift between the channels
-//! causes one.
+//! Check of the delay of the movement behind the current: a brake, play, lost motion or a time shift between the
+//! channels causes one.
 //!
 //! The first 50 ms of a throw determine the common scale of b0, a1 and a0: later the machine runs at nearly constant
 //! speed, which determines only the ratios a1/b0 and a0/b0. A delay of the toe of 1 ms changes the scale by about 2 %.
-//! A delay δ and a relative error α of the scale cause different residuals of the measured output y and the modelled x̂,
+//! A delay δ and a relative error α of the scale cause different residuals of the measured output y and the modelled
+//! x̂,
 //!
 //! ```text
 //! y - x̂ = α ∂x̂/∂ln(scale) - δ x̂'
@@ -22,8 +23,8 @@ use super::{
 
 /// Longest part of the movement that counts as its start \[s\], for a toe that hardly moves.
 const LONGEST_START_S: f64 = 0.4;
-/// Largest accepted delay \[s\], or in its standard deviations if these are larger. A soft drive (5e6 N/m) delays the toe by
-/// 1 to 2 ms, play of 0.1 mm by 3.3 ms.
+/// Largest accepted delay \[s\], or in its standard deviations if these are larger. A soft drive (5e6 N/m) delays the
+/// toe by 1 to 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
 const DELAY_SIGMAS: f64 = 5.0;
 /// Relative change of the scale in the numerical derivative ∂x̂/∂ln(scale).

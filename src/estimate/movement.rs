@@ -1,26 +1,27 @@
-//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and
-//! after the movement, and noise of the sensors at rest.
+//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and after
+//! the movement, and noise of the sensors at rest.
 
 use super::{features::Features, rejection::Channel};
 
-/// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise, below
-/// the first crest.
+/// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise,
+/// below the first crest.
 const START_SHARE: f64 = 0.05;
-/// Least distance of the first two samples of a starting motor from the current at rest, in standard deviations of the noise.
+/// Least distance of the first two samples of a starting motor from the current at rest, in standard deviations of the
+/// noise.
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
-/// In a slow recording the number of samples in the inrush depends on their moments. The charge of the throw is known if one
-/// sample of the inrush has at most this share of it.
+/// In a slow recording the number of samples in the inrush depends on their moments. The charge of the throw is known
+/// if one sample of the inrush has at most this share of it.
 const SAMPLE_SHARE: f64 = 0.1;
 /// A slow recording may have one sample of the inrush, which is at least this share of the peak.
 const INRUSH_SHARE: f64 = 0.5;
-/// The foot of the current's rise is the last sample within this many standard deviations of the noise, or within this share
-/// of the peak if the noise is smaller.
+/// The foot of the current's rise is the last sample within this many standard deviations of the noise, or within this
+/// share of the peak if the noise is smaller.
 const FOOT_SIGMAS: f64 = 3.0;
 const FOOT_SHARE: f64 = 0.002;
-/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise. The
-/// share is small because a throw in which the spring helps needs very little current.
+/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise.
+/// The share is small because a throw in which the spring helps needs very little current.
 const ON_SHARE: f64 = 0.005;
 const ON_SIGMAS: f64 = 5.0;
 /// After the arrival of the toe the motor counts as on above this share of the current before the arrival: a motor that
@@ -28,14 +29,14 @@ const ON_SIGMAS: f64 = 5.0;
 const DRIVING_SHARE: f64 = 0.5;
 /// Share of the travel at which the estimation stops: after it the toe runs into the stock rail.
 pub(super) const NEAR_END_SHARE: f64 = 0.95;
-/// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of the
-/// travel if the noise is smaller.
+/// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of
+/// the travel if the noise is smaller.
 const ARRIVED_SIGMAS: f64 = 4.0;
 const ARRIVED_SHARE: f64 = 0.002;
 /// Largest noise of a position that still gives coefficients and shows the arrival of the toe, as share of the travel.
 pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
-/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm. This is above the noise of position sensors,
-/// and reached within the first 50 ms.
+/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm. This is above the noise of position
+/// sensors, and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
 /// Least number of quiet samples, those before the start of the motor, for noise and offset of a sensor.
 pub(super) const MIN_QUIET: usize = 8;
@@ -216,8 +217,8 @@ impl<'a> Movement<'a> {
         self.sign * (self.position_mm[sample] - self.position.mean)
     }
 
-    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it. If the
-    /// toe does not slow down, the motor is still on, and a spring that drives the throw takes its current to zero.
+    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it. If
+    /// the toe does not slow down, the motor is still on, and a spring that drives the throw takes its current to zero.
     pub(super) fn end(&self) -> usize {
         let position = self.position_mm;
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
@@ -226,9 +227,9 @@ impl<'a> Movement<'a> {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// Sets the number of samples from one measured position to the next. The samples on the lines between measured positions
-    /// have no noise of their own, so only measured positions count as samples at rest. For the same reason the noise of the
-    /// whole trace is that at rest, or `expected_noise_mm` without enough samples at rest.
+    /// Sets the number of samples from one measured position to the next. The samples on the lines between measured
+    /// positions have no noise of their own, so only measured positions count as samples at rest. For the same reason
+    /// the noise of the whole trace is that at rest, or `expected_noise_mm` without enough samples at rest.
     pub(super) fn measure_position_every(&mut self, samples: f64, expected_noise_mm: f64) {
         self.position_every = samples.max(1.0);
         self.position.samples = samples_in(self.position.samples as f64, self.position_every);
@@ -269,9 +270,9 @@ impl<'a> Movement<'a> {
 }
 
 impl Level {
-    /// Whether the noise hides this step of the converter, so that a constant value does not give the same output for long.
-    /// A constant value between two outputs of the converter makes it flicker with a standard deviation of half a step, even
-    /// with hardly any noise; this does not count.
+    /// Whether the noise hides this step of the converter, so that a constant value does not give the same output for
+    /// long. A constant value between two outputs of the converter makes it flicker with a standard deviation of half a
+    /// step, even with hardly any noise; this does not count.
     pub(super) fn hides(&self, step: f64) -> bool {
         self.sd > 0.6 * step
     }
@@ -294,9 +295,9 @@ fn hides_inrush(interval_s: f64) -> bool {
 
 /// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does.
 ///
-/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that is too
-/// slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the current of a
-/// throw in which the spring helps is hardly above 0.
+/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
+/// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
+/// current of a throw in which the spring helps is hardly above 0.
 pub(super) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
     let lead = median_of(&current[..current.len().min(5)], scratch);
     let peak = peak(current, lead);
@@ -333,8 +334,8 @@ pub(super) fn peak(values: &[f64], level: f64) -> f64 {
     largest(values, |v| (v - level).abs()).max(0.0)
 }
 
-/// Largest of the function's results for all values; negative infinity without values. It is computed in independent lanes
-/// without a branch, for speed.
+/// Largest of the function's results for all values; negative infinity without values. It is computed in independent
+/// lanes without a branch, for speed.
 pub(super) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     const LANES: usize = 8;
     let mut most = [f64::NEG_INFINITY; LANES];
@@ -377,8 +378,8 @@ pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     if values.is_empty() { 0.0 } else { *scratch.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
-/// Median of values that are not negative, computed in place; 0 without values. Such values have the same order as their
-/// bits, and integers compare faster.
+/// Median of values that are not negative, computed in place; 0 without values. Such values have the same order as
+/// their bits, and integers compare faster.
 pub(super) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
@@ -408,8 +409,8 @@ pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> 
     SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
 }
 
-/// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide it. 0
-/// if all values are equal.
+/// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
+/// it. 0 if all values are equal.
 pub(super) fn quantum(values: &[f64]) -> f64 {
     const LANES: usize = 4;
     // Four lanes without a branch, as this runs over every sample several times in each throw.

@@ -48,13 +48,13 @@ const LEAST_NOISE: f64 = 0.5;
 const NOISE_QUANTILE: f64 = 5.0;
 /// Least noise for a comparison, in steps of the converter. With less noise, rounding determines the differences.
 const NOISE_QUANTA: f64 = 8.0;
-/// Usual ratio of the noise at rest to that of the whole trace. A larger ratio is a disturbance at rest; with a smaller one
-/// the machine itself makes noise in motion.
+/// Usual ratio of the noise at rest to that of the whole trace. A larger ratio is a disturbance at rest; with a smaller
+/// one the machine itself makes noise in motion.
 const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
-/// Rejects a current whose noise is different in one stretch, as there its gain was different. The check needs a noise that
-/// comes from the sensor. There is no check if the supply ripples, the commutator makes noise, the converter is coarse, or
-/// the sensor is so good that it shows the vibrations of the machine.
+/// Rejects a current whose noise is different in one stretch, as there its gain was different. The check needs a noise
+/// that comes from the sensor. There is no check if the supply ripples, the commutator makes noise, the converter is
+/// coarse, or the sensor is so good that it shows the vibrations of the machine.
 pub(super) fn noise_level(
     movement: &Movement<'_>,
     settings: &Settings,
@@ -92,8 +92,8 @@ pub(super) fn noise_level(
     }
     let mut width = NOISE_SAMPLES;
     while width < scratch.len() {
-        // Limits of a mean of squares by Wilson and Hilferty. Neighbouring second differences share samples, so 35/18 of them
-        // count as one.
+        // Limits of a mean of squares by Wilson and Hilferty. Neighbouring second differences share samples, so 35/18
+        // of them count as one.
         let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
         let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
         let (low, high) = (limit(-1.0), limit(1.0));

@@ -1,16 +1,18 @@
 //! One pass over the samples: every signal filtered by 1/C(s), and the sums of the normal equations.
 //!
 //! The regressor φ and the instrument z are linear in the canonical states s of the filters (see `filter`) and in the
-//! samples, with constant coefficients. So the sums are formed from states and samples, and are converted to derivatives
-//! afterwards. A sample then needs P² + P products, and at most N multiplications for each filter. The highest derivative
-//! is not computed either, as `y_f⁽ᴺ⁾` = y - `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f` for C = sᴺ + `c_1` sᴺ⁻¹ + … + `c_N`:
+//! samples, with constant coefficients. So the sums are formed from states and samples, and are converted to
+//! derivatives afterwards. A sample then needs P² + P products, and at most N multiplications for each filter. The
+//! highest derivative is not computed either, as `y_f⁽ᴺ⁾` = y - `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f` for C = sᴺ + `c_1`
+//! sᴺ⁻¹ + … + `c_N`:
 //!
 //! ```text
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾ = [0, c_1 … c_N] + (Σ z φ')⁻¹ Σ z (y - c_N y_eq,f)
 //! ```
 //!
 //! The samples are processed in blocks, as filters and sums in one loop do not fit into the registers. The auxiliary
-//! output x̂ of a block is filtered together with the signals of the next block, so that no filter waits for another one.
+//! output x̂ of a block is filtered together with the signals of the next block, so that no filter waits for another
+//! one.
 
 use super::{
     block::{BLOCK, Block, Samples},
@@ -65,8 +67,8 @@ struct States<const N: usize, const S: usize> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares). Such
-    /// a pass only starts the iteration, so it uses two of every `workspace.stride` samples. `None` if C cannot be
+    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares).
+    /// Such a pass only starts the iteration, so it uses two of every `workspace.stride` samples. `None` if C cannot be
     /// discretised.
     pub(super) fn pass(
         &self,
@@ -90,8 +92,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         filtered_sums(self, problem, c, (parameters, denominator.unwrap_or(c)), workspace)
     }
 
-    /// [`Self::pass`] for one structure. `IV`: with an auxiliary model (instrumental variables). `APART`: its denominator
-    /// differs from that of the filter. `SHIFTED`: with an equilibrium `y_eq`.
+    /// [`Self::pass`] for one structure. `IV`: with an auxiliary model (instrumental variables). `APART`: its
+    /// denominator differs from that of the filter. `SHIFTED`: with an equilibrium `y_eq`.
     fn filtered_sums<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,
         problem: &Problem<S>,
@@ -178,8 +180,8 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
         States { inputs, model_inputs, output, auxiliary: none, shift: none, model_shift: none }
     }
 
-    /// Filters the signals of `block`, and x̂ of the block `before` it. Inlined into its caller, the states would not stay
-    /// in registers.
+    /// Filters the signals of `block`, and x̂ of the block `before` it. Inlined into its caller, the states would not
+    /// stay in registers.
     #[inline(never)]
     fn run<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,

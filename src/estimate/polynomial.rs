@@ -1,4 +1,5 @@
-//! Monic polynomials A(s) = s^N + `a_1` s^(N-1) + … + `a_N`, given by \[`a_1` … `a_N`\]: stability, and reflection of roots.
+//! Monic polynomials A(s) = s^N + `a_1` s^(N-1) + … + `a_N`, given by \[`a_1` … `a_N`\]: stability, and reflection of
+//! roots.
 
 use nalgebra::Complex;
 
@@ -68,7 +69,8 @@ fn roots<const N: usize>(a: &[f64; N]) -> [Complex<f64>; N] {
     roots
 }
 
-/// The largest |`a_i|^(1/i)`, which is the largest magnitude of a root up to a factor of two; 1 if all coefficients are 0.
+/// The largest |`a_i|^(1/i)`, which is the largest magnitude of a root up to a factor of two; 1 if all coefficients are
+/// 0.
 pub(super) fn root_radius<const N: usize>(a: &[f64; N]) -> f64 {
     let radius = (1..).zip(a).fold(0.0, |radius: f64, (i, a)| radius.max(a.abs().powf(1.0 / f64::from(i))));
     if radius > 0.0 { radius } else { 1.0 }

@@ -29,20 +29,21 @@ pub struct Problem<'a, const S: usize> {
     pub output: &'a [f64],
     /// The inputs. Sampled inputs are as long as the output.
     pub inputs: [Signal<'a>; S],
-    /// The output `y_eq` at which the term with `a_N` vanishes (the spring is unstressed), as mean over the interval after
-    /// each sample; 0 while a brake or dry friction holds the machine. `None` if it is always 0.
+    /// The output `y_eq` at which the term with `a_N` vanishes (the spring is unstressed), as mean over the interval
+    /// after each sample; 0 while a brake or dry friction holds the machine. `None` if it is always 0.
     pub equilibrium: Option<&'a [f64]>,
 }
 
 /// Structure of the model (order `N`, `S` inputs, `P` parameters), with start and stop conditions of the iteration.
 #[derive(Debug, Clone)]
 pub struct Sriv<const N: usize, const S: usize, const P: usize> {
-    /// Index of the input, and order of its derivative, for each numerator coefficient; the last N entries are not used.
+    /// Index of the input, and order of its derivative, for each numerator coefficient; the last N entries are not
+    /// used.
     pub(super) columns: [(usize, usize); P],
     /// λ \[rad/s\] of the filter 1/(s+λ)^N of the least-squares estimate that starts the iteration.
     pub start_per_s: f64,
-    /// The iteration has converged when the relative distance of the parameters to their final values, estimated from the
-    /// last two steps, is at most this.
+    /// The iteration has converged when the relative distance of the parameters to their final values, estimated from
+    /// the last two steps, is at most this.
     pub tolerance: f64,
     /// Largest number of iterations.
     pub max_iterations: usize,
@@ -79,8 +80,8 @@ impl<const P: usize> Workspace<P> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// A model in which input s has a numerator polynomial of order `numerator_orders[s]`. `None` if an order is not below
-    /// N, or the number of parameters Σ (order + 1) + N is not P.
+    /// A model in which input s has a numerator polynomial of order `numerator_orders[s]`. `None` if an order is not
+    /// below N, or the number of parameters Σ (order + 1) + N is not P.
     pub fn new(numerator_orders: [usize; S]) -> Option<Self> {
         const { assert!(N > 0 && P > N, "a model has poles and at least one numerator coefficient") };
         let mut columns = [(0, 0); P];

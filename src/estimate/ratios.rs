@@ -1,16 +1,16 @@
 //! The ratios a1/b0 and a0/b0 of the coefficients, from the movement without its start.
 //!
-//! Let s be a sample at which the toe has moved a little. Equation (12) integrated from s on, and divided by b0, is linear in
-//! the ratios:
+//! Let s be a sample at which the toe has moved a little. Equation (12) integrated from s on, and divided by b0, is
+//! linear in the ratios:
 //!
 //! ```text
 //! ∫ u dt = (a1/b0) (y - y_s) + (a0/b0) ∫ (y - y_eq) dt + (1/b0) (y' - y'_s)
 //! ```
 //!
 //! This needs neither the time or position of the release, nor the speed at s, nor an iteration. A movement at nearly
-//! constant speed determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, and a varying
-//! load and errors of the model are correlated over still longer times. So the covariance is that of a random load (see
-//! `load`).
+//! constant speed determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, and a
+//! varying load and errors of the model are correlated over still longer times. So the covariance is that of a random
+//! load (see `load`).
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
@@ -27,8 +27,8 @@ use super::{
 const SCALE_SD: f64 = 0.45;
 /// Share of the travel that is skipped as the start: 1.5 mm of 115 mm.
 const SKIPPED_SHARE: f64 = 0.013;
-/// Standard deviation of the part of the travel that play hides from the sensor, as share of the travel. It is 0.6 mm of
-/// 115 mm, the root mean square of a play of 0 to 1 mm.
+/// Standard deviation of the part of the travel that play hides from the sensor, as share of the travel. It is 0.6 mm
+/// of 115 mm, the root mean square of a play of 0 to 1 mm.
 const HIDDEN_SHARE: f64 = 0.005;
 /// The speed at a sample is the central difference between this time before it and this time after it \[s\].
 const SPEED_S: f64 = 0.02;
@@ -42,12 +42,12 @@ const LARGEST_RESIDUAL: f64 = 0.006;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Ratios {
     pub(super) values: [f64; 2],
-    /// Covariances of the logarithms of the ratios: from errors that differ in each throw, and from errors that are equal in
-    /// every throw.
+    /// Covariances of the logarithms of the ratios: from errors that differ in each throw, and from errors that are
+    /// equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
     pub(super) log_systematic: Matrix2<f64>,
-    /// Errors of the logarithms of the ratios for one standard deviation of the part of the current at rest that the machine
-    /// does not draw in motion.
+    /// Errors of the logarithms of the ratios for one standard deviation of the part of the current at rest that the
+    /// machine does not draw in motion.
     log_offset: [f64; 2],
     /// First sample used.
     pub(super) from: usize,
@@ -101,8 +101,8 @@ impl Ratios {
     }
 }
 
-/// Covariance of (b0, a1, a0) from the standard deviation of the logarithm of their common scale, and the covariance of the
-/// logarithms of their ratios.
+/// Covariance of (b0, a1, a0) from the standard deviation of the logarithm of their common scale, and the covariance of
+/// the logarithms of their ratios.
 pub(super) fn covariance(coefficients: [f64; 3], scale_sd: f64, of_ratios: Matrix2<f64>) -> Matrix3<f64> {
     let mut log = Matrix3::repeat(scale_sd * scale_sd);
     let mut ratios = log.fixed_view_mut::<2, 2>(1, 1);

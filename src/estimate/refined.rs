@@ -8,17 +8,17 @@
 //! |C|² = |A|² + r b0²,   r = s_u² / s_y²,   c_0 = √(a_0² + r b0²),   c_1 = √(a_1² - 2 a_0 + 2 c_0)
 //! ```
 //!
-//! Filtered by 1/C the error is white. So SRIV with this filter instead of 1/A is nearly the maximum-likelihood estimate,
-//! and its scatter is half as large. But the faster filter passes more noise of the current into the instrument z, which uses
-//! the same current as the regressor. The mean β of the sum Σ z ε, with the equation error ε, is then not 0. It is known, as
-//! `s_u²` is known,
+//! Filtered by 1/C the error is white. So SRIV with this filter instead of 1/A is nearly the maximum-likelihood
+//! estimate, and its scatter is half as large. But the faster filter passes more noise of the current into the
+//! instrument z, which uses the same current as the regressor. The mean β of the sum Σ z ε, with the equation error ε,
+//! is then not 0. It is known, as `s_u²` is known,
 //!
 //! ```text
 //! β = -s_u² Σ_k Σ_{j ≤ k} g_z(j) g_ε(j)
 //! ```
 //!
-//! with the responses `g_z` of the instrument and `g_ε` = b0 `g_1` of the error to one sample of the current, `g_1` that of
-//! the filter 1/C. M⁻¹ β is subtracted from the estimate, M = Σ z φ'. (Young 2008; Garnier, Gilson, Young.)
+//! with the responses `g_z` of the instrument and `g_ε` = b0 `g_1` of the error to one sample of the current, `g_1`
+//! that of the filter 1/C. M⁻¹ β is subtracted from the estimate, M = Σ z φ'. (Young 2008; Garnier, Gilson, Young.)
 
 use super::{
     covariance::Noise,
@@ -32,8 +32,8 @@ use super::{
 
 impl Sriv<2, 1, 3> {
     /// Refines `solution`, which must be stable, for this noise of output and input. Its `fit` stays that of the model
-    /// before the refinement. `None` if the input is without noise, as then the prefilter of SRIV is optimal, or the output
-    /// is without noise.
+    /// before the refinement. `None` if the input is without noise, as then the prefilter of SRIV is optimal, or the
+    /// output is without noise.
     ///
     /// # Errors
     /// When the normal equations become singular or the model unstable.

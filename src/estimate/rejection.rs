@@ -402,8 +402,8 @@ impl Rejection {
         }
     }
 
-    /// Whether the later movement may still give the ratios of the coefficients, as the reason concerns only the start of the
-    /// throw or the full model.
+    /// Whether the later movement may still give the ratios of the coefficients, as the reason concerns only the start
+    /// of the throw or the full model.
     pub(super) fn leaves_ratios(&self) -> bool {
         let is_of_start =
             matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. });

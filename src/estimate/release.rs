@@ -1,23 +1,24 @@
 //! The release: the moment from which the spring of the rails acts.
 //!
-//! Before the motor starts, a brake or dry friction holds the rails against their spring: the output y is 0 although the
-//! unstressed position `y_eq` is not. So the term a0 `y_eq` of equation (12) acts from the start of the motor. An error of
-//! 1 ms in this moment changes all three coefficients by 0.8 % in the direction in which the spring drives the throw.
+//! Before the motor starts, a brake or dry friction holds the rails against their spring: the output y is 0 although
+//! the unstressed position `y_eq` is not. So the term a0 `y_eq` of equation (12) acts from the start of the motor. An
+//! error of 1 ms in this moment changes all three coefficients by 0.8 % in the direction in which the spring drives the
+//! throw.
 //!
 //! In an unfiltered current the moment is the foot of the rise, extrapolated from the first samples. An anti-alias
-//! filter delays and rounds the foot. Then a rectangular pulse that passed the same filter is fitted to the rise, and the
-//! moment is the start of the best pulse.
+//! filter delays and rounds the foot. Then a rectangular pulse that passed the same filter is fitted to the rise, and
+//! the moment is the start of the best pulse.
 //!
 //! The foot is also a kink: the slope of the current i jumps by m, from 0 to supply voltage over inductance. Trapezoids
-//! between samples miss charge of the curve after the kink, and add charge in the interval with the kink, in total (Euler,
-//! Maclaurin)
+//! between samples miss charge of the curve after the kink, and add charge in the interval with the kink, in total
+//! (Euler, Maclaurin)
 //!
 //! ```text
 //! ∫ i dt - Σ trapezoids = m h² / 2 (1/6 - f (1 - f))
 //! ```
 //!
-//! with the sampling interval h and the place f of the kink in its interval, from 0 to 1. This is 0.5 % of the inrush at
-//! 1 kHz and 2 % at 500 Hz, and would change the three coefficients as much.
+//! with the sampling interval h and the place f of the kink in its interval, from 0 to 1. This is 0.5 % of the inrush
+//! at 1 kHz and 2 % at 500 Hz, and would change the three coefficients as much.
 
 use nalgebra::Complex;
 use std::f64::consts::TAU;
@@ -31,9 +32,9 @@ use super::{
 const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
 /// Number of samples of an unfiltered rise from which its foot is extrapolated.
 const RISE_SAMPLES: usize = 6;
-/// Largest departure of the rise from that of a linear armature: in standard deviations of the noise, or as share of the peak
-/// if that is larger. Healthy traces have less than 5 standard deviations, and less than 3 % of the peak with a rectified
-/// supply. Five lost samples cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
+/// Largest departure of the rise from that of a linear armature: in standard deviations of the noise, or as share of
+/// the peak if that is larger. Healthy traces have less than 5 standard deviations, and less than 3 % of the peak with
+/// a rectified supply. Five lost samples cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
 const ROUGH_RISE_SIGMAS: f64 = 8.0;
 const ROUGH_RISE_SHARE: f64 = 0.03;
 /// Part of the departure of the rise that noise explains \[standard deviations\], and that does not count.
@@ -55,8 +56,8 @@ pub(super) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, s
     Some((foot as f64 + onset.at) * interval_s)
 }
 
-/// The moment of release \[s\] from the first sample of `current` \[A\]; `foot` is the last sample before the start of the
-/// motor.
+/// The moment of release \[s\] from the first sample of `current` \[A\]; `foot` is the last sample before the start of
+/// the motor.
 pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, filter_hz: Option<f64>) -> f64 {
     match filter_hz {
         None => onset(current, offset, foot).map_or(foot as f64, |onset| foot as f64 + onset.at) * interval_s,
@@ -64,9 +65,9 @@ pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, f
     }
 }
 
-/// Adds the missing charge at the foot to an unfiltered `input`, whose offset is removed. Returns the departure of its rise
-/// from that of an armature, without that from noise, as share of the peak, and the reason why the start of the throw is
-/// unusable, if it is.
+/// Adds the missing charge at the foot to an unfiltered `input`, whose offset is removed. Returns the departure of its
+/// rise from that of an armature, without that from noise, as share of the peak, and the reason why the start of the
+/// throw is unusable, if it is.
 ///
 /// # Errors
 /// When the recording began after the start of the motor.
@@ -117,8 +118,8 @@ impl Onset {
 }
 
 /// The onset of an unfiltered rise. A motor's current responds to a voltage step as a linear system of second order
-/// (inductance and back-EMF), so its samples follow `i_k` = α `i_{k-1}` + β `i_{k-2}`. This recursion is fitted to the first
-/// samples and gives the curve before them. `None` if this curve does not cross zero near the foot, with a slope.
+/// (inductance and back-EMF), so its samples follow `i_k` = α `i_{k-1}` + β `i_{k-2}`. This recursion is fitted to the
+/// first samples and gives the curve before them. `None` if this curve does not cross zero near the foot, with a slope.
 fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
     let rise = current.get(foot + 1..foot + 1 + RISE_SAMPLES)?;
     let (mut square, mut both, mut earlier, mut ahead, mut behind) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -153,8 +154,8 @@ fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
     (steep && (-5.0..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
 }
 
-/// The start of the inrush \[s\] in a filtered current by least squares: the start of the filtered rectangular pulse that fits
-/// the current best up to its crest.
+/// The start of the inrush \[s\] in a filtered current by least squares: the start of the filtered rectangular pulse
+/// that fits the current best up to its crest.
 fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f64) -> f64 {
     let level = |k: usize| current[k] - offset;
     let crest = (foot..current.len()).max_by(|&a, &b| level(a).abs().total_cmp(&level(b).abs())).unwrap_or(foot);
@@ -181,7 +182,8 @@ fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f
         .map_or(foot_s, |best| best.1)
 }
 
-/// Fills `step` with a step from 0 to 1 at the time `released` \[s\], filtered, as mean over the interval after each sample.
+/// Fills `step` with a step from 0 to 1 at the time `released` \[s\], filtered, as mean over the interval after each
+/// sample.
 pub(super) fn course(step: &mut Vec<f64>, len: usize, released: f64, interval_s: f64, filter_hz: Option<f64>) {
     step.clear();
     step.extend((0..len).map(|k| {

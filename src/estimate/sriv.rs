@@ -6,9 +6,9 @@
 //! A(p) y = Σ_s B_s(p) u_s + a_N y_eq,   A(p) = p^N + a_1 p^(N-1) + … + a_N,   p = d/dt
 //! ```
 //!
-//! with inputs `u_s`, output y, and the output `y_eq` at which the spring is unstressed. Equation (12) is the case N = 2,
-//! S = 1, B = b0. Every signal is filtered by 1/Â(s), where Â is the present estimate of A; this gives filtered derivatives
-//! (index f) without differentiation:
+//! with inputs `u_s`, output y, and the output `y_eq` at which the spring is unstressed. Equation (12) is the case
+//! N = 2, S = 1, B = b0. Every signal is filtered by 1/Â(s), where Â is the present estimate of A; this gives filtered
+//! derivatives (index f) without differentiation:
 //!
 //! ```text
 //! y_f⁽ᴺ⁾ = φ' θ,   φ = [ u_f⁽ᵐ⁾ … u_f for every input, -y_f⁽ᴺ⁻¹⁾ … -y_f', -(y_f - y_eq,f) ],   θ = [B_1 … B_S, a_1 … a_N]
@@ -174,9 +174,9 @@ pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f6
     (squares(std::array::from_fn(|i| next[i] - before[i])) / squares(*next)).sqrt()
 }
 
-/// Upper bound of the distance to the end of the iteration, from its last two steps. The steps of a fast iteration shrink
-/// nearly in a geometric progression, so all later steps together are change² / (last - change). The bound is four times
-/// this for a fast iteration, and the last step for a slow one.
+/// Upper bound of the distance to the end of the iteration, from its last two steps. The steps of a fast iteration
+/// shrink nearly in a geometric progression, so all later steps together are change² / (last - change). The bound is
+/// four times this for a fast iteration, and the last step for a slow one.
 fn remaining(change: f64, last: f64) -> f64 {
     const FAST: f64 = 0.1;
     const MARGIN: f64 = 4.0;
@@ -194,8 +194,8 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
     a
 }
 
-/// `R²_T` = 1 - var(y - x̂) / var(y). The values of the first sample are subtracted before squaring, so that no square is
-/// much larger than a variance.
+/// `R²_T` = 1 - var(y - x̂) / var(y). The values of the first sample are subtracted before squaring, so that no square
+/// is much larger than a variance.
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
     let (first, first_error) = (output[0], output[0] - model[0]);

@@ -1,16 +1,16 @@
 //! The start of a movement: its delay behind the current, and its acceleration per ampere.
 //!
-//! The later movement shows the ratios of the coefficients. With these the movement after a start without delay is known
-//! except for b0: y = b0 F with F = ∬ (u - a1/b0 y' - a0/b0 (y - `y_eq`)). A delay δ and b0 are fitted by least squares to
-//! the first part of the travel,
+//! The later movement shows the ratios of the coefficients. With these the movement after a start without delay is
+//! known except for b0: y = b0 F with F = ∬ (u - a1/b0 y' - a0/b0 (y - `y_eq`)). A delay δ and b0 are fitted by least
+//! squares to the first part of the travel,
 //!
 //! ```text
 //! y(t) = b0 F(t - δ)
 //! ```
 //!
 //! A brake that releases late, play, lost motion or a late position signal delays the movement, or reduces its first
-//! acceleration. Friction, motor and inertia hardly change δ. Dry friction and the elastic drive are not in the model, so a
-//! healthy machine has a δ of some milliseconds of either sign. Only changes of δ show a fault.
+//! acceleration. Friction, motor and inertia hardly change δ. Dry friction and the elastic drive are not in the model,
+//! so a healthy machine has a δ of some milliseconds of either sign. Only changes of δ show a fault.
 
 use super::movement::samples_in;
 
@@ -68,8 +68,8 @@ pub(super) fn free_movement(
     }
 }
 
-/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. The motor starts with the
-/// first sample. `None` if the samples do not show them.
+/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. The motor starts with
+/// the first sample. `None` if the samples do not show them.
 pub(super) fn find(
     (input, output): (&[f64], &[f64]),
     equilibrium: &[f64],

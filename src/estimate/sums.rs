@@ -19,8 +19,8 @@ pub(super) struct Sums<const P: usize> {
     pub(super) right: [f64; P],
 }
 
-/// Sums of products before the conversion to derivatives. The rows are the instrument (numerator columns, states of x̂),
-/// `y_eq,f` and x̂. `T` is [`Lanes`] while the sums are formed, then a number.
+/// Sums of products before the conversion to derivatives. The rows are the instrument (numerator columns, states of
+/// x̂), `y_eq,f` and x̂. `T` is [`Lanes`] while the sums are formed, then a number.
 pub(super) struct Raw<const P: usize, T> {
     rows: [Row<P, T>; P],
     shift: Row<P, T>,
@@ -102,8 +102,8 @@ impl<const P: usize> Row<P, f64> {
 }
 
 impl<const P: usize> Raw<P, f64> {
-    /// Computes the sums of x̂ = Σ numerator · column + `a_N` `y_eq,f` from those of the columns and of `y_eq,f`. Valid if
-    /// the auxiliary model has the denominator of the filter.
+    /// Computes the sums of x̂ = Σ numerator · column + `a_N` `y_eq,f` from those of the columns and of `y_eq,f`. Valid
+    /// if the auxiliary model has the denominator of the filter.
     pub(super) fn set_model(&mut self, numerators: &[f64], a_last: f64) {
         self.model.add_scaled(a_last, &self.shift);
         for (row, numerator) in self.rows.iter().zip(numerators) {
@@ -128,8 +128,8 @@ impl<const P: usize> Raw<P, f64> {
     }
 }
 
-/// Converts a vector (columns, states of the filter of a signal v) to (columns, -`v_f⁽ᴺ⁻¹⁾` … -(`v_f` - `y_eq,f`)), with
-/// the value `sample` of v and `shift` of `y_eq,f`.
+/// Converts a vector (columns, states of the filter of a signal v) to (columns, -`v_f⁽ᴺ⁻¹⁾` … -(`v_f` - `y_eq,f`)),
+/// with the value `sample` of v and `shift` of `y_eq,f`.
 #[inline]
 pub(super) fn regressor<const N: usize, const P: usize>(
     raw: &[f64; P],

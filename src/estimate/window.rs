@@ -5,12 +5,12 @@ use super::{
     rejection::Rejection,
 };
 
-/// Standard deviation of the current sensor's offset if the trace does not show it, as share of the peak. The recording of a
-/// real machine has an offset of 1.7 % of its peak.
+/// Standard deviation of the current sensor's offset if the trace does not show it, as share of the peak. The recording
+/// of a real machine has an offset of 1.7 % of its peak.
 const OFFSET_SHARE: f64 = 0.01;
 /// A current at rest may be the sensor's offset, or a current that the machine draws only at rest. This is the standard
-/// deviation of the share that the machine draws. Any share is possible, so the 95 % interval contains the whole current,
-/// and a third more for its change at the start of the motor.
+/// deviation of the share that the machine draws. Any share is possible, so the 95 % interval contains the whole
+/// current, and a third more for its change at the start of the motor.
 const REST_SHARE: f64 = 0.7;
 
 /// The window of the trace, in the units of the model: input \[A\], or \[A²\] for a series motor, and output \[rad\].
@@ -28,9 +28,9 @@ pub(super) struct Window {
     pub(super) noise_samples: usize,
     /// Variances of the offsets that were removed from the current and from the output.
     pub(super) offsets: [f64; 2],
-    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\]: electronics,
-    /// a brake, a detection circuit. The whole current at rest is subtracted as an offset of the sensor, so the error is
-    /// equal in every throw.
+    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\]:
+    /// electronics, a brake, a detection circuit. The whole current at rest is subtracted as an offset of the sensor,
+    /// so the error is equal in every throw.
     pub(super) rest_a: f64,
     /// Whether the motor is series-wound, so that the input is I |I|.
     pub(super) series: bool,
@@ -52,8 +52,8 @@ pub(super) fn rest(movement: &Movement<'_>) -> f64 {
     REST_SHARE * movement.current.mean.abs()
 }
 
-/// Variance of an offset that is the mean of the samples at rest; `unknown` without such samples. If the noise is below half
-/// a step of the converter, the rounding error of a sample is added, as all samples may have the same.
+/// Variance of an offset that is the mean of the samples at rest; `unknown` without such samples. If the noise is below
+/// half a step of the converter, the rounding error of a sample is added, as all samples may have the same.
 pub(super) fn offset_variance(level: Level, unknown: f64) -> f64 {
     if level.samples == 0 {
         return unknown;

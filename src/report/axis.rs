@@ -58,8 +58,8 @@ impl Axis {
         calendar::ticks(self.low, self.high, characters)
     }
 
-    /// Position of a value on the axis, from 0 at the low end to 1 at the high end; `None` for a value that the axis cannot
-    /// show (not finite, or not positive on a logarithmic axis).
+    /// Position of a value on the axis, from 0 at the low end to 1 at the high end; `None` for a value that the axis
+    /// cannot show (not finite, or not positive on a logarithmic axis).
     pub(super) fn place(&self, value: f64) -> Option<f64> {
         let place = if self.log {
             (value / self.low).log10() / (self.high / self.low).log10()

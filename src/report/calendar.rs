@@ -2,7 +2,8 @@
 
 use jiff::{SignedDuration, Timestamp, civil::Date, tz::TimeZone};
 
-/// A tick: its value and label, and a second label below (the date or the year) if it differs from that of the tick before.
+/// A tick: its value and label, and a second label below (the date or the year) if it differs from that of the tick
+/// before.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tick {
     pub(super) value: f64,

@@ -141,8 +141,8 @@ impl Panel {
         self
     }
 
-    /// Adds a dashed vertical line with a label. It is drawn if `x` is in the range of the curves. Ignored by a chart of
-    /// bars.
+    /// Adds a dashed vertical line with a label. It is drawn if `x` is in the range of the curves. Ignored by a chart
+    /// of bars.
     pub fn mark(mut self, x: f64, label: impl Into<String>) -> Self {
         self.marks.push((x, label.into()));
         self

@@ -1,7 +1,7 @@
 //! Sensors and logger: from the true motion to the recorded trace.
 //!
-//! In this order, as in a real channel: gain and offset of the sensor, anti-alias filter, sampling (with jitter), noise,
-//! clipping, quantisation, stuck channels, dropped samples.
+//! The errors are applied in this order, as in a real channel: gain of the sensor, anti-alias filter, sampling with
+//! jitter, offset, noise, clipping, quantisation, stuck channel, dropped samples.
 
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
@@ -17,7 +17,7 @@ use super::filter::Butterworth;
 use super::motion::{Motion, STEP_S};
 
 settings! {
-    /// Sensor of a channel; all values in the unit of the channel (A or mm).
+    /// Sensor of one channel. Its values have the unit of the channel, A or mm.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
     pub struct Sensor {
@@ -27,9 +27,10 @@ settings! {
         pub offset: f64 = 0.0, Finite;
         /// Error of the gain \[%\].
         pub gain_pct: f64 = 0.0, Within(-90.0, 900.0, "%");
-        /// Largest magnitude; larger values are clipped. `None` for no limit.
+        /// Largest magnitude that the sensor shows; larger values are clipped. `None` for no limit.
         pub full_scale: Option<f64> = None, Above(0.0);
-        /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
+        /// Resolution of the converter over the range from minus to plus full scale \[bits\]; needs `full_scale`.
+        /// `None` for no quantisation.
         pub bits: Option<u32> = None, Within(4.0, 24.0, "bits");
     }
 }
@@ -51,17 +52,18 @@ settings! {
     pub struct Sensors {
         /// Sampling rate \[Hz\], 25 to 20,000.
         pub sample_rate_hz: f64 = 1000.0, Within(25.0, 20_000.0, "Hz");
-        /// Recording before the motor starts \[s\].
+        /// Length of the recording before the motor starts \[s\].
         pub before_s: f64 = 0.2, Within(0.0, 5.0, "s");
-        /// Recording after the motor is cut off \[s\].
+        /// Length of the recording after the motor is cut off \[s\].
         pub after_s: f64 = 0.2, Within(0.0, 5.0, "s");
-        /// Motor current \[A\].
+        /// Sensor of the motor current \[A\].
         pub current: Sensor = Sensor::default();
-        /// Toe position \[mm\].
+        /// Sensor of the toe position \[mm\].
         pub position: Sensor = Sensor::default();
-        /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
+        /// Whether the sign of the current shows the direction: negative from reverse to normal. Else it is positive in
+        /// both.
         pub signed_current: bool = false;
-        /// Standard deviation of the sampling instants \[s\].
+        /// Standard deviation of the sampling instants from their nominal times \[s\].
         pub jitter_s: f64 = 0.0, Within(0.0, 1.0, "s");
         /// Share of samples that the logger drops \[%\].
         pub dropped_pct: f64 = 0.0, Within(0.0, 50.0, "%");
@@ -85,9 +87,9 @@ pub struct Stuck {
 /// Recording of a throw as the logger samples it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Nominal time of each sample after the first \[s\]; dropped samples leave holes.
+    /// Nominal time of each sample from the first one on \[s\]; a dropped sample leaves a gap.
     pub time_s: Vec<f64>,
-    /// The samples.
+    /// The samples, without the dropped ones.
     pub trace: Trace,
 }
 
@@ -126,7 +128,7 @@ impl Sensors {
         1.0 / (self.sample_rate_hz * steps)
     }
 
-    /// The recording of `motion`, with sensor errors, filter and sampling.
+    /// Records `motion` with the errors of the sensors, the filter and the sampling.
     ///
     /// # Errors
     /// When a value is out of its range.
@@ -164,7 +166,7 @@ impl Sensors {
         Ok(recording(self.sample_rate_hz, time, current_a, position_mm))
     }
 
-    /// The channel on the grid of the simulation, after gain and anti-alias filter.
+    /// The channel at each step of the simulation, after gain and anti-alias filter.
     fn filtered(&self, motion: &Motion, truth: &[f64], gain: f64) -> Vec<f64> {
         let mut channel: Vec<f64> = truth.iter().map(|value| value * gain).collect();
         if let Some(cut_off_hz) = self.anti_alias_hz {
@@ -190,6 +192,7 @@ impl Sensor {
         If(self.full_scale.is_some(), must).check("full_scale", self.full_scale.unwrap_or(f64::NAN))
     }
 
+    /// The output of the sensor for the value `truth`, to which the gain is already applied.
     fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {
         let mut value = truth + self.offset;
         if self.noise > 0.0 {
@@ -216,7 +219,7 @@ fn recording(sample_rate_hz: f64, time_s: Vec<f64>, current_a: Vec<f64>, positio
     Recording { time_s, trace }
 }
 
-/// Linear interpolation at a fractional grid index; constant beyond both ends.
+/// Linear interpolation between the values of `grid` at a fractional index; constant beyond both ends.
 fn interpolate(grid: &[f64], index: f64) -> f64 {
     let last = grid.len() - 1;
     if index <= 0.0 {

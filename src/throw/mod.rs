@@ -121,8 +121,8 @@ impl Throw {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))
     }
 
-    /// The cut-off of the filter \[Hz\], if it is declared and possible. A filter with a cut-off above half of the sampling
-    /// rate suppresses no alias.
+    /// The cut-off of the filter \[Hz\], if it is declared and possible. A filter with a cut-off above half of the
+    /// sampling rate suppresses no alias.
     pub fn possible_anti_alias_hz(&self) -> Option<f64> {
         self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= self.half_rate_hz() * 1.0001)
     }

@@ -37,7 +37,8 @@ impl<T: Number> Number for Option<T> {
 }
 
 /// Defines a struct of settings. Each field has its default after `=`, and may have a [`Range`](super::Range) after a
-/// comma. The struct gets `Default`, and the method `check_ranges`, which fails with the first number outside its range.
+/// comma. The struct gets `Default`, and the method `check_ranges`, which fails with the first number outside its
+/// range.
 macro_rules! settings {
     (
         $(#[$attribute:meta])*

@@ -67,8 +67,8 @@ impl Trace {
         Ok(Self { sample_rate_hz, current_a: Arc::new(current_a), position_mm: Arc::new(position_mm) })
     }
 
-    /// Replaces the sampling rate, which was computed from the times of the samples, by `nominal_hz`, if the two are the same
-    /// within the precision of these times.
+    /// Replaces the sampling rate, which was computed from the times of the samples, by `nominal_hz`, if the two are
+    /// the same within the precision of these times.
     #[must_use]
     pub(crate) fn with_exact_rate(self, nominal_hz: Option<f64>) -> Self {
         let is_same = |nominal_hz: &f64| (nominal_hz / self.sample_rate_hz - 1.0).abs() < SAME_RATE;
