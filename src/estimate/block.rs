@@ -2,7 +2,7 @@
 
 use super::problem::{Problem, Signal};
 
-/// Samples of a block.
+/// Number of samples in a block.
 pub(super) const BLOCK: usize = 64;
 
 /// The values of a signal, or of one state of a filter, in a block.

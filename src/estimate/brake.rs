@@ -17,7 +17,7 @@ use super::{
 const START_S: f64 = 0.06;
 /// Latest release of a brake after the start of the motor \[s\].
 const LATEST_S: f64 = 0.04;
-/// Tried torques, as a share of the motor's largest.
+/// Torques of the fitted brakes, as share of the motor's largest torque.
 const TORQUES: [f64; 8] = [0.06, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0];
 /// Least number of samples of a usable start.
 const LEAST_SAMPLES: usize = 12;

@@ -34,7 +34,7 @@ use super::{
     sriv::Solution,
 };
 
-/// White noise on the samples of a problem.
+/// Variances of the white noise on the signals of a problem.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise<'a, const S: usize> {
     /// Variance on the output.

@@ -168,7 +168,7 @@ pub(super) fn estimate(
     estimate.covariance = covariance(SCALE_SD, RATIO_SD, ratios.log_covariance);
     // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
     estimate.systematic = covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
-    // The errors of the ratios were for b0 = 1.
+    // The errors of a1 and a0 were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
     estimate.grade = Grade::CurrentOnly;

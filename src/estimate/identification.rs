@@ -61,7 +61,7 @@ pub struct Estimate {
     /// Why the estimate is rough: the check that the throw did not pass. `None` if it is not rough.
     #[serde(default)]
     pub reason: Option<Rejection>,
-    /// `R²_T` \[%\].
+    /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
     pub fit_pct: f64,
     /// Number of SRIV iterations.
     pub iterations: usize,

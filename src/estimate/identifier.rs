@@ -245,7 +245,7 @@ impl Buffers {
         let doubt = doubt.or(window.doubt.take());
         let (scale, fitted) = self.fit(settings, movement, &window);
         if fitted.is_err() || doubt.is_some() {
-            // A controlled drive has no inrush, but its throws fit the model; without a fit the rejection is right.
+            // A controlled drive has no inrush either, but its throws fit the model. A throw with neither is rejected.
             no_inrush?;
         }
         let reason = match (fitted, doubt) {

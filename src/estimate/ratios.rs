@@ -49,7 +49,7 @@ pub(super) struct Ratios {
     /// Errors of the logarithms of the ratios for one standard deviation of the part of the current at rest that the
     /// machine does not draw in motion.
     log_offset: [f64; 2],
-    /// First sample used.
+    /// First sample used, in the window.
     pub(super) from: usize,
 }
 

@@ -1,4 +1,4 @@
-//! The sums of the normal equations over the raw signals, and their conversion to derivatives.
+//! The sums of the normal equations over filter states and samples, and their conversion to derivatives.
 
 use super::{
     block::{BLOCK, Block, Samples},

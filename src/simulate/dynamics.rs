@@ -69,7 +69,7 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// The step of `h` seconds.
+    /// The step of `h` seconds in this phase.
     pub(super) fn new(parameters: &Parameters, modes: &Modes, h: f64, phase: Phase) -> Self {
         let n = modes.count;
         let active: Vec<usize> = (0..4).chain((0..n).map(|k| MODE + k)).chain((0..n).map(|k| MODE_SPEED + k)).collect();
@@ -106,7 +106,7 @@ impl Step {
         Self { transition, motor: column(first), screw, toe, drive, modal }
     }
 
-    /// e^(A h) z.
+    /// The state after a step without torques and forces, e^(A h) z.
     #[inline]
     pub(super) fn advance(&self, state: &State) -> State {
         let mut next = [0.0; STATES];
