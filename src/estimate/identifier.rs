@@ -142,8 +142,7 @@ impl Identifier {
             }
             _ => {}
         }
-        features.supply_v = supply_v(throw, settings);
-        features.energy_j = energy_j(throw, &features);
+        add_supply(&mut features, throw, settings);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
         }
@@ -432,8 +431,7 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
-    features.supply_v = supply_v(throw, settings);
-    features.energy_j = energy_j(throw, &features);
+    add_supply(&mut features, throw, settings);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
         .and_then(|()| {
@@ -454,15 +452,12 @@ fn identify_current(
     }
 }
 
-/// The supply voltage as published \[V\], also if it is impossible, which the diagnosis reports. `None` for a series
-/// motor, as the diagnosis compares voltage, current and speed by the equations of a permanent-magnet motor.
-fn supply_v(throw: &Throw, settings: &Settings) -> Option<f64> {
-    throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet)
-}
-
-/// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
-fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
-    throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
+/// Adds supply voltage and energy to the features. The voltage is that published, also if it is impossible, which the
+/// diagnosis reports. That of a series motor is left out, as the diagnosis compares voltage, current and speed by the
+/// equations of a permanent-magnet motor.
+fn add_supply(features: &mut Features, throw: &Throw, settings: &Settings) {
+    features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
+    features.energy_j = throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
 }
 
 /// Describes the content of `position_mm` in a message without a toe position, for the text of the rejection.

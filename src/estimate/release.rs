@@ -61,7 +61,7 @@ pub(super) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, s
 pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, filter_hz: Option<f64>) -> f64 {
     match filter_hz {
         None => onset(current, offset, foot).map_or(foot as f64, |onset| foot as f64 + onset.at) * interval_s,
-        Some(hz) => (pulse_start(current, offset, foot, interval_s, hz)).clamp(0.0, (foot + 3) as f64 * interval_s),
+        Some(hz) => pulse_start(current, offset, foot, interval_s, hz).clamp(0.0, (foot + 3) as f64 * interval_s),
     }
 }
 

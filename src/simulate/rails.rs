@@ -121,17 +121,11 @@ impl Rails {
         let mut order: Vec<usize> = (0..freedoms).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         let count = self.modes.min(freedoms);
-        let shape_at = |freedom: usize| {
-            let mut shape = [0.0; MAX_MODES];
-            for (slot, &mode) in shape.iter_mut().zip(&order[..count]) {
-                *slot = vectors[(freedom, mode)];
-            }
-            shape
+        // A value of each mode that is kept, from the lowest frequency up.
+        let of_modes = |value: &dyn Fn(usize) -> f64| -> [f64; MAX_MODES] {
+            std::array::from_fn(|k| if k < count { value(order[k]) } else { 0.0 })
         };
-        let mut omega2 = [0.0; MAX_MODES];
-        for (slot, &mode) in omega2.iter_mut().zip(&order[..count]) {
-            *slot = values[mode];
-        }
+        let shape_at = |freedom: usize| of_modes(&|mode| vectors[(freedom, mode)]);
         let share = 2.0 * self.mass_kg_m * GRAVITY * self.length_m / self.elements as f64;
         let chairs = (1..=self.elements)
             .map(|node| {
@@ -140,7 +134,7 @@ impl Rails {
                 Chair { shape: shape_at(2 * (node - 1)), normal_n }
             })
             .collect();
-        Modes { count, stiffness: omega2, toe: shape_at(freedoms - 2), chairs }
+        Modes { count, stiffness: of_modes(&|mode| values[mode]), toe: shape_at(freedoms - 2), chairs }
     }
 
     /// Mass and stiffness matrices of both rails. The degrees of freedom are deflection and slope of the nodes 1 to
