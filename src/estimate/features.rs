@@ -1,4 +1,4 @@
-//! Features of a throw: values that maintainers know, which need no model of the machine.
+//! Features of a throw: values that maintainers know. Nearly all are known without an estimate of the coefficients.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! The state-variable filter 1/A(s), discretised exactly for a signal that is constant or linear between its samples.
 //!
-//! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form ż = F
-//! z + `e_n` v, with the n-th unit vector `e_n`, gives over one sampling interval h, for a signal that is linear
+//! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form is
+//! ż = F z + `e_n` v, with the n-th unit vector `e_n`. It gives over one sampling interval h, for a signal that is linear
 //! between its samples, `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
 //!
 //! ```text
@@ -208,8 +208,8 @@ impl<const N: usize> Interval<N> {
         interval
     }
 
-    /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)! and of the ramp response Σ
-    /// Fᵏe hᵏ⁺²/(k+2)! (from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
+    /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)!, and of the ramp response
+    /// Σ Fᵏe hᵏ⁺²/(k+2)! (both from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
     fn taylor(a: &[f64; N], h: f64) -> Self {
         let mut psi = [[0.0; N]; N];
         for j in 0..N {

@@ -46,8 +46,8 @@ pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
 
 /// Power of the noise at low frequencies if one of `every` samples is measured and lines join these, as multiple of
 /// that of white noise with the same variance of all samples. A sample at the share f of the way between two measured
-/// samples has 1 - 2 f + 2 f² of their variance. With n for `every`, the mean over f is 1 - (n - 1) / n + (n - 1) (2
-/// n - 1) / (3 n²).
+/// samples has 1 - 2 f + 2 f² of their variance. With n for `every`, the mean over f is
+/// 1 - (n - 1) / n + (n - 1) (2 n - 1) / (3 n²).
 pub(super) fn noise_power(every: f64) -> f64 {
     let between = (every - 1.0) / every;
     every / (1.0 - between + between * (2.0 * every - 1.0) / (3.0 * every))

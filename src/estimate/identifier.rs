@@ -244,7 +244,8 @@ impl Buffers {
         let doubt = doubt.or(window.doubt.take());
         let (scale, fitted) = self.fit(settings, movement, &window);
         if fitted.is_err() || doubt.is_some() {
-            // A controlled drive has no inrush either, but its throws fit the model. A throw with neither is rejected.
+            // A controlled drive has no inrush either, but its throws fit the model. A throw that
+            // has no inrush and does not fit is rejected.
             no_inrush?;
         }
         let reason = match (fitted, doubt) {

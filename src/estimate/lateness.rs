@@ -23,8 +23,8 @@ use super::{
 
 /// Longest part of the movement that counts as its start \[s\], for a toe that hardly moves.
 const LONGEST_START_S: f64 = 0.4;
-/// Largest accepted delay \[s\], or in its standard deviations if these are larger. A soft drive (5e6 N/m) delays the
-/// toe by 1 to 2 ms, play of 0.1 mm by 3.3 ms.
+/// Largest accepted delay \[s\]. A delay below this many of its standard deviations is accepted too. A soft drive
+/// (5e6 N/m) delays the toe by 1 to 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
 const DELAY_SIGMAS: f64 = 5.0;
 /// Relative change of the scale in the numerical derivative ∂x̂/∂ln(scale).

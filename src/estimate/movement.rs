@@ -11,8 +11,8 @@ const START_SHARE: f64 = 0.05;
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
-/// In a slow recording the number of samples in the inrush depends on their moments. The charge of the throw is known
-/// if one sample of the inrush has at most this share of it.
+/// In a slow recording it is chance how many samples are in the inrush. The charge of the throw counts as known if one
+/// sample of the inrush has at most this share of it.
 const SAMPLE_SHARE: f64 = 0.1;
 /// A slow recording may have one sample of the inrush, which is at least this share of the peak.
 const INRUSH_SHARE: f64 = 0.5;
