@@ -206,7 +206,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::simulate::{Channel, Stuck, Which};
+    use crate::simulate::{Channel, Sensor, Stuck};
 
     fn shipped() -> String {
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/pointsim.toml")).unwrap()
@@ -250,7 +250,7 @@ mod tests {
         let shown = settings.lines().map(uncommented).collect::<Vec<_>>().join("\n");
         let mut found = Vec::new();
         keys(&toml::from_str(&shown).unwrap(), "", &mut found);
-        let channel = Channel { full_scale: Some(1.0), bits: Some(12), ..Channel::default() };
+        let channel = Sensor { full_scale: Some(1.0), bits: Some(12), ..Sensor::default() };
         let mut sections = Sections {
             logger: LoggerSettings {
                 throws: Some(1),
@@ -263,7 +263,7 @@ mod tests {
         sections.fleet.sensors.current = channel;
         sections.fleet.sensors.position = channel;
         sections.fleet.sensors.anti_alias_hz = Some(1.0);
-        sections.fleet.sensors.stuck = Some(Stuck { channel: Which::Position, from_s: 1.0 });
+        sections.fleet.sensors.stuck = Some(Stuck { channel: Channel::Position, from_s: 1.0 });
         let mut all = Vec::new();
         keys(&toml::Table::try_from(sections).unwrap(), "", &mut all);
         assert!(all.len() > 70, "{all:?}");

@@ -1,4 +1,4 @@
-//! Acceptance of a fitted model: soundness, departure of the movement from the model, and standard deviations.
+//! Checks of a fitted model, and the estimate with its covariance from a model that passes them.
 
 use nalgebra::Matrix3;
 
@@ -12,37 +12,37 @@ use super::{
     window::Window,
 };
 
-/// Largest standard deviations of usable b0, a1 and a0 \[%\]; a0 may be small.
+/// Largest standard deviations of usable b0, a1 and a0 \[%\]. That of a0 is large, as a0 itself may be small.
 const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
-/// Largest standard deviation for a trace that ends during the movement \[%\].
+/// Largest standard deviation of each coefficient for a trace that ends during the movement \[%\].
 const MAX_SD_CUT_PCT: f64 = 1.2;
-/// Departures from the linear model that dry friction, rails and a soft drive cause in a healthy throw, as share of the
-/// travel: root mean square, and the largest mean over [`MISFIT_STRETCH_S`].
+/// Largest differences of measured and modelled output that dry friction, rails and a soft drive cause in a healthy
+/// throw, as share of the travel: their root mean square, and the largest mean over [`MISFIT_STRETCH_S`] seconds.
 const MISFIT_RMS: f64 = 4e-4;
 const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
-/// Share of the slow departure from noise of the current that is left after the fit of the model.
+/// Noise of the current makes the modelled output wander slowly. This share of the wandering is left after the fit.
 const FITTED_SHARE: f64 = 0.3;
-/// Relative error of the common scale of b0, a1 and a0: for each second by which the toe starts late (the inrush, which
-/// determines the scale, takes 50 ms), and for each millimetre of slow departure (the toe moves about one millimetre in
-/// that time).
+/// Relative error of the common scale of b0, a1 and a0 for each second by which the toe starts late: the inrush, which
+/// determines the scale, takes 50 ms.
 const SCALE_PER_S: f64 = 20.0;
+/// The same for each millimetre of slow departure from the model: the toe moves about one millimetre in the inrush.
 const SCALE_PER_MM: f64 = 3.0;
-/// Error of the common scale for a departure of the rise as large as the peak.
+/// The same for a departure of the current's rise from that of an armature by as much as the peak of the current.
 const SCALE_PER_RISE: f64 = 2.0;
 
 /// Departure of an accepted movement from the model.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Departure {
-    /// Root mean square of the slow departure beyond noise \[mm\].
+    /// Root mean square of the slow difference of measured and modelled output, without that from noise \[mm\].
     pub(super) slow_mm: f64,
-    /// Delay of the start \[s\].
+    /// Delay of the movement behind the model at the start \[s\].
     pub(super) delay_s: f64,
-    /// Relative standard deviation of the common scale of b0, a1 and a0, by a brake that may drag at the start.
+    /// Relative standard deviation of the common scale of b0, a1 and a0 by a brake that may drag at the start.
     pub(super) brake_sd: f64,
 }
 
-/// Rejects a solution that is unsound, or not that of a switch.
+/// Rejects a solution that is unsound, or has a coefficient that is not positive.
 pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
     let positive = b0 > 0.0 && a1 > 0.0 && a0 > 0.0;
@@ -53,11 +53,11 @@ pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Resul
     }
 }
 
-/// Rejects an output that departs from that of the model by more than noise and usual dry friction explain; returns the slow
-/// departure of an accepted one beyond noise \[mm\].
+/// Rejects a movement that departs from the model by more than noise and usual dry friction explain. Returns the root
+/// mean square of the slow departure, without that from noise \[mm\].
 pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm: f64) -> Result<f64, Rejection> {
     let Fitted { output, model, parameters: [b0, a1, a0], .. } = *fitted;
-    // Variance of the model's output for white noise of unit variance on the input, in steady state.
+    // Variance of the modelled output, in steady state, for white noise of variance 1 on the input.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
     let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
     let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
@@ -72,7 +72,7 @@ pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm:
             (peak, at) = (mean, block * stretch);
         }
     }
-    // The noise is estimated from few samples: allows for five standard deviations of its variance.
+    // The variance of the noise comes from few samples, so it may be larger by five of its own standard deviations.
     let factor = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
     let excess = (squares / output.len() as f64 - factor * window.output_noise - through).max(0.0).sqrt();
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
@@ -84,9 +84,11 @@ pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm:
     Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU)
 }
 
-/// The estimate with its covariance, from an accepted solution; rejects an uncertain one. `cut_after_mm`: travel of a
-/// trace that ends during the movement; `dry` and `offset`: errors from dry friction and from the current at rest; `load`:
-/// covariance of the errors from a random load.
+/// The estimate with its covariance, from an accepted solution; rejects a solution that is too uncertain.
+///
+/// `dry` and `offset` are the errors of (b0, a1, a0) from dry friction and from the current at rest, `load` is the
+/// covariance of their errors from a random load. `cut_after_mm` is the travel of a trace that ends during the
+/// movement, `None` for a complete one.
 pub(super) fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],

@@ -1,30 +1,31 @@
 //! No-load speed of a throw, and resistance and back-EMF constant if the supply voltage is known.
 //!
-//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the start of the motor it has no derivative. The
-//! toe may move later than the motor turns, as with play, lost motion or a late position, and the motor starts at any
-//! moment between two samples. So the angle of the motor is that of the toe plus a constant, and the time has an unknown
-//! start; while the toe moves, both are one constant c of the equation
+//! The equation of the armature, (1), is V = R i + L i' + K ω, with supply voltage V, resistance R, inductance L,
+//! back-EMF constant K and speed ω. Its integral from the start of the motor has no derivative. The toe may start later
+//! than the motor, because of play, lost motion or a late position, and the motor starts at an unknown moment between
+//! two samples. So while the toe moves, the angle of the motor is that of the toe plus a constant, and the time since
+//! the start is known up to a constant. Both constants are in c:
 //!
 //! ```text
 //! V t = R ∫i dt + L i + K θ + c
 //! ```
 //!
-//! which is linear in R, L, K and c. The rest of the inrush after the first movement of the toe separates R from K. (With
-//! c = 0, 0.2 mm of play changed R by a factor of two.) If V is constant but unknown, the same equation over V gives R / V
-//! and K / V.
+//! with the angle θ of the toe, in radians of the screw. The equation is linear in R, L, K and c. The rest of the
+//! inrush after the first movement of the toe separates R from K. (Without c, 0.2 mm of play changes R by a factor of
+//! two.) If V is constant but unknown, the equation divided by V gives R / V and K / V.
 
 use nalgebra::{Matrix4, Vector4};
 
 use super::{features::Features, movement::Movement};
 
-/// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
+/// Lowest sampling rate that resolves the inrush \[Hz\]: it gives 60 samples in the 0.3 s of the inrush.
 const LEAST_RATE_HZ: f64 = 200.0;
-/// Travel after which the toe moves, as share of the whole: 0.3 mm of 115 mm.
+/// The toe counts as moving after this share of its travel (0.3 mm of 115 mm), and after this many standard deviations
+/// of the position's noise.
 const MOVES_SHARE: f64 = 0.0026;
-/// Least travel after which the toe moves, in standard deviations of the position's noise.
 const MOVES_SD: f64 = 5.0;
 
-/// Adds no-load speed, and with a supply voltage resistance and back-EMF constant, to the features of a throw.
+/// Adds the no-load speed to the features of a throw; with a supply voltage, also resistance and back-EMF constant.
 pub(super) fn add_constants(features: &mut Features, supply_v: Option<f64>, movement: &Movement<'_>, lead_mm: f64) {
     let interval_s = movement.interval_s;
     if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
@@ -36,10 +37,10 @@ pub(super) fn add_constants(features: &mut Features, supply_v: Option<f64>, move
     let amperes = |i: &f64| drive * (i - movement.current.mean);
     let channels = (movement.current_a.get(start..=end), movement.position_mm.get(start..=end));
     let (Some([first, current @ ..]), Some([_, position @ ..])) = channels else { return };
-    let way_mm = |x: &f64| movement.sign * (x - movement.position.mean);
-    let moves_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
-    let Some(moves) = position.iter().position(|x| way_mm(x) > moves_mm) else { return };
-    // Sums of the products of charge, current, angle, 1 and time.
+    let moved_mm = |x: &f64| movement.sign * (x - movement.position.mean);
+    let least_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
+    let Some(moves) = position.iter().position(|x| moved_mm(x) > least_mm) else { return };
+    // Sums over the samples of the products of charge, current, angle, 1 and time.
     let (mut sums, mut charge, mut before) = ([[0.0; 5]; 4], 0.0, amperes(first));
     for (k, (i, x)) in current.iter().zip(position).enumerate() {
         let now = amperes(i);
@@ -48,9 +49,9 @@ pub(super) fn add_constants(features: &mut Features, supply_v: Option<f64>, move
         if k < moves {
             continue;
         }
-        let row = [charge, now, way_mm(x) * radians_per_mm, 1.0, (k + 1) as f64];
+        let row = [charge, now, moved_mm(x) * radians_per_mm, 1.0, (k + 1) as f64];
         for i in 0..4 {
-            // Half of the products would be enough, but whole rows are computed two at a time.
+            // The matrix is symmetric, but a complete row is faster: the compiler computes two products at a time.
             for j in 0..5 {
                 sums[i][j] += row[i] * row[j];
             }

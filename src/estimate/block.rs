@@ -1,14 +1,15 @@
-//! A block of samples: the signals, the states of their filters, and what is read from these.
+//! A block of samples: the signals, the states of their filters, and the values computed from these states.
 
 use super::problem::{Problem, Signal};
 
-/// Samples of a block.
+/// Number of samples in a block.
 pub(super) const BLOCK: usize = 64;
 
-/// A signal, or a state of a filter, in a block.
+/// The values of a signal, or of one state of a filter, in a block.
 pub(super) type Samples = [f64; BLOCK];
 
-/// Signals of a block, the states of their filters, and what is read from these.
+/// Signals of a block, the states of their filters, and the values computed from these states. Where the filter of the
+/// auxiliary model is the same as that of the signals, the `model_…_states` are not used.
 pub(super) struct Block<const N: usize, const S: usize, const P: usize> {
     pub(super) inputs: [Samples; S],
     pub(super) output: Samples,
@@ -16,15 +17,15 @@ pub(super) struct Block<const N: usize, const S: usize, const P: usize> {
     /// States of the filters of the inputs and of `y_eq`, and of the same signals in the auxiliary model.
     pub(super) input_states: [[Samples; N]; S],
     pub(super) model_input_states: [[Samples; N]; S],
-    pub(super) output_states: [Samples; N],
     pub(super) shift_states: [Samples; N],
     pub(super) model_shift_states: [Samples; N],
-    /// Numerator columns, and states of the filter of y.
+    /// The regressor before its conversion to derivatives: the numerator columns, and the N states of the filter of y.
     pub(super) phi: [Samples; P],
-    /// States of the filter of x̂.
+    /// States of the filter of the auxiliary output x̂.
     pub(super) auxiliary: [Samples; N],
-    /// `y_eq,f`, x̂.
+    /// The filtered equilibrium `y_eq,f`.
     pub(super) shift: Samples,
+    /// The auxiliary output x̂; without an auxiliary model, y.
     pub(super) model: Samples,
 }
 
@@ -37,7 +38,6 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
             equilibrium: none,
             input_states: [states; S],
             model_input_states: [states; S],
-            output_states: states,
             shift_states: states,
             model_shift_states: states,
             phi: [none; P],
@@ -47,7 +47,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         }
     };
 
-    /// Takes every `step`-th sample from the sample `from` on, and 0 after the last one; returns the number of samples.
+    /// Copies every `step`-th sample of the signals, from the sample `from` on, into the block, with zeros after the
+    /// last one. Returns the number of samples copied.
     pub(super) fn load(&mut self, problem: &Problem<S>, from: usize, step: usize) -> usize {
         let load = |to: &mut Samples, signal: &[f64]| {
             let signal = &signal[from..signal.len().min(from + BLOCK * step)];
@@ -72,7 +73,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         load(&mut self.output, problem.output)
     }
 
-    /// A row of the instrument: a numerator column, or a state of x̂, or of y without an auxiliary model.
+    /// Row number `row` of the instrument: a numerator column, or a state of the filter of x̂ (of y without an
+    /// auxiliary model).
     pub(super) fn instrument<const IV: bool>(&self, row: usize) -> &Samples {
         if !IV || row < P - N { &self.phi[row] } else { &self.auxiliary[row - (P - N)] }
     }

@@ -1,4 +1,4 @@
-//! Checks of the course of a throw: one complete movement, driven by a motor that starts.
+//! Checks of the course of a throw. It must be one complete movement, driven by a motor that starts in the recording.
 
 use super::{
     damage::LEAST_SLIP,
@@ -10,72 +10,75 @@ use super::{
     settings::Settings,
 };
 
-/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. A locked rail
-/// that bends moves less.
+/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. The toe of a
+/// locked rail that bends moves less.
 const LEAST_TRAVEL_MM: f64 = 2.0;
 const LEAST_TRAVEL_SHARE: f64 = 0.02;
 const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
-/// A locked toe moves by the bend of the rails, at most this far \[mm\]. The toe moved if its travel (from the mean at
-/// rest to the median at the end) is larger, and larger than this many standard deviations of the noise.
+/// The rails bend when the toe is locked, so the toe moves up to this distance \[mm\]. With a larger travel (from the
+/// mean at rest to the median at the end), larger also than this many standard deviations of the noise, the toe was not
+/// locked.
 const LARGEST_BEND_MM: f64 = 20.0;
 const MEDIAN_SIGMAS: f64 = 3.0;
-/// The toe was displaced before the throw if the means of the first and the last quarter of the quiet samples differ by
-/// this many standard deviations. White noise or hum gives less than 0.8 over 200 samples, a displacement at any time
-/// 0.9 or more.
+/// The toe was displaced before the throw if the means of the first and the last quarter of the quiet samples (those
+/// before the start of the motor) differ by more than this many of their standard deviations. Over 200 samples, white
+/// noise or hum gives less than 0.8, a displacement at any time 0.9 or more.
 const DISPLACED_SIGMAS: f64 = 0.85;
-/// Least speed of a moving toe in a noisy position, as share of its mean speed, and least movement \[standard deviations\].
+/// In a noisy position the toe still moves if it is faster than this share of its mean speed, and moves by more than
+/// this many standard deviations of the noise.
 const LEAST_SPEED_SHARE: f64 = 0.25;
 const MOVED_SIGMAS: f64 = 4.0;
-/// Strokes that a position in metres is compared with if none is configured \[mm\].
+/// Range of possible strokes if none is configured \[mm\], to recognise a position in metres.
 const USUAL_STROKES_MM: (f64, f64) = (50.0, 500.0);
-/// Least ratio of travel to noise and step of the converter of a position in metres: a sensor with 0.2 mm of noise over
-/// 115 mm has 575. In millimetres this travel would need a sensor with less than 0.3 um.
+/// Least ratio of the travel to noise and converter step in a position in metres: a sensor with 0.2 mm of noise over
+/// 115 mm has 575. If the same numbers were millimetres, the sensor would have less than 0.3 um of noise.
 const METRES_RESOLUTION: f64 = 400.0;
 /// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
-/// A shorter travel, down to this share of the stroke, is that of a complete throw behind a sensor with a wrong gain (or a
-/// wrong `stroke_mm`), if the end of the throw is that of a complete one.
+const TOO_LONG_SHARE: f64 = 1.15;
+/// A shorter travel, down to this share of the stroke, may be that of a complete throw, if the gain of the position
+/// sensor or `stroke_mm` is wrong. Then the throw must end as a complete one.
 const WRONG_GAIN_SHARE: f64 = 0.85;
-/// Time from the arrival of the toe to the end of the motor of a complete throw behind a wrong gain \[s\]: the motor pushes
-/// the toe against the stock rail until the detection ends the throw. A motor that lost its supply pushes for no time. Before
-/// an obstruction it slips its clutch, or stalls, until a time-out of seconds or an overload protection, which lets an inrush
-/// of 0.1 s pass.
+/// Time from the arrival of the toe to the end of the motor in a complete throw \[s\]: the motor pushes the toe against
+/// the stock rail until the detection ends the throw. A motor that lost its supply does not push. At an obstruction the
+/// motor slips its clutch, or stalls, until a time-out of seconds or an overload protection, which lets an inrush of
+/// 0.1 s pass.
 const PUSH_S: (f64, f64) = (0.01, 0.1);
 /// Least peak of the current of a pushing motor, as multiple of the running current.
 const PUSH_FACTOR: f64 = 1.5;
-/// Least mean speed of a toe over its last movement before the arrival, as share of its mean speed before that: a toe at its
-/// stock rail stops at once, before a soft obstruction it slows down.
+/// Least mean speed of a toe over its last movement before the arrival, as share of its mean speed before that. At the
+/// stock rail the toe stops at once, at a soft obstruction it slows down first.
 const SHARP_STOP_SHARE: f64 = 0.7;
-/// Length of that last movement, as share of the travel.
+/// Length of this last movement, as share of the travel; the movement before it is nine times as long.
 const LAST_SHARE: f64 = 0.01;
-/// Largest movement after the end of a throw \[mm\], beyond the noise: an obstruction pushes the toe back.
+/// Largest movement back after the end of a complete throw \[mm\], beyond the noise: an obstruction pushes the toe
+/// back.
 const LARGEST_REBOUND_MM: f64 = 1.0;
-const TOO_LONG_SHARE: f64 = 1.15;
-/// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale of the
-/// sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. The travel is known to
-/// this many standard deviations of the noise.
+/// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale
+/// of the sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. Noise may
+/// reduce the travel by this many standard deviations.
 const WHOLE_SHARE: f64 = 0.98;
 const WHOLE_SIGMAS: f64 = 4.0;
 /// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
 const LONGEST_MOVEMENT_S: f64 = 30.0;
-/// Longest time of the motor after the arrival of the toe \[s\].
+/// Longest time that the motor of a complete throw runs after the arrival of the toe \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
-/// Least peak current, in standard deviations of the noise: chance gives six once in 10^9 samples.
+/// Least peak current, in standard deviations of the noise. White noise exceeds six once in 10^9 samples.
 const LEAST_CURRENT_SIGMAS: f64 = 6.0;
-/// Largest movement backwards, or before the start of the motor: as share of the travel (the rails spring), and in
-/// standard deviations of the noise (largest of several thousand samples).
+/// Largest movement backwards, or before the start of the motor: as share of the travel, as the rails spring, plus a
+/// multiple of the noise's standard deviation, as the largest noise of several thousand samples counts.
 const WRONG_WAY_SHARE: f64 = 0.02;
 const WRONG_WAY_SIGMAS: f64 = 10.0;
-/// Displacement of three consecutive positions at the start of the motor, in standard deviations; chance exceeds it in
-/// 1 of 1,000,000 healthy throws.
+/// Largest displacement of three consecutive positions at the start of the motor, in standard deviations of the noise.
+/// Noise exceeds it in 1 of 1,000,000 healthy throws.
 const EARLY_SIGMAS: f64 = 2.8;
 /// Current of the first sample, as share of the peak, above which the recording began too late.
 const LATE_START_SHARE: f64 = 0.25;
-/// Least ratio of peak to running current at the start of a motor. A sound machine has 1.5 and more, one with dry slide
-/// chairs down to this.
+/// Least ratio of the peak current at the start of a motor to its running current. A sound machine has 1.5 and more, a
+/// machine with dry slide chairs at least this.
 const INRUSH_FACTOR: f64 = 1.1;
 
-/// Rejects a trace without one complete movement driven by a measurable current.
+/// Rejects a trace that is not one complete movement driven by a measurable current.
 pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
     let Movement { current_a: current, position_mm: position, interval_s, travel_mm, .. } = *movement;
     let at = |k: usize| k as f64 * interval_s;
@@ -95,7 +98,7 @@ pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
             Rejection::NoMovement
         });
     }
-    // Without quiet samples the noise follows from differences, which include the ripple of the supply.
+    // Without quiet samples the noise comes from differences of samples, which include the ripple of the supply.
     let quiet = movement.current;
     let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
     if movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a {
@@ -112,14 +115,14 @@ pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
         return Err(Rejection::MovedBackwards { back_mm });
     }
     if travel_mm < least {
-        // The toe returned to its start after the motor, if this is not noise.
+        // The toe moved and returned to its start, or the movement is noise.
         let is_noise = travel_mm < LEAST_TRAVEL_SIGMAS * noise_mm && travel_mm > LEAST_TRAVEL_MM;
         return Err(if is_noise { noisy } else { Rejection::MovedBackwards { back_mm: furthest - travel_mm } });
     }
     let off = movement.motor_off.unwrap_or(movement.arrived);
     let stalled_s = at(off.saturating_sub(movement.arrived));
     let is_frozen = |stalled: &[f64]| stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits());
-    // A standing toe has the noise of its sensor.
+    // A standing toe still shows the noise of its sensor; a stuck sensor does not.
     if stalled_s > LONGEST_STALL_S
         && movement.position.hides(movement.position.quantum)
         && is_frozen(&position[movement.arrived.midpoint(off)..=off])
@@ -148,15 +151,17 @@ pub(super) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     Ok(())
 }
 
-/// Whether the travel is a thousandth of a stroke. A locked toe that moves as far is not resolved as finely.
+/// Whether the position is in metres: the travel is a thousandth of a stroke, and finely resolved. The travel of a
+/// locked toe may be as small, but is not as finely resolved.
 fn is_in_metres(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> bool {
     let (low, high) = settings.stroke_mm.map_or(USUAL_STROKES_MM, |stroke_mm| (0.9 * stroke_mm, 1.1 * stroke_mm));
     (low..=high).contains(&(1000.0 * movement.travel_mm))
         && movement.travel_mm > METRES_RESOLUTION * noise_mm.max(movement.position.quantum)
 }
 
-/// The noise of the position, also if it is hum or other noise that is not white: then the values at rest scatter more
-/// than their differences show. A toe that was displaced there is not noise.
+/// Standard deviation of the noise of the position \[mm\], also for hum and other noise that is not white: then the
+/// positions at rest scatter more than the differences of neighbouring samples. A toe that is displaced before the
+/// throw does not count as noise.
 fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
     let Movement { position_mm: position, position_noise_mm: noise_mm, .. } = *movement;
     let Level { mean: centre, sd, samples, .. } = movement.position;
@@ -171,12 +176,12 @@ fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
     noise_mm.max(SD_PER_MEDIAN * median_distance(&position[..samples], centre, scratch))
 }
 
-/// Whether a travel is shorter than that of a complete throw.
+/// Whether a travel is shorter than that of a complete throw, even if the noise is added.
 pub(super) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
     travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm
 }
 
-/// Rejects a travel that is not the whole stroke.
+/// Rejects a travel that is too short or too long for the stroke.
 fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
     let travel_mm = movement.travel_mm;
     if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
@@ -192,8 +197,8 @@ fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut 
     if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
 }
 
-/// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a moment.
-/// A motor that is switched off before would leave the same trace if it had lost its supply, and is no evidence.
+/// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a
+/// moment. False if the motor is off before the toe arrives, as a motor that loses its supply leaves the same trace.
 fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>) -> bool {
     let Movement { current_a: current, sign, travel_mm, arrived, .. } = *movement;
     let start = movement.start();
@@ -212,8 +217,9 @@ fn ends_complete(movement: &Movement<'_>, noise_mm: f64, scratch: &mut Vec<f64>)
         && rebound_mm < LARGEST_REBOUND_MM + WHOLE_SIGMAS * noise_mm
 }
 
-/// Whether the toe still moves before the end of the motor: in a noisy position the first sample near the end of the
-/// travel is much too early. Compares the means of the second and the last third of the time since then.
+/// Whether the toe moves until the end of the motor. In a noisy position the first sample near the end of the travel is
+/// much too early. So the time from this sample to the end of the motor is cut into thirds, and the mean positions of
+/// the second and the last third are compared.
 fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     let third = off.saturating_sub(movement.near_end) / 3;
     if third == 0 {
@@ -225,8 +231,8 @@ fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
 }
 
-/// Rejects a toe that already moves at the start of the motor: three consecutive positions are displaced. (Noise can
-/// displace one of them.)
+/// Rejects a toe that already moves at the start of the motor. The mean of three consecutive positions decides, as
+/// noise can displace a single one.
 pub(super) fn early(movement: &Movement<'_>) -> Result<(), Rejection> {
     if movement.quiet <= 2 * MIN_QUIET {
         return Ok(());
@@ -250,11 +256,12 @@ pub(super) fn inrush(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> Result<
     if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
 }
 
-/// Least height of the first crest as share of the peak; the crest lasts while the current is above this share of it.
+/// Least height of the first crest of the current, as share of the peak.
 const CREST_SHARE: f64 = 0.9;
+/// The crest lasts while the current is above this share of its height.
 const CREST_FLATNESS: f64 = 0.97;
 
-/// Samples from the last quiet one to the end of the first crest of the current.
+/// Number of samples from the start of the motor to the end of the first crest of the current; 0 without a crest.
 pub(super) fn rise_samples(movement: &Movement<'_>) -> usize {
     let (current, start) = (movement.current_a, movement.start());
     let level = |k: usize| (current[k] - movement.current.mean).abs();
@@ -266,14 +273,14 @@ pub(super) fn rise_samples(movement: &Movement<'_>) -> usize {
     crest + flat - start + 1
 }
 
-/// Largest step of the position between two samples: in mean steps of the movement, in standard deviations of the
-/// noise, and in steps of the converter (at most 0.5 mm each).
+/// Largest step of the position between two samples. It is the sum of a multiple of the mean step of the movement, of
+/// the noise's standard deviation, and of the converter's step, which counts as 0.5 mm at most.
 const JUMP_MEAN_STEPS: f64 = 5.0;
 const JUMP_SIGMAS: f64 = 10.0;
 const JUMP_QUANTA: f64 = 3.0;
 const LARGEST_QUANTUM_MM: f64 = 0.5;
 
-/// Rejects a step between two samples that the speed of the machine does not explain.
+/// Rejects a step of the position between two samples that the speed of the machine does not explain.
 fn jumps(movement: &Movement<'_>, noise_mm: f64) -> Result<(), Rejection> {
     let span = movement.arrived.saturating_sub(movement.start()).max(1);
     let mean_step = movement.travel_mm / span as f64;
@@ -292,7 +299,7 @@ fn jumps(movement: &Movement<'_>, noise_mm: f64) -> Result<(), Rejection> {
     }
 }
 
-/// Largest distance back from the furthest position so far, while the motor is on.
+/// Largest distance of the toe behind its furthest position so far, while the motor is on \[mm\].
 fn backwards(movement: &Movement<'_>) -> f64 {
     let position = movement.position_mm;
     let last = movement.motor_off.unwrap_or(position.len() - 1);

@@ -1,26 +1,28 @@
 //! Covariance of the estimate with noise on the output and on the inputs.
 //!
-//! The textbook σ² (Z'Z)⁻¹ includes only noise on the output. Here the current is measured too, and its noise passes
+//! The textbook's σ² (Z'Z)⁻¹ is for noise on the output alone. Here the current is measured too, and its noise passes
 //! through the model. To first order the error of the estimate is
 //!
 //! ```text
 //! θ̂ - θ = M⁻¹ Σ_k z_k e_k,   M = Σ z φ',   e = n_y - Σ_s (B_s/A) n_s
 //! ```
 //!
-//! as the equation error, filtered by 1/A, is the output noise `n_y` minus the input noise `n_s` filtered by the model.
-//! With T the lower triangular matrix of the sampled response B/A, Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered
-//! backwards in time. So, for white noise of variances `s_y²` and `s_s²`,
+//! with instrument z and regressor φ, as the equation error, filtered by 1/A, is the output noise `n_y` minus the noise
+//! `n_s` of each input s filtered by the model. Let T be the lower triangular matrix of the sampled response of B/A.
+//! Then Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered backwards in time. So, for white noise of variances `s_y²`
+//! and `s_s²`,
 //!
 //! ```text
 //! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
 //! ```
 //!
-//! With another prefilter 1/C than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`, so W is Z
-//! filtered by B/C, and V = Z filtered by A/C replaces Z in Z'Z.
+//! With a prefilter 1/C other than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`. So W is Z
+//! filtered by B/C, and Z filtered by A/C replaces Z in Z'Z.
 //!
-//! The start position and the current's offset are means over n quiet samples: their errors, of variances `s_y²/n` and
-//! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With noise
-//! below half a step of the converter averaging does not help, and the rounding error of one sample replaces them.)
+//! The start position and the current's offset are means over n quiet samples, those before the start of the motor.
+//! Their errors, of variances `s_y²/n` and `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n`
+//! (Σw)(Σw)' to the bracket, with the rows w of W. (If the noise is below half a step of the converter, the mean is no
+//! better than one sample, so the variance of the rounding error is added to theirs.)
 
 use nalgebra::Matrix3;
 
@@ -32,22 +34,22 @@ use super::{
     sriv::Solution,
 };
 
-/// White noise on the samples of a problem.
+/// Variances of the white noise on the signals of a problem.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise<'a, const S: usize> {
     /// Variance on the output.
     pub output: f64,
-    /// Variance on each input; 0 for inputs without measurement.
+    /// Variance on each input; 0 for inputs that are not measured.
     pub inputs: [f64; S],
-    /// Standard deviation of the noise of each sample of the first input, as multiple of the root of `inputs[0]`; for
-    /// an input that is a nonlinear function of the measured value.
+    /// For a first input that is a nonlinear function of the measured value: the standard deviation of the noise of
+    /// each of its samples, as multiple of the square root of `inputs[0]`. `None` if it is the same for all samples.
     pub scale: Option<&'a [f64]>,
-    /// Variances of the offsets removed from the first input and from the output; 0 without removal.
+    /// Variances of the offsets that were removed from the first input and from the output; 0 if none was removed.
     pub offsets: [f64; 2],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Covariance of the parameters of `solution`, which must be the last solution that used `workspace`.
+    /// Covariance of the parameters of `solution`, which must be the last solution computed in `workspace`.
     pub fn covariance(
         &self,
         problem: &Problem<S>,
@@ -96,14 +98,15 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-/// Dry share of the friction: root mean square of a share that is uniform between 0 and 1.
+/// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
+/// from 0 to 1.
 pub(super) const DRY_SHARE: f64 = 0.58;
 /// Share of the travel after which the machine has its running speed.
 const STARTED_SHARE: f64 = 0.05;
 
 impl Sriv<2, 1, 3> {
-    /// Covariance of the errors of (b0, a1, a0) by a random load. A charge in a sample of the input has the effect M⁻¹ w / T,
-    /// with the interval T.
+    /// Covariance of the errors of (b0, a1, a0) from a random load. A charge of 1 A s in one sample of the input
+    /// changes them by M⁻¹ w / T, with the sampling interval T. `None` if the movement does not determine the load.
     pub(super) fn load_covariance(
         &self,
         problem: &Problem<1>,
@@ -121,14 +124,14 @@ impl Sriv<2, 1, 3> {
         load.covariance(|step| times(&solution.inverse, &effects[step]).into())
     }
 
-    /// Errors of (b0, a1, a0) that are equal in every throw: from dry friction, for one standard deviation of its share, and
-    /// from an error of the current's offset, with the scale of [`Noise`].
+    /// Errors of (b0, a1, a0) that are equal in every throw: those from dry friction, for one standard deviation of its
+    /// share, and those from an error `offset` of the current's offset, with the `scale` of [`Noise`].
     ///
-    /// A disturbance d of the acceleration disturbs the output by n = d/A and the estimate by M⁻¹ Σ z n; with a prefilter
-    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at ω, the mean speed of the
-    /// movement after its start; a dry load F differs from it by d = -F (1 - y'/ω). A mean over less of the movement would
-    /// depend on the spring, which slows one direction down and speeds up the other, and the interval would not contain the
-    /// friction.
+    /// A disturbance d of the acceleration changes the output by n = d/A (d/C with a prefilter 1/C) and the estimate by
+    /// M⁻¹ Σ z n. The model has only viscous friction. It stands for a dry friction F with the same torque at the speed
+    /// ω, and the two differ by d = -F (1 - y'/ω) at the speed y'. ω is the mean speed of the movement after its start.
+    /// A mean over less of the movement would depend on the spring, which brakes one direction and drives the other,
+    /// and the resulting interval would not contain the true friction.
     pub(super) fn systematic_errors(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,
@@ -165,11 +168,11 @@ impl Sriv<2, 1, 3> {
     }
 }
 
-/// A - C for the prefilter 1/C, the coefficient of the d-th derivative at index d; `None` if they are equal.
+/// A - C for the prefilter 1/C, with the coefficient of the d-th derivative at index d; `None` if A and C are equal.
 fn excess<const N: usize, const S: usize, const P: usize>(solution: &Solution<N, S, P>) -> Option<[f64; N]> {
     let a = Sriv::<N, S, P>::denominator(&solution.parameters);
     let excess = std::array::from_fn(|d| a[N - 1 - d] - solution.denominator[N - 1 - d]);
-    // After convergence they differ by less than the tolerance.
+    // Where C is the A of the last iteration, the two differ by less than the tolerance.
     (0..N).any(|d| excess[d].abs() > 1e-2 * a[N - 1 - d].abs()).then_some(excess)
 }
 
@@ -197,7 +200,7 @@ fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
     }
 }
 
-/// Filters the rows of `z` from the last to the first by B/A; calls `take` with the index and each result.
+/// Filters the rows of `z` from the last to the first by B/A; calls `take` with each index and filtered row.
 fn backwards<const N: usize, const P: usize>(
     z: &[[f64; P]],
     filter: &Discrete<N>,

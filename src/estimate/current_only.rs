@@ -1,16 +1,18 @@
-//! A throw without a toe position: features from the current, and with a known supply voltage and stroke the coefficients.
+//! A throw without a toe position: its features from the current, and its coefficients if supply voltage and stroke are
+//! known.
 //!
-//! The back-EMF shows the speed of the motor. With V constant from the motor's start, Q = ∫i, P = ∫Q and the model of
-//! equation (12), the armature V = R i + L i' + K y' integrated twice is linear in five unknowns,
+//! The back-EMF shows the speed of the motor. The armature is V = R i + L i' + K y', with supply voltage V, resistance
+//! R, inductance L and back-EMF constant K. Let V be constant from the motor's start, Q = ∫i and P = ∫Q. With the model
+//! of equation (12), the armature's equation integrated twice is linear in five unknowns,
 //!
 //! ```text
 //! V (t + a0 t³/6) - a0 R ∫P = L i + (R + a1 L) Q + (K b0 + a1 R + a0 L) P + c t² + d
 //! ```
 //!
-//! (c includes friction and the preload of the spring, d the moment of the start), found by least squares over the
-//! inrush. Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke; the ratios a1/b0 and a0/b0
-//! follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with a1
-//! and a0 are corrected in a few rounds.
+//! which are found by least squares over the inrush. (c contains friction and the preload of the spring, d the moment
+//! of the start.) Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke. The ratios a1/b0 and
+//! a0/b0 follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with
+//! a1 and a0 are corrected in a few rounds.
 
 use nalgebra::{Matrix2, Matrix5, Vector5};
 
@@ -27,45 +29,47 @@ use super::{
 };
 use crate::throw::{Direction, Throw};
 
-/// Lowest sampling rate that resolves the inrush \[Hz\].
+/// Lowest sampling rate that resolves the inrush well enough for the coefficients \[Hz\].
 pub(super) const LEAST_RATE_HZ: f64 = 500.0;
-/// Length of the inrush for the estimate of the armature \[s\].
+/// Length of the part of the inrush from which the armature's constants are estimated \[s\].
 const INRUSH_S: f64 = 0.2;
-/// Rounds of corrections; each is smaller than the previous one by the factor a1 L / R, a few per cent.
+/// Number of corrections of the terms with a1 and a0. Each is smaller than the previous one by the factor a1 L / R, a
+/// few per cent.
 const ROUNDS: usize = 6;
-/// Standard deviations of ln b0, and extra ones of the logarithms of the ratios. Simulated throws with 20 mA of noise
-/// scatter by 0.15 % in b0 and 0.3 % in a1 at 1 kHz, and twice as much at 500 Hz.
+/// Standard deviation of ln b0, and that added to the logarithms of the ratios. In simulated throws with 20 mA of noise
+/// b0 scatters by 0.15 % and a1 by 0.3 % at 1 kHz, and twice as much at 500 Hz.
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
-/// Standard deviation of the logarithms of the ratios by errors that are equal in every throw of a machine: with dry
-/// friction, or a filter, the inrush gives the armature's constants to some per cent.
+/// Standard deviation of the logarithms of the ratios from errors that are equal in every throw of a machine: because
+/// of dry friction, or a filter, the armature's constants are wrong by some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
-/// Least peak of the current in the second half of a throw, as multiple of its median there, of a motor that stalls at the
-/// end of the stroke until it is switched off.
+/// A motor that stalls at the end of the stroke until it is switched off has a peak of the current there. The peak of
+/// the second half of the throw is above this multiple of the median there.
 const STALL_FACTOR: f64 = 2.0;
-/// The stalled motor is on while its current is above this share of the peak.
+/// The stalled motor has its supply voltage while its current is above this share of the peak.
 const STALLED_SHARE: f64 = 0.95;
-/// Longest time of the current after that \[s\]: a longer current is that of a movement after a load.
+/// Longest current without a supply voltage, after the stall \[s\]. A longer current is that of a movement after a
+/// heavy load.
 const FREEWHEEL_S: f64 = 0.3;
-/// Largest mean of the second half of this current, as share of that of its first half: one that does not decay is that of a
-/// movement too.
+/// A current without a supply voltage decays: the mean of its second half is at most this share of that of its first
+/// half.
 const FREEWHEEL_SHARE: f64 = 0.5;
 
-/// Why there are no coefficients.
+/// Reasons why a throw without a toe position has no coefficients.
 const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
 const NO_ARMATURE: &str = "the inrush does not give resistance, inductance and back-EMF of the motor: it may be smoothed by a \
                            filter, or supply_v be wrong";
 const NO_MODEL: &str = "the movement that follows from the current does not fit the model of a point machine";
 
-/// The features of a throw without a toe position; the duration is that of the motor.
+/// The features of a throw without a toe position; its duration is the time of the motor.
 pub(super) fn features(movement: &Movement<'_>) -> Features {
     let duration_s = movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * movement.interval_s);
     Features { duration_s, ..movement.features().without(Channel::Position) }
 }
 
-/// The five unknowns of the equation in the first samples: L, R + a1 L, K b0 + a1 R + a0 L, c and d. `integrals` are those of
-/// the current, of order 0 to 3.
+/// Solves the equation of the module for its five unknowns L, R + a1 L, K b0 + a1 R + a0 L, c and d, over the first
+/// `samples`. `integrals` are the current, Q, P and ∫P.
 fn solve(
     integrals: &[Vec<f64>; 4],
     samples: usize,
@@ -85,8 +89,8 @@ fn solve(
     Some((scaled.try_inverse()? * right.component_mul(&scale)).component_mul(&scale))
 }
 
-/// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
-/// back-EMF constant to the features.
+/// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds
+/// resistance and back-EMF constant to the features.
 pub(super) fn estimate(
     movement: &Movement<'_>,
     throw: &Throw,
@@ -119,7 +123,7 @@ pub(super) fn estimate(
     let integrals = [amperes, charge, double, triple];
     let [amperes, charge, ..] = &integrals;
     let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
-    // The motor is cut off when the toe arrives, so the last samples may be falling already.
+    // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
     let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
     let inrush = samples_in(INRUSH_S, interval_s).min(last);
     let from_start_mm = match throw.direction {
@@ -164,7 +168,7 @@ pub(super) fn estimate(
     estimate.covariance = covariance(SCALE_SD, RATIO_SD, ratios.log_covariance);
     // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
     estimate.systematic = covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
-    // The errors of the ratios were for b0 = 1.
+    // The errors of a1 and a0 were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
     estimate.grade = Grade::CurrentOnly;
@@ -172,7 +176,7 @@ pub(super) fn estimate(
     Ok(estimate)
 }
 
-/// Why the coefficients are not searched in the current: a missing value, or the kind of motor.
+/// The reason why the coefficients are not estimated from the current: a missing value, or the kind of motor.
 fn unknown(throw: &Throw, settings: &Settings) -> &'static str {
     if settings.motor != Motor::PermanentMagnet {
         "the current gives the coefficients of a permanent-magnet motor only"
@@ -183,8 +187,9 @@ fn unknown(throw: &Throw, settings: &Settings) -> &'static str {
     }
 }
 
-/// The last sample with the supply voltage at the motor. A motor that stalls at the end of the stroke winds up the drive,
-/// which turns it back after the cut-off: then a current flows for a tenth of a second without a voltage.
+/// The last sample with the supply voltage at the motor; `None` if the motor was never on. A motor that stalls at the
+/// end of the stroke winds up the drive, which turns the motor back after the cut-off. Then a current flows for a tenth
+/// of a second without a supply voltage.
 fn end_of_voltage(movement: &Movement<'_>) -> Option<usize> {
     let off = movement.motor_off?;
     let from = movement.start().midpoint(off);

@@ -1,4 +1,4 @@
-//! Checks for damaged samples: impossible, clipped, stuck, single wrong values and lasting steps.
+//! Checks for damaged samples: impossible values, clipping, stuck channels, single wrong values and lasting steps.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -13,33 +13,34 @@ use super::{
 const LARGEST_CURRENT_A: f64 = 1000.0;
 /// Largest plausible position \[mm\].
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A plateau of the largest value counts as clipped from this many samples on, if its flanks are at least this high
-/// \[steps of the converter\]. A smooth crest has lower flanks: one plateau width outside the plateau it has fallen by
-/// nine times its depth within the plateau, which is at most one step.
+/// A plateau of the largest value is clipped if it has at least this many samples and its flanks fall by at least this
+/// many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
+/// one step within the plateau, so one width outside it has fallen by nine steps at most.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
 /// Least number of equal consecutive samples of a stuck channel.
 const REPEATED_SAMPLES: f64 = 25.0;
-/// Allowed chance at each sample that a working channel repeats for longer: a throw at 20 kHz has 90,000 samples.
+/// Probability, at each sample, that a working channel counts as stuck. A throw at 20 kHz has 90,000 samples.
 const REPEATED_CHANCE: f64 = 1e-9;
-/// The search first compares the two ends of parts of this length: every stretch of more than [`REPEATED_SAMPLES`]
-/// equal samples contains one whole part.
+/// A fast first search compares only the two ends of parts of this many samples: every stretch of at least
+/// [`REPEATED_SAMPLES`] equal samples contains one whole part.
 const REPEATED_PART: usize = 13;
-/// For a position without noise the bound is larger: this many times the time of one converter step at mean speed, and
-/// at least this time \[s\] for the slow start of the toe.
+/// A position without noise may repeat longer: this many times the time of one converter step at mean speed, and at
+/// least this time \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
-/// A toe that waits for the machine to unlock stands within this many steps of its place at rest, and leaves it by no
-/// more than as many steps plus this many times the mean movement between samples. A stuck sensor jumps instead.
+/// While the machine unlocks, the toe stands within this many converter steps of its position at rest. It leaves this
+/// position by at most as many steps plus this multiple of the mean movement between samples. A stuck sensor jumps
+/// instead.
 const STANDING_STEPS: f64 = 1.5;
 const DEPARTURE_MEAN_STEPS: f64 = 2.0;
-/// Longest repetition of a current without noise, which may be constant, as share of the movement.
+/// Longest repetition of a current without noise, as share of the movement: such a current may be constant.
 const LEVEL_CURRENT_SHARE: f64 = 0.3;
 
 /// Rejects values that are not finite, or not plausible.
 pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
     let channels = [(Channel::Current, current, LARGEST_CURRENT_A), (Channel::Position, position, LARGEST_POSITION_MM)];
-    // The usual trace. A comparison with NaN is false.
+    // A fast check that the usual trace passes. A comparison with NaN is false.
     let is_plausible = |values: &[f64], largest: f64| every(values.iter().map(|v| v.abs() <= largest));
     if channels.iter().all(|(_, values, largest)| is_plausible(values, *largest)) {
         return Ok(());
@@ -83,8 +84,9 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 
 /// Rejects a channel that repeats a value during the movement for longer than the converter step explains.
 ///
-/// A machine may unlock for some tenths of a second before its toe moves, and a converter whose step is larger than the
-/// noise repeats the place at rest for this time. Then the position goes on from there, step by step.
+/// A machine may unlock for some tenths of a second before its toe moves. A converter whose step is larger than the
+/// noise repeats the position at rest for this time, and then goes on from it step by step. This is not a stuck
+/// channel.
 pub(super) fn sticking(
     movement: &Movement<'_>,
     channel: Channel,
@@ -97,7 +99,7 @@ pub(super) fn sticking(
     let step = quantum(&values[start..to]);
     let noisy = movement.level(channel).hides(step) && step > 0.0;
     let mean_step = movement.travel_mm / (to - start).max(1) as f64;
-    // Without noise the values before the start are equal.
+    // Without noise the values before the start of the motor are equal in a working channel too.
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
     let longest = match channel {
@@ -106,7 +108,7 @@ pub(super) fn sticking(
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
     let longest = if channel == Channel::Position { longest * movement.position_every } else { longest };
-    // A longer stretch covers both ends of one of these parts.
+    // Without a part with equal ends there is no long stretch of equal values.
     let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
     if !values.chunks_exact(REPEATED_PART).any(is_equal) {
         return Ok(());
@@ -129,30 +131,33 @@ pub(super) fn sticking(
     Ok(())
 }
 
-/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\]. Worst case: a
-/// level in the middle of a code. White noise then keeps the code with the probability erf(1 / (2 √2 noise)).
+/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\], for the
+/// worst case: a level in the middle of a converter step. White noise then leaves the value within the step with the
+/// probability erf(1 / (2 √2 noise)).
 fn repeated_by_chance(noise: f64) -> f64 {
     let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
     REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())
 }
 
-/// Least height of a spike: as share of the peak current and of the travel, and in standard deviations of the noise.
+/// Least height of a spike: as share of the peak current or of the travel, and in standard deviations of the noise.
 const SPIKE_CURRENT_SHARE: f64 = 0.02;
 const SPIKE_TRAVEL_SHARE: f64 = 0.002;
 const SPIKE_SIGMAS: f64 = 12.0;
-/// Factor on these shares at a low rate with a filter, where vibrations of the machine look like single values.
+/// Factor on these shares for a filtered trace, which usually has a low rate: there vibrations of the machine look like
+/// spikes.
 const SPIKE_FILTERED_FACTOR: f64 = 10.0;
-/// Least height of a spike as share of the signal's change between samples: on a steep flank jitter looks like a spike.
+/// Least height of a spike as share of the signal's change over two samples: on a steep flank, jitter of the sampling
+/// looks like a spike.
 const SPIKE_SLOPE_SHARE: f64 = 0.4;
-/// Tolerance of a spike's shape in the second differences: minus one half of the height at the neighbours, and nothing
-/// two samples away.
+/// Tolerance of the shape of a spike, as share of its height. A value minus the mean of its neighbours is the height at
+/// the spike, minus half the height next to it, and 0 two samples away.
 const SPIKE_BESIDE_SHARE: f64 = 0.3;
-/// Number of spikes from which they count as a ripple that the sampling hardly resolves.
+/// This many spikes, or more, are a ripple that the sampling hardly resolves.
 const RIPPLE_SPIKES: usize = 6;
 
-/// Rejects single values far from their neighbours: the second difference is large there, half as large with the
-/// opposite sign at the neighbours, and small two samples away (unlike the ringing of an anti-alias filter after the
-/// inrush). A few are corrupt values; many are a ripple that the sampling hardly resolves.
+/// Rejects single values far from their neighbours. The second difference is large at such a spike, half as large with
+/// the opposite sign at the neighbours, and small two samples away, unlike the ringing of an anti-alias filter after
+/// the inrush. A few spikes are corrupt values. Many are a ripple that the sampling hardly resolves, and pass.
 pub(super) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) -> Result<(), Rejection> {
     let values = movement.values(channel);
     let range = if channel == Channel::Current {
@@ -166,7 +171,7 @@ pub(super) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) 
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
     let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
     let last = movement.near_end.min(values.len().saturating_sub(3));
-    // The usual trace bends nowhere that far.
+    // A fast check that the usual trace passes.
     let is_straight = |[a, b, c]: &[f64; 3]| {
         let here = (b - 0.5 * (a + c)).abs();
         (here <= threshold) | (here <= SPIKE_SLOPE_SHARE * (c - a).abs())
@@ -192,24 +197,26 @@ pub(super) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) 
     }
 }
 
-/// Least height of a step within the inrush: as share of the peak current, and in standard deviations. Single samples
-/// are compared, as a mean over the steep flank hides a step.
+/// Least height of a step within the inrush: as share of the peak current, and in standard deviations of the noise. The
+/// check compares single samples, as a mean over the steep flank of the inrush hides a step.
 const INRUSH_STEP_SHARE: f64 = 0.18;
 const INRUSH_STEP_SIGMAS: f64 = 12.0;
 /// Samples after the start of the motor that are checked for such a step.
 const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
-/// Least share of a step in means of half the length: 1 for a step, an eighth for a smooth signal.
+/// Least height of a step in means of half the length: as share of its height in the long means (1 for a step, an
+/// eighth for a smooth signal), and in standard deviations of its noise.
 const SHORT_MEAN_SHARE: f64 = 0.6;
 const SHORT_MEAN_SIGMAS: f64 = 5.0;
 /// Length of the mean on each side of a step \[s\].
 const STEP_S: f64 = 0.008;
-/// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
+/// Least height of a step in standard deviations of its noise: a trace has several thousand places for a false step.
 const STEP_SIGNIFICANCE: f64 = 6.5;
-/// Longest interval at which a smooth movement shows no step. Its apparent step grows with the third power of the interval.
+/// Longest sampling interval at which a smooth movement shows no step \[s\]. The apparent step grows with the third
+/// power of the interval.
 const SMOOTH_S: f64 = 0.003;
-/// Duration of the oscillation of the inrush \[s\]: before its end the current is no straight line.
+/// Duration of the inrush \[s\]. In this time the current changes too fast for the check with means.
 pub(super) const INRUSH_S: f64 = 0.15;
-/// Least step of the current, as share of its peak; rails and friction cause smaller ones.
+/// Least step of the current, as share of its peak; rails and friction cause smaller steps.
 const LEAST_STEP: f64 = 0.006;
 /// Least step of the position, as share of the travel.
 pub(super) const LEAST_SLIP: f64 = 5e-4;
@@ -224,7 +231,7 @@ fn inrush_step(movement: &Movement<'_>, sd: f64) -> Result<(), Rejection> {
     };
     let [from, to] = [INRUSH_STEP_SAMPLES.start, INRUSH_STEP_SAMPLES.end].map(|after| movement.start() + after);
     let mut found = (from..to.min(current.len().saturating_sub(2))).filter(is_step);
-    // One step shows at neighbouring places too; more are a switching supply.
+    // One step shows at two neighbouring samples too. More come from a switching supply.
     match found.next() {
         Some(at) if found.count() < 3 => {
             Err(Rejection::CurrentJump { jump_a: current[at + 1] - current[at], at_s: at as f64 * movement.interval_s })
@@ -233,10 +240,11 @@ fn inrush_step(movement: &Movement<'_>, sd: f64) -> Result<(), Rejection> {
     }
 }
 
-/// Rejects a lasting step between two samples: inductance and inertia prevent it in current and position, so it is a
-/// changed gain, a shifted offset or lost samples. Means over 8 and over 4 ms, with the trend removed, show the same
-/// height only for a step; for a smooth signal the shorter means show an eighth. Many steps are a ripple that the
-/// sampling hardly resolves.
+/// Rejects a lasting step between two samples. Inductance and inertia prevent such a step in current and position, so
+/// the cause is a changed gain, a shifted offset or lost samples. The difference of the means over 8 ms before and
+/// after a sample, without the trend, is compared with that over 4 ms: both are the height of a step, but for a smooth
+/// signal the shorter means differ by only an eighth as much. Many steps are a ripple that the sampling hardly resolves,
+/// and pass.
 pub(super) fn steps(
     movement: &Movement<'_>,
     channel: Channel,
@@ -244,7 +252,7 @@ pub(super) fn steps(
     sums: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
     let (values, interval_s) = (movement.values(channel), movement.interval_s);
-    // A step at rest increases the noise at rest, but not that of differences.
+    // A step at rest increases the standard deviation at rest, but not `noise`, which comes from differences.
     let rest = movement.level(channel);
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
@@ -264,7 +272,7 @@ pub(super) fn steps(
             [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width, k + 1 + 2 * width].map(|at| sums[at]);
         (1.5 * (d - c - (c - b)) - 0.5 * (e - d - (b - a))) / width as f64
     };
-    // The variance of a step is 5 / width of that of a sample.
+    // The height of a step has 5 / width of the variance of a sample.
     let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
     let settled = start + samples_in(INRUSH_S, interval_s) + wide;
     let (clear, least) = match channel {
@@ -275,7 +283,7 @@ pub(super) fn steps(
     };
     let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
     let threshold = (STEP_SIGNIFICANCE * long).max(least * (interval_s / SMOOTH_S).powi(3).max(1.0));
-    // The usual trace has no step on either side of the excluded part.
+    // A fast check that the usual trace passes: no step before or after the excluded part.
     let is_flat = |from: usize, to: usize| {
         let Some(count) = to.checked_sub(from).filter(|count| *count > 0) else { return true };
         let [a, b, c, d, e] = std::array::from_fn(|at| &sums[from + 1 + at * wide - 2 * wide..][..count]);
@@ -296,7 +304,7 @@ pub(super) fn steps(
         }
     });
     let Some(at) = found.next() else { return Ok(()) };
-    // One step shows at a few neighbouring places.
+    // One step shows at a few neighbouring samples.
     if found.count() > 5 * wide {
         return Ok(());
     }
@@ -316,7 +324,7 @@ mod tests {
     use super::*;
     use crate::estimate::movement::Level;
 
-    /// The level is in the middle of a code, where equal samples are most frequent.
+    /// The level is in the middle of a converter step, where equal samples are most frequent.
     #[test]
     fn millions_of_samples_of_a_coarse_converter_are_not_stuck() {
         let noise = 0.62;

@@ -1,21 +1,21 @@
-//! Decimation of high rates to about 1 kHz, with the same anti-alias filter for both channels.
+//! Decimation of high sampling rates to about 1 kHz, with the same anti-alias filter for both channels.
 //!
-//! The model is linear, so an equal filter of current and position cancels. The filter may change the signals, but must
-//! be equal for both channels: a fourth-order Butterworth low-pass (two bilinear biquads) at 0.4 of the new rate.
+//! The model is linear, so a filter may change the signals if it is the same for current and position. It is a
+//! fourth-order Butterworth low-pass (two biquads by the bilinear transform) with a cut-off at 0.4 of the new rate.
 
-/// Traces above twice this rate are decimated to no less than it \[Hz\].
+/// Traces of twice this rate or more are decimated, to this rate or more \[Hz\].
 pub(super) const TARGET_RATE_HZ: f64 = 1000.0;
 /// Cut-off as a share of the new sampling rate.
 pub(super) const CUT_OFF_SHARE: f64 = 0.4;
 
-/// Decimation factor for a sampling rate; 1 for none.
+/// Decimation factor for a sampling rate; 1 for no decimation.
 pub(super) fn factor(sample_rate_hz: f64) -> usize {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "rates are positive and below 1e6")]
     let factor = (sample_rate_hz / TARGET_RATE_HZ) as usize;
     factor.max(1)
 }
 
-/// A second-order section in transposed direct form, unity gain at 0 Hz.
+/// A second-order section in transposed direct form, with gain 1 at 0 Hz.
 struct Biquad {
     b0: f64,
     b1: f64,
@@ -25,7 +25,8 @@ struct Biquad {
 }
 
 impl Biquad {
-    /// Low-pass with this quality and `warped` = tan(π f/fs), in steady state for the constant `level`.
+    /// Low-pass with this quality factor and `warped` = tan(π f/fs), with cut-off f and sampling rate fs, in steady
+    /// state for the constant `level`.
     fn low_pass(warped: f64, quality: f64, level: f64) -> Self {
         let square = warped * warped;
         let scale = 1.0 / (1.0 + warped / quality + square);
@@ -49,7 +50,7 @@ pub(super) fn decimate(values: &mut Vec<f64>, factor: usize, level: f64) {
         return;
     }
     let warped = (std::f64::consts::PI * CUT_OFF_SHARE / factor as f64).tan();
-    // Qualities of the two pole pairs: 1 / (2 cos(π/8)) and 1 / (2 cos(3π/8)).
+    // Quality factors of the two pole pairs: 1 / (2 cos(π/8)) and 1 / (2 cos(3π/8)).
     let mut first = Biquad::low_pass(warped, 0.541_196_100_146_197, level);
     let mut second = Biquad::low_pass(warped, 1.306_562_964_876_377, level);
     let kept = values.len().div_ceil(factor);

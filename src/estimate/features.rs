@@ -1,4 +1,4 @@
-//! Features of a throw, with or without an estimate.
+//! Features of a throw: values that maintainers know. Nearly all are known without an estimate of the coefficients.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,28 +8,29 @@ use super::rejection::Channel;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Features {
-    /// Time from the start of the motor to the end of the movement \[s\]; without a position, to the end of the motor.
+    /// Time from the start of the motor to the arrival of the toe \[s\]; without a position, to the end of the motor.
     pub duration_s: Option<f64>,
     /// Time from the motor's start until the toe has moved 0.5 % of its travel \[s\].
     pub release_s: Option<f64>,
-    /// Delay of the movement behind the current at the start \[s\]; of a healthy machine some milliseconds of either sign.
-    /// A late brake, play, lost motion and a position behind the current change it.
+    /// Delay of the movement behind the current at the start \[s\]. A healthy machine has some milliseconds of either
+    /// sign. A brake that releases late, play, lost motion or a late position signal changes it.
     pub start_delay_s: Option<f64>,
-    /// b0 of the start alone, without that delay \[rad s⁻² A⁻¹\]. A brake that drags, and inertia, lower it.
+    /// b0 from the start of the movement alone, without that delay \[rad s⁻² A⁻¹\]. A brake that drags, or more
+    /// inertia, lowers it.
     pub start_gain: Option<f64>,
     /// Largest magnitude of the current \[A\]. Below 1 kHz it depends on the sampling instants and scatters by 13 %.
     pub peak_current_a: Option<f64>,
-    /// Mean magnitude of the current from the half to nine tenths of the time of the motor \[A\].
+    /// Mean magnitude of the current from 50 % to 90 % of the motor's running time \[A\].
     pub running_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
-    /// Integral of the current's magnitude \[A s\]; unknown if one sample of the inrush is more than a tenth of it.
+    /// Integral of the current's magnitude \[A s\]; `None` also if one sample of the inrush is more than a tenth of it.
     pub charge_as: Option<f64>,
-    /// Energy of the motor \[J\]: charge times supply voltage; needs `supply_v`.
+    /// Energy that the motor takes from the supply \[J\]: charge times supply voltage; needs `supply_v`.
     pub energy_j: Option<f64>,
     /// Mean current at rest \[A\]: the offset of the current sensor.
     pub quiet_current_a: Option<f64>,
-    /// Distance moved \[mm\].
+    /// Distance that the toe moved \[mm\].
     pub travel_mm: Option<f64>,
     /// Toe position before the throw \[mm\].
     pub start_position_mm: Option<f64>,
@@ -37,17 +38,18 @@ pub struct Features {
     pub end_position_mm: Option<f64>,
     /// Mean supply voltage in the message \[V\].
     pub supply_v: Option<f64>,
-    /// Resistance of armature and leads \[ohm\], from the inrush; needs `supply_v` and the position.
+    /// Resistance of armature and leads \[ohm\], from the inrush; needs `supply_v`, and the position or the stroke.
     pub resistance_ohm: Option<f64>,
-    /// Back-EMF constant at the screw, (V - R i) / omega in steady state \[V s/rad\]; needs `supply_v` and the position.
+    /// Back-EMF constant K at the screw \[V s/rad\]: (V - R i) / ω in steady state, with supply voltage V, resistance R
+    /// and screw speed ω; needs `supply_v`, and the position or the stroke.
     pub back_emf_v_s_per_rad: Option<f64>,
-    /// No-load speed of the motor at the screw, V / K \[rad/s\]: the supply voltage over the back-EMF constant, without
-    /// knowing either; needs the position, and a voltage that is constant during the throw.
+    /// No-load speed of the motor, as speed of the screw, V / K \[rad/s\]. It needs the position, and a voltage that is
+    /// constant during the throw, but not its value.
     pub no_load_speed_rad_per_s: Option<f64>,
 }
 
 impl Features {
-    /// The features without those that follow from a channel.
+    /// The features without those that depend on a channel that is not reliable.
     pub(super) fn without(self, channel: Channel) -> Self {
         match channel {
             Channel::Position => Self {

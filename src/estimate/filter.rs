@@ -1,30 +1,33 @@
-//! The state-variable filter 1/A(s), discretised exactly for a hold of the signal between its samples.
+//! The state-variable filter 1/A(s), discretised exactly for a signal that is constant or linear between its samples.
 //!
-//! With x = v / A(s) and the state z = (x, x', …, x⁽ⁿ⁻¹⁾), the companion form ż = F z + `e_n` v gives over one sampling
-//! interval h, for `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
+//! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form is
+//! ż = F z + `e_n` v, with the n-th unit vector `e_n`. It gives over one sampling interval h, for a signal that is linear
+//! between its samples, `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
 //!
 //! ```text
 //! z_{k+1} = Φ z_k + Γ0 v_k + Γ1 (v_{k+1} - v_k),   Φ = e^{Fh},   Γ0 = ∫₀ʰ e^{Fτ} e_n dτ,   Γ1 = (1/h) ∫₀ʰ e^{F(h-τ)} e_n τ dτ
 //! ```
 //!
-//! and Γ1 = 0 for a constant signal. With q = z - Γ1 v both holds have the same recursion without look-ahead,
+//! and Γ1 = 0 for a signal that is constant between its samples. With q = z - Γ1 v both holds have the same recursion,
+//! which does not need the next sample,
 //!
 //! ```text
 //! q_{k+1} = Φ q_k + Γ v_k,   z_k = q_k + Γ1 v_k,   Γ = Φ Γ1 + Γ0 - Γ1
 //! ```
 //!
-//! The coordinates of the recursion are free. In the controllable canonical form of Ψ = Φ - 1 it needs N
-//! multiplications for each sample, and is the same for both holds:
+//! The coordinates of the recursion are free. The controllable canonical form of Ψ = Φ - 1 needs N multiplications for
+//! each sample, and is the same for both holds:
 //!
 //! ```text
 //! s_i ← s_i + s_{i+1},   s_N ← s_N - α_1 s_N - … - α_N s_1 + v,   q = K s
 //! ```
 //!
-//! with α the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ, `k_{N-j}` = Ψ `k_{N-j+1}`
-//! + `α_j` Γ. As Ψ is of the order of h, there is no cancellation at high sampling rates.
+//! with the coefficients α of the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ,
+//! `k_{N-j}` = Ψ `k_{N-j+1}` + `α_j` Γ of K. As Ψ is of the order of h, there is no cancellation at high sampling
+//! rates.
 //!
-//! Ψ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, with the root radius
-//! ρ, so that powers of a fast pole do not dominate) with scaling and squaring.
+//! Ψ, Γ0 and Γ1 come from Taylor series with scaling and squaring, in time multiplied by the root radius ρ of A: then
+//! powers of a fast pole do not dominate. The companion matrix in this time is that of `a_i` / ρ^i.
 
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +36,7 @@ use super::{
     small::{invert, product, times},
 };
 
-/// Course of a signal between two samples.
+/// The values of a signal between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum Hold {
     /// Constant until the next sample: for a held input (zero-order hold).
@@ -43,24 +46,28 @@ pub enum Hold {
     First,
 }
 
-/// 1/A(s) at a sampling interval: the recursion, and the output of x and its derivatives for each hold.
+/// The filter 1/A(s) at a sampling interval: the recursion of the states s, and the output of x and its derivatives for
+/// each hold.
 #[derive(Debug, Clone)]
 pub(super) struct Discrete<const N: usize> {
-    /// `α_N` … `α_2`, in the order of their states, and 1 - `α_1`.
+    /// `α_N` … `α_2`, in the order of the states that they multiply, and 1 - `α_1`.
     feedback: [f64; N],
     held: Readout<N>,
     linear: Readout<N>,
 }
 
-/// z = K s + D v for one hold, and the inverse of K.
+/// The output z = K s + D v of the filter for one hold: x and its derivatives.
 #[derive(Debug, Clone)]
 pub(super) struct Readout<const N: usize> {
+    /// K; row d belongs to the d-th derivative of x.
     pub(super) state: [[f64; N]; N],
+    /// D.
     pub(super) through: [f64; N],
+    /// K⁻¹.
     inverse: [[f64; N]; N],
 }
 
-/// Ψ = Φ - 1, Γ0 and the ramp response R = h Γ1 over one interval, in normalised time.
+/// Ψ = Φ - 1, the step response Γ0 and the ramp response h Γ1 over one interval, in normalised time.
 struct Interval<const N: usize> {
     psi: [[f64; N]; N],
     step: [f64; N],
@@ -68,9 +75,8 @@ struct Interval<const N: usize> {
 }
 
 impl<const N: usize> Discrete<N> {
-    /// Discretises 1/A(s), A monic with `a` = \[`a_1`, …, `a_N`\] (`a_i` belongs to s^(N-i)), for the interval `h`
-    /// \[s\]. `None` if the samples do not determine all states: poles that are not finite, or at a harmonic of the
-    /// sampling rate.
+    /// Discretises 1/A(s) for the interval `h` \[s\], with A = s^N + `a_1` s^(N-1) + … + `a_N`. `None` if the samples
+    /// do not determine all states: for poles that are not finite, or at a harmonic of the sampling rate.
     pub(super) fn new(a: &[f64; N], h: f64) -> Option<Self> {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
@@ -91,7 +97,6 @@ impl<const N: usize> Discrete<N> {
         Some(Self { feedback, held, linear })
     }
 
-    /// The output of x and its derivatives for a hold.
     pub(super) fn readout(&self, hold: Hold) -> &Readout<N> {
         match hold {
             Hold::Zero => &self.held,
@@ -99,15 +104,22 @@ impl<const N: usize> Discrete<N> {
         }
     }
 
-    /// Stores the state before sample `k`, and advances it.
+    /// Stores the state `s` before sample `k` in `states`, then advances it by this sample `v`.
     #[inline]
-    pub(super) fn pass<const K: usize>(&self, s: &mut [f64; N], v: f64, states: &mut [[f64; K]; N], k: usize) {
+    pub(super) fn store_and_advance<const K: usize>(
+        &self,
+        s: &mut [f64; N],
+        v: f64,
+        states: &mut [[f64; K]; N],
+        k: usize,
+    ) {
         for i in 0..N {
             states[i][k] = s[i];
         }
         self.advance(s, v);
     }
 
+    /// The recursion: advances the state `s` by the sample `v`.
     #[inline]
     pub(super) fn advance(&self, s: &mut [f64; N], v: f64) {
         let mut back = -v;
@@ -122,7 +134,8 @@ impl<const N: usize> Discrete<N> {
 }
 
 impl<const N: usize> Readout<N> {
-    /// Made in normalised time; `scales` converts each derivative to seconds.
+    /// K and D from values in normalised time; `scales` converts each derivative to seconds. `None` if K has no
+    /// inverse.
     fn new(
         psi: &[[f64; N]; N],
         alpha: &[f64; N],
@@ -143,13 +156,13 @@ impl<const N: usize> Readout<N> {
         Some(Self { state, through, inverse: invert(&state)?.inverse })
     }
 
-    /// The derivative of this order of x at a sample `v`.
+    /// The derivative of x of this order (0 for x itself), from the state and the sample `v`.
     pub(super) fn read(&self, derivative: usize, state: &[f64; N], v: f64) -> f64 {
         dot(&self.state[derivative], state) + self.through[derivative] * v
     }
 
-    /// The weights of a polynomial in derivatives of x (coefficient of the d-th at index d): on the states, and on the
-    /// sample.
+    /// The sum of derivatives of x with the coefficients `polynomial` (that of the d-th derivative at index d), as
+    /// weights on the states and on the sample.
     pub(super) fn combined(&self, polynomial: &[f64; N]) -> ([f64; N], f64) {
         (
             std::array::from_fn(|j| (0..N).map(|i| polynomial[i] * self.state[i][j]).sum()),
@@ -157,7 +170,7 @@ impl<const N: usize> Readout<N> {
         )
     }
 
-    /// The state for which x and its derivatives are `z` at the first sample `v0`.
+    /// The state in which x and its derivatives are `z` at the sample `v0`.
     pub(super) fn start(&self, z: &[f64; N], v0: f64) -> [f64; N] {
         times(&self.inverse, &std::array::from_fn(|i| z[i] - self.through[i] * v0))
     }
@@ -181,7 +194,7 @@ fn characteristic<const N: usize>(psi: &[[f64; N]; N]) -> [f64; N] {
 }
 
 impl<const N: usize> Interval<N> {
-    /// Taylor series for h / 2^s, then s doublings.
+    /// Sums the Taylor series for an interval of h / 2^s, then doubles this interval s times.
     fn new(a: &[f64; N], h: f64) -> Self {
         let norm = h * (1.0 + a.iter().map(|a| a.abs()).sum::<f64>());
         let doublings = (norm / 0.25).log2().ceil().clamp(0.0, 64.0);
@@ -195,7 +208,8 @@ impl<const N: usize> Interval<N> {
         interval
     }
 
-    /// Σ Fᵏhᵏ/k! from k = 1, Σ Fᵏe hᵏ⁺¹/(k+1)!, Σ Fᵏe hᵏ⁺²/(k+2)!; 16 terms leave less than 1e-24 at h|F| = 0.25.
+    /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)!, and of the ramp response
+    /// Σ Fᵏe hᵏ⁺²/(k+2)! (both from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
     fn taylor(a: &[f64; N], h: f64) -> Self {
         let mut psi = [[0.0; N]; N];
         for j in 0..N {
@@ -220,7 +234,7 @@ impl<const N: usize> Interval<N> {
         Self { psi, step, ramp }
     }
 
-    /// The matrices of twice the interval.
+    /// The values for twice the interval, of the present length `length`.
     fn doubled(&self, length: f64) -> Self {
         let square = product(&self.psi, &self.psi);
         let psi = std::array::from_fn(|i| std::array::from_fn(|j| 2.0 * self.psi[i][j] + square[i][j]));
@@ -230,12 +244,11 @@ impl<const N: usize> Interval<N> {
     }
 }
 
-/// F z for the companion matrix F of `a`.
+/// The product F z with the companion matrix F of `a`.
 fn companion<const N: usize>(a: &[f64; N], z: &[f64; N]) -> [f64; N] {
     std::array::from_fn(|i| if i + 1 < N { z[i + 1] } else { -(0..N).map(|j| a[N - 1 - j] * z[j]).sum::<f64>() })
 }
 
-/// Scalar product; a loop, as this is in the inner loop of a pass.
 #[inline]
 pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     let mut sum = 0.0;

@@ -1,26 +1,27 @@
-//! Channels with fewer new values than samples: a logger that reads a slow sensor, or samples slowly, repeats each value
-//! (or sends `null` for it) until the next one.
+//! Channels with fewer new values than samples. A logger that reads a slow sensor, or samples slowly, repeats each
+//! value until the next one, or sends `null` instead.
 
 use super::movement::{median_of, quantum, samples_in, start_of_motor};
 use crate::throw::Trace;
 
-/// Least number of new values for a decision.
+/// A channel with this many new values, or fewer, is left as it is.
 const LEAST_UPDATES: usize = 10;
-/// Least median size of a change \[steps of the converter\]. A converter without noise whose step is larger than the
-/// movement between samples repeats its values as well, and then changes by one step.
+/// Least median change from one value to the next \[steps of the converter\]. A coarse converter without noise repeats
+/// its values as well, but then changes by one step.
 const LEAST_CHANGE: f64 = 1.5;
-/// Least share of the distances between changes that equal their median, within one sample or this share of it.
+/// New values must come regularly: this share of the times from one to the next must equal their median, within one
+/// sample or within `REGULAR_TOLERANCE` of it.
 const REGULAR_SHARE: f64 = 0.6;
 const REGULAR_TOLERANCE: f64 = 0.1;
 
-/// A trace with the values that its loggers measured, at the rate of the current's new values.
+/// A trace with the values that its logger measured, at the rate of the current's new values.
 pub(super) struct Resampled {
     pub(super) trace: Trace,
-    /// Samples of this trace from one new position to the next; between them the position is a line.
+    /// Number of samples of this trace from one new position to the next. The positions between them are on a line.
     pub(super) position_every: f64,
 }
 
-/// The trace without its repeated values; `None` if its channels have a new value in each sample.
+/// The trace without its repeated values; `None` if both channels have a new value in each sample.
 pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
     let channels = [trace.current_a(), trace.position_mm()];
     let [current, position] = channels.map(Updates::of);
@@ -32,7 +33,7 @@ pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
         None => values.to_vec(),
     };
     let current_a = joined(channels[0], &current, None);
-    // Before the start of the motor the toe stands.
+    // Before the start of the motor the toe stands, so no line may begin before it.
     let start = start_of_motor(&current_a, 1.0 / trace.sample_rate_hz(), &mut Vec::new());
     let position_mm = joined(channels[1], &position, start);
     let every = current.as_ref().map_or(1, |updates| updates.every);
@@ -43,25 +44,28 @@ pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
     Some(Resampled { trace, position_every })
 }
 
-/// The power of noise at low frequencies, as multiple of that of white noise with the variance of the samples, if only
-/// one of `every` samples is measured and a line joins them. A sample at the share f between two measured ones has
-/// 1 - 2 f + 2 f² of their variance; the mean over f is 1 - (n - 1) / n + (n - 1) (2 n - 1) / (3 n²).
+/// Power of the noise at low frequencies if one of `every` samples is measured and lines join these, as multiple of
+/// that of white noise with the same variance of all samples. A sample at the share f of the way between two measured
+/// samples has 1 - 2 f + 2 f² of their variance. With n for `every`, the mean over f is
+/// 1 - (n - 1) / n + (n - 1) (2 n - 1) / (3 n²).
 pub(super) fn noise_power(every: f64) -> f64 {
     let between = (every - 1.0) / every;
     every / (1.0 - between + between * (2.0 * every - 1.0) / (3.0 * every))
 }
 
-/// New values of a channel.
+/// The new values of a channel that repeats its values.
 struct Updates {
-    /// Usual number of samples from one to the next, at least 2.
+    /// Usual number of samples from one new value to the next, at least 2.
     every: usize,
-    /// Samples with a new value.
+    /// Indices of the samples with a new value.
     at: Vec<usize>,
 }
 
 impl Updates {
+    /// `None` if the channel does not repeat its values.
     fn of(values: &[f64]) -> Option<Self> {
-        // The usual traces: a new value in most samples, or a coarse converter. A comparison with NaN is false.
+        // A fast check for the usual traces: a new value in most samples, or a coarse converter. A comparison with NaN
+        // is false.
         let changes_of = |least: f64| values.array_windows().filter(|[a, b]| (b - a).abs() > least).count();
         let changed = changes_of(0.0);
         if 3 * changed > 2 * values.len() || 2 * changes_of(LEAST_CHANGE * quantum(values)) < changed {
@@ -89,7 +93,8 @@ impl Updates {
         is_held.then_some(Self { every, at })
     }
 
-    /// The remainder of most new values' samples, divided by their usual distance.
+    /// Index of the first sample with a new value if all were regular: the most frequent remainder of the indices
+    /// divided by `every`.
     fn phase(&self) -> usize {
         let mut counts = vec![0_usize; self.every];
         for at in &self.at {
@@ -98,9 +103,9 @@ impl Updates {
         (0..self.every).max_by_key(|phase| counts[*phase]).unwrap_or(0)
     }
 
-    /// The channel with a line from each new value to the next one. Where a value is repeated for longer than usual, the
-    /// sensor measured it again: the line begins one usual distance before the next value. A line across the sample `start`
-    /// begins there. Longer gaps stay missing.
+    /// The channel with a line from each new value to the next one. If a value is repeated for longer than usual, the
+    /// sensor measured the same value again: then the line begins `every` samples before the next value. A line across
+    /// the sample `start` begins there. Longer stretches of missing samples stay missing.
     fn joined(&self, values: &[f64], start: Option<usize>) -> Vec<f64> {
         let mut joined = values.to_vec();
         let mut measured = 0;

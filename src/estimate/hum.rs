@@ -1,9 +1,9 @@
 //! Mains hum on the current: detected at rest, removed from the whole trace.
 //!
 //! A sine of the nominal frequency and a straight line are fitted to the quiet samples before the start of the motor,
-//! and to each stretch of five periods after the inrush. Mains differs by 0.1 Hz and more from its nominal frequency,
-//! so the phase drifts from fit to fit: between the centres of two fits the hum is the linear interpolation of their
-//! sines, which follows a constant difference in frequency to first order. The interpolation also covers the inrush,
+//! and to each stretch of five periods after the inrush. The frequency of the mains may differ by 0.1 Hz from the
+//! nominal one, so the phase drifts from fit to fit. Between the centres of two fits the hum is the linear
+//! interpolation of their sines, which follows such a drift to first order. The interpolation also covers the inrush,
 //! where no fit is possible.
 
 use nalgebra::{Matrix4, Vector4};
@@ -13,10 +13,11 @@ use super::{
     movement::{Level, samples_in},
 };
 
-/// Mains frequencies \[Hz\]: most of the world, the Americas, railways.
+/// Mains frequencies \[Hz\]: of most of the world, of the Americas, and of railways.
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
 /// Least number of periods in the quiet samples.
 const LEAST_PERIODS: f64 = 3.0;
+/// Number of periods in each later fit.
 const STRETCH_PERIODS: f64 = 5.0;
 /// Least number of samples in a period; with fewer, aliasing changes the frequency.
 const LEAST_RATE: f64 = 4.0;
@@ -56,7 +57,7 @@ impl Sine {
     }
 }
 
-/// Removes hum from `current`, whose first `quiet` samples are before the start of the motor.
+/// Removes the hum, if there is any, from `current`, whose first `quiet` samples are before the start of the motor.
 pub(super) fn remove(current: &mut [f64], quiet: usize, interval_s: f64) {
     let variance = Level::of(&current[..quiet]).sd.powi(2);
     for hz in MAINS_HZ {

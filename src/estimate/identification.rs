@@ -1,4 +1,4 @@
-//! The result of the estimator for a throw: the estimate or the rejection, and the features.
+//! The result of the estimator for a throw: its estimate or the reason why there is none, and its features.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
-/// Trust in an estimate.
+/// How far an estimate can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr)]
@@ -15,8 +15,9 @@ pub enum Grade {
     /// The model fits the throw; the covariance is that of the sensors' noise.
     #[default]
     Good,
-    /// The movement departs from the model in a way that a machine can cause, and the covariance includes this. The
-    /// estimate counts for drifts, not for baselines.
+    /// The movement departs from the model in a way that a machine can cause, and the covariance includes this
+    /// departure. The diagnosis compares the estimate with a baseline, but learns no baseline of all three coefficients
+    /// from it.
     Rough,
     /// Estimated without a toe position, from current and supply voltage.
     CurrentOnly,
@@ -41,26 +42,26 @@ pub struct Estimate {
     pub a1: f64,
     /// Kspr / J \[s⁻²\].
     pub a0: f64,
-    /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is 1 without
-    /// meaning, and has a large variance.
+    /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is set to 1,
+    /// with a large variance.
     #[serde(default)]
     pub ratios_only: bool,
     /// Covariance of (b0, a1, a0) from the sensors' noise, which differs in each throw.
     #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
-    /// Covariance of the errors that the sensors do not cause: dry friction in the viscous model and a possible brake at
-    /// the start, which are equal in every throw of a machine, and a random load, which is part of the scatter of its
-    /// baseline. A comparison with a baseline does not contain them.
+    /// Covariance of the errors of (b0, a1, a0) that the sensors do not cause. Dry friction in the viscous model, and a
+    /// possible brake at the start, act equally in every throw of a machine. A random load is part of the scatter of
+    /// its baseline. So a comparison with a baseline does not contain these errors.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// Errors of (b0, a1, a0) for one standard deviation of the part of the current at rest that the machine does not
-    /// draw in motion. They are equal in every throw of a machine, and in the ratios.
+    /// draw in motion. They are equal in every throw of a machine, and change the ratios as well.
     #[serde(default)]
     pub offset: [f64; 3],
     /// Why the estimate is rough: the check that the throw did not pass. `None` if it is not rough.
     #[serde(default)]
     pub reason: Option<Rejection>,
-    /// `R²_T` \[%\].
+    /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
     pub fit_pct: f64,
     /// Number of SRIV iterations.
     pub iterations: usize,
@@ -82,13 +83,16 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// Factor of the covariance of ratios in [`Self::drift_covariance`]: the length of the longest window of the diagnosis
-    /// \[throws\].
+    /// Length of the longest window of the diagnosis \[throws\], the factor of the covariance of ratios in
+    /// [`Self::drift_covariance`].
     pub const LONGEST_WINDOW: f64 = 24.0;
 
-    /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
-    /// the `systematic` ones of ratios, if the baseline has complete estimates. Such errors do not average out over a
-    /// window; the covariance of ratios is one of them, as it comes from the misfit of the model, which repeats.
+    /// Covariance of (b0, a1, a0) for a comparison with a baseline.
+    ///
+    /// Errors that are equal in every throw cancel in this comparison. If only the ratios are known, they do not
+    /// cancel, as the baseline may consist of complete estimates. Nor do they average out over the throws of a window,
+    /// so their covariance is multiplied by [`Self::LONGEST_WINDOW`]. The same holds for `covariance` of the ratios,
+    /// which comes from the departure from the model, and this departure repeats.
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
@@ -109,7 +113,7 @@ impl Estimate {
         [self.a1 / self.b0, self.a0 / self.b0]
     }
 
-    /// Standard deviations of [`Self::ratios`].
+    /// Standard deviations of [`Self::ratios`], from the whole error.
     pub fn ratios_sd(&self) -> [f64; 2] {
         let c = self.total_covariance();
         let ratios = self.ratios();
@@ -124,19 +128,20 @@ impl Estimate {
 /// The result of the estimator for a throw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identification {
-    /// Direction of the movement from the position, or the declared direction if the position does not show it.
+    /// Direction of the movement from the position, or the direction that the logger declared if the position does not
+    /// show it.
     pub direction: Option<Direction>,
-    /// Whether the logger declared the opposite direction.
+    /// Whether the logger declared the direction opposite to that of the position.
     pub direction_contradicted: bool,
     /// Features of the throw.
     pub features: Features,
     /// The estimate or the rejection.
     pub outcome: Result<Estimate, Rejection>,
-    /// A sentence about the fields of the message whose values are not possible.
+    /// A sentence about the fields of the message whose values are not possible; `None` if there are none.
     #[serde(default)]
     pub unused_fields: Option<String>,
-    /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the gain
-    /// of the position sensor, or the configured stroke, is wrong.
+    /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the
+    /// gain of the position sensor, or the configured stroke, is wrong.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub short_of_stroke_mm: Option<f64>,
 }

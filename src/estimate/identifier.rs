@@ -24,24 +24,25 @@ use super::{
 };
 use crate::throw::{Direction, Throw, Trace};
 
-/// Least number of samples and shortest time for three coefficients.
+/// Least number of samples, and shortest time, from which three coefficients can be estimated.
 const MIN_SAMPLES: usize = 30;
 const MIN_DURATION_S: f64 = 0.3;
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
-/// the remaining error is below a thousandth of a standard deviation.
+/// the remaining error is below a thousandth of a standard deviation of the estimate.
 const TOLERANCE: f64 = 1e-4;
-/// Quiet samples in the window before the start of the motor.
+/// Number of samples in the window before the start of the motor.
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
 /// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
-/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz
-/// and its multiples) becomes a constant current.
+/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains
+/// (100 Hz and its multiples) becomes a constant current.
 const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
-/// Largest relative standard deviation of a ratio if the full model fails: a long unlocking stroke leaves 2 to 4 %, and a position
-/// that has nothing to do with the current 70 %.
+/// Largest relative standard deviation of a usable ratio if the full model fails. After a long unlocking stroke it is 2
+/// to 4 %; with a position that has nothing to do with the current it is 70 %.
 const LARGEST_RATIO_ERROR: f64 = 0.2;
-/// Ratio of the quiet current's standard deviation to that of its second differences, above which hum is searched.
+/// Hum is searched if the standard deviation of the current before the start of the motor is above this multiple of the
+/// noise that its second differences show.
 const HUM_FACTOR: f64 = 1.3;
 /// Duration of the start of the motor \[s\], in which the toe moves by 1.5 mm.
 const START_S: f64 = 0.05;
@@ -70,7 +71,7 @@ struct Buffers {
 }
 
 impl Identifier {
-    /// Identifies a throw. Does not panic for any trace.
+    /// Estimates coefficients and features of a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
         match held::resampled(&throw.trace) {
             None => self.identify_sampled(throw, 1.0, settings),
@@ -80,7 +81,8 @@ impl Identifier {
         }
     }
 
-    /// Identifies a throw whose current has a new value in each sample, and its position in one of `position_every`.
+    /// Identifies a throw whose current has a new value in each sample, and whose position has a new value in one of
+    /// `position_every` samples.
     fn identify_sampled(&mut self, throw: &Throw, position_every: f64, settings: &Settings) -> Identification {
         let trace = &throw.trace;
         let Self { current, position, buffers } = self;
@@ -140,8 +142,7 @@ impl Identifier {
             }
             _ => {}
         }
-        features.supply_v = supply_v(throw, settings);
-        features.energy_j = energy_j(throw, &features);
+        add_supply(&mut features, throw, settings);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
         }
@@ -163,18 +164,17 @@ impl Identifier {
 }
 
 impl Buffers {
-    /// Adds the start of the movement in the window of its estimate to the features.
+    /// Adds delay and gain of the start to the features, from the window of the `estimate` and its ratios.
     fn add_start(&mut self, features: &mut Features, estimate: &Estimate, movement: &Movement<'_>) {
         let foot = movement.start().min(LEAD_IN);
         let channels = (&self.input[foot..], &self.output[foot..]);
         let equilibrium = &self.equilibrium[foot..];
-        let start = start::find(channels, equilibrium, estimate.ratios(), movement.interval_s, &mut self.free);
-        features.start_delay_s = start.map(|start| start.delay_s);
-        features.start_gain = start.map(|start| start.gain);
+        (features.start_delay_s, features.start_gain) =
+            start::find(channels, equilibrium, estimate.ratios(), movement.interval_s, &mut self.free).unzip();
     }
 
-    /// Checks the samples of a complete movement; `filter_hz` is the cut-off of an anti-alias filter. Returns the reason why
-    /// only the ratios may be known, if the start is disturbed.
+    /// Checks the samples of a complete movement. `filter_hz` is the cut-off of the logger's anti-alias filter. If the
+    /// start is disturbed, only the ratios may be known: then it returns the reason.
     fn check_samples(
         &mut self,
         trace: &Trace,
@@ -195,7 +195,7 @@ impl Buffers {
             }
             doubt = doubt.or(Some(undersampled));
         }
-        // A disturbance of the start falsifies the scale; a disturbance of the movement falsifies the ratios too.
+        // A disturbance of the start falsifies only the common scale; a later one falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released().unwrap_or(0) as f64 * interval_s;
         let inrush = start_s - interval_s..(start_s + damage::INRUSH_S).max(released_s + START_S);
@@ -244,7 +244,8 @@ impl Buffers {
         let doubt = doubt.or(window.doubt.take());
         let (scale, fitted) = self.fit(settings, movement, &window);
         if fitted.is_err() || doubt.is_some() {
-            // A controlled drive has no inrush, but its throws fit the model; without a fit the rejection is right.
+            // A controlled drive has no inrush either, but its throws fit the model. A throw that
+            // has no inrush and does not fit is rejected.
             no_inrush?;
         }
         let reason = match (fitted, doubt) {
@@ -270,7 +271,8 @@ impl Buffers {
         if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
     }
 
-    /// Fits the full model to the window; returns fit and iterations if there is a solution, and its acceptance.
+    /// Fits the full model to the window. Returns fit and iterations of the solution, if there is one, and the estimate
+    /// or the reason why the solution is not accepted.
     fn fit(
         &mut self,
         settings: &Settings,
@@ -340,8 +342,8 @@ impl Buffers {
         (Some(found), accepted())
     }
 
-    /// Cuts the window out of the trace and converts it: input positive if it drives the throw, output in radians of
-    /// the screw from the start.
+    /// Cuts the window out of the trace and converts it into the buffers: the input is positive if it drives the throw,
+    /// the output is the angle of the screw from the start \[rad\].
     fn window(
         &mut self,
         settings: &Settings,
@@ -383,7 +385,7 @@ impl Buffers {
             *shift *= equilibrium;
         }
         let (current_sd, position_sd) = sensor_noise(settings, movement);
-        // Filtered white noise has more power below the cut-off than its variance at this rate shows.
+        // Filtered noise has more power below the cut-off than white noise with the same variance of the samples.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
         Ok(Window {
             from,
@@ -408,8 +410,9 @@ impl Buffers {
     }
 }
 
-/// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness
-/// of the trace or the settings; at least the rounding error of the converter.
+/// Standard deviations of the noise of current \[A\] and position \[mm\]. They are measured at rest. Without enough
+/// samples at rest that of the current is the configured one, that of the position the smaller one of the configured
+/// noise and that of the second differences. Both are at least the rounding error of the converter.
 fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
     let current = if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
     let position = if movement.position.samples >= MIN_QUIET {
@@ -421,7 +424,7 @@ fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
     (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
 }
 
-/// Identifies a throw of a machine without a toe sensor; `values`: the verdict of [`damage::values`] on its samples.
+/// Identifies a throw of a machine without a toe sensor; `values` is the result of [`damage::values`] for its samples.
 fn identify_current(
     throw: &Throw,
     movement: &Movement<'_>,
@@ -429,8 +432,7 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
-    features.supply_v = supply_v(throw, settings);
-    features.energy_j = energy_j(throw, &features);
+    add_supply(&mut features, throw, settings);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
         .and_then(|()| {
@@ -451,18 +453,15 @@ fn identify_current(
     }
 }
 
-/// The supply voltage as published \[V\], also an impossible one, which the diagnosis reports. `None` for a series motor: the
-/// diagnosis compares voltage, current and speed by the laws of permanent magnets.
-fn supply_v(throw: &Throw, settings: &Settings) -> Option<f64> {
-    throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet)
+/// Adds supply voltage and energy to the features. The voltage is that published, also if it is impossible, which the
+/// diagnosis reports. That of a series motor is left out, as the diagnosis compares voltage, current and speed by the
+/// equations of a permanent-magnet motor.
+fn add_supply(features: &mut Features, throw: &Throw, settings: &Settings) {
+    features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
+    features.energy_j = throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
 }
 
-/// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
-fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
-    throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
-}
-
-/// The content of `position_mm` without a toe position, for the text of the rejection.
+/// Describes the content of `position_mm` in a message without a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {
     if trace.position_mm().contains(&0.0) {
         "position_mm is 0 in all samples, as without a toe sensor"
@@ -486,7 +485,7 @@ fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// Direction of the toe's movement, if the position is reliable for this.
+/// Direction of the toe's movement; `None` without movement, or if the position is too unreliable to show it.
 fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection>) -> Option<Direction> {
     let untrusted = matches!(
         outcome,
@@ -500,7 +499,7 @@ fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection
     (!untrusted && movement.sign != 0.0).then_some(moved)
 }
 
-/// Copies a channel; a value that is not finite is replaced by the previous one, for the features of the rest.
+/// Copies a channel. A value that is not finite is replaced by the previous value, so that features can be computed.
 fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     to.clear();
     if every(from.iter().map(|v| v.is_finite())) {
@@ -515,11 +514,12 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
-/// Largest first value of a current at rest, as share of the peak: above the offset and the noise of a usable sensor. A larger
-/// one belongs to a trace that began during the inrush.
+/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor. A trace with a larger
+/// first value began during the inrush.
 const REST_SHARE: f64 = 0.05;
 
-/// The current before the trace, for the initial state of the filter: the first value if it is small, else 0.
+/// The current before the trace \[A\], for the initial state of the decimation filter: the first value if it may be the
+/// current at rest, else 0.
 fn level_before(current: &[f64]) -> f64 {
     let peak = peak(current, 0.0);
     if current[0].abs() < REST_SHARE * peak { current[0] } else { 0.0 }

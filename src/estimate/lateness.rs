@@ -1,14 +1,16 @@
-//! Check of the start time of the movement: brake, play, lost motion, time shift between the channels.
+//! Check of the delay of the movement behind the current: a brake, play, lost motion or a time shift between the
+//! channels causes one.
 //!
 //! The first 50 ms of a throw determine the common scale of b0, a1 and a0: later the machine runs at nearly constant
 //! speed, which determines only the ratios a1/b0 and a0/b0. A delay of the toe of 1 ms changes the scale by about 2 %.
-//! A delay δ and an error of the scale α leave different residuals,
+//! A delay δ and a relative error α of the scale cause different residuals of the measured output y and the modelled
+//! x̂,
 //!
 //! ```text
 //! y - x̂ = α ∂x̂/∂ln(scale) - δ x̂'
 //! ```
 //!
-//! and are found by least squares over the start.
+//! so both are found by least squares over the start.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -19,16 +21,16 @@ use super::{
     start::{Fitted, LEAST_SAMPLES, START_SHARE},
 };
 
-/// Longest start \[s\], for a toe that hardly moves.
+/// Longest part of the movement that counts as its start \[s\], for a toe that hardly moves.
 const LONGEST_START_S: f64 = 0.4;
-/// Largest accepted delay of the start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to
-/// 2 ms, play of 0.1 mm by 3.3 ms.
+/// Largest accepted delay \[s\]. A delay below this many of its standard deviations is accepted too. A soft drive
+/// (5e6 N/m) delays the toe by 1 to 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
 const DELAY_SIGMAS: f64 = 5.0;
-/// Change of the scale in the numerical derivative.
+/// Relative change of the scale in the numerical derivative ∂x̂/∂ln(scale).
 const SCALE_STEP: f64 = 0.02;
 
-/// The delay of the start \[s\]; 0 if it cannot be computed.
+/// The delay of the movement \[s\], negative if the toe starts early; 0 if the start has too few samples to show it.
 ///
 /// # Errors
 /// When the delay is too large.
@@ -41,8 +43,7 @@ pub(super) fn check(fitted: &Fitted<'_>) -> Result<f64, Rejection> {
     }
 }
 
-/// Computes the delay \[s\] and its standard deviation from the measured and the modelled output; `None` if the start has too
-/// few samples.
+/// Computes the delay and its standard deviation \[s\] from the measured and the modelled output.
 fn find(fitted: &Fitted<'_>) -> Option<(f64, f64)> {
     let Fitted { input, output, model, equilibrium, parameters: [b0, a1, a0], foot, interval_s, noise } = *fitted;
     let travel = output.last()?.abs();

@@ -1,43 +1,49 @@
-//! Errors of the coefficients by a random load of unknown size and correlation time.
+//! Errors of the coefficients from a random load of unknown size and correlation time.
 //!
-//! A load d, as a current, adds its charge to the integrated equation (12) (see `ratios`). The movement is cut into
-//! windows. The means of the integrated equation over two neighbouring windows differ by
+//! A load counts as the current d that it takes from the motor. In the integrated equation (12) (see `ratios`) it is a
+//! charge. The movement is cut into windows. The means of the integrated equation over two neighbouring windows differ
+//! by
 //!
 //! ```text
 //! Δ∫u dt = (a1/b0) Δy + (a0/b0) Δ∫(y - y_eq) dt + (1/b0) Δy' + D_k,   D_k = Δ∫d dt
 //! ```
 //!
-//! so the rest of a fit of the three factors shows the charges D of the load. The model of the load is a first-order
-//! autoregression, `E[D_j D_k]` = σ² φ^|j-k|. A fit removes a part of a slow load. The restricted likelihood accounts
-//! for this, as it uses only the part of D that no factors explain (Patterson, Thompson 1971):
+//! so the residuals of a fit of the three factors show the charges D of the load. The difference of two neighbouring
+//! windows is called a step. The model of the load is a first-order autoregression, `E[D_j D_k]` = σ² φ^|j-k|. A fit
+//! also removes a part of a slow load. The restricted likelihood L accounts for this, as it uses only the part of D
+//! that no factors can explain (Patterson, Thompson 1971). With the covariance Σ of D for σ = 1, and the matrix X of
+//! the fit,
 //!
 //! ```text
 //! L(φ) = |Σ|^(-1/2) |X'Σ⁻¹X|^(-1/2) S^(-ν/2),   S = min D'Σ⁻¹D,   σ² = S/ν,   ν = steps - 3
 //! ```
 //!
-//! An estimate that changes by `g_k` for a charge of 1 in step k has the variance Σ `g_j` `g_k` σ² φ^|j-k|. A throw of some
-//! seconds hardly shows how long a load lasts, so the result is the mean of this variance over φ, weighted by L.
+//! Let an estimate change by `g_k` for a charge of 1 in step k. Its variance is the sum of `g_j` `g_k` σ² φ^|j-k| over
+//! all j and k. A throw of some seconds hardly shows how long a load lasts, so the result is the mean of this variance
+//! over φ, weighted by L.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{movement::samples_in, small::unit_diagonal};
 
-/// Distance of two windows \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load; with 0.05 s, 20 um of noise in
-/// the position are as large as a load that varies by 2 % within 50 ms.
+/// Length of a window \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load. With 0.05 s, 20 um of noise
+/// in the position look like a load that varies by 2 % within 50 ms.
 const STEP_S: f64 = 0.07;
-/// Largest number of steps, which bounds the time of the computation, and least one.
+/// Largest number of steps, which bounds the time of the computation, and least number.
 pub(super) const STEPS: usize = 48;
 const LEAST_STEPS: usize = 8;
-/// Least number of samples of a window, for the slope of a line.
+/// Least number of samples of a window: a slope is fitted to them.
 const LEAST_SAMPLES: usize = 3;
-/// Tried correlations of neighbouring steps: correlation times from zero to 3.5 s, the length of a throw, in equal ratios.
+/// Tried correlations of neighbouring steps: correlation times from zero to 3.5 s, the length of a throw, in equal
+/// ratios.
 const CORRELATIONS: [f64; 8] = [0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98];
-/// Part of the sum of squares that is rounding, for a trace without noise.
+/// Least residual sum of squares as share of the whole: less is rounding, in a trace without noise.
 const ROUNDING: f64 = 1e-12;
-/// Width of the 95 % interval of Student's t relative to that of Gauss: 1 + this over ν. (Cornish, Fisher: (1.96² + 1)/4)
+/// The 95 % interval of Student's t with ν degrees of freedom is wider than that of a normal variable by the factor
+/// 1 + this / ν. (Cornish, Fisher: (1.96² + 1)/4)
 const STUDENT: f64 = 1.21;
 
-/// The integrated equation of a movement in steps.
+/// The integrated equation of a movement, as differences of neighbouring windows.
 #[derive(Debug)]
 pub(super) struct Load {
     /// First sample of the first window, and samples of a window.
@@ -45,7 +51,9 @@ pub(super) struct Load {
     length: usize,
     /// Number of steps.
     count: usize,
+    /// For each step the differences of y, ∫(y - `y_eq`) dt and y', which the three factors multiply.
     rows: [Vector3<f64>; STEPS],
+    /// For each step the difference of ∫u dt.
     charges: [f64; STEPS],
 }
 
@@ -70,7 +78,8 @@ impl Load {
                     charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
                     angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
                 }
-                // With parabolic weights the mean of the speed is the slope of the regression line, which has the least noise.
+                // With parabolic weights the mean of y' is the slope of the regression line through y, which has the
+                // least noise.
                 let x = (2 * at + 1) as f64 / length as f64 - 1.0;
                 let weight = 1.0 - x * x;
                 row += Vector3::new(weight * output[k], weight * angle, x * output[k]);
@@ -87,19 +96,19 @@ impl Load {
         Some(load)
     }
 
-    /// The step with the load of a sample; the first one has that of all samples before too.
+    /// The step that a load at `sample` changes. All samples before the first step belong to it.
     pub(super) fn step_of(&self, sample: usize) -> usize {
         (sample.saturating_sub(self.from + self.length / 2) / self.length).min(self.count - 1)
     }
 
-    /// Covariance of the errors of an estimate by the load, from its change by a charge of 1 in every sample of a step; `None`
-    /// if the movement does not determine the factors.
+    /// Covariance of the errors of an estimate from the load. `change` is the change of the estimate by a charge of 1
+    /// in every sample of a step. `None` if the movement does not determine the three factors.
     pub(super) fn covariance(&self, change: impl Fn(usize) -> Vector3<f64>) -> Option<Matrix3<f64>> {
         let freedom = (self.count - 3) as f64;
         let mut found = [(0.0, Matrix3::zeros()); CORRELATIONS.len()];
         for (found, phi) in found.iter_mut().zip(CORRELATIONS) {
             let (likelihood, variance) = self.likelihood(phi, freedom)?;
-            // Σ_j g_j φ^(k-j) over the steps before k.
+            // For step k, `before` is the sum of g_j φ^(k-j) over the steps j before it.
             let (mut before, mut sum) = (Vector3::zeros(), Matrix3::zeros());
             for step in 0..self.count {
                 let own = change(step) / self.length as f64;
@@ -120,7 +129,8 @@ impl Load {
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// ln L and σ² for the correlation `phi`, by least squares of the charges, which are made independent.
+    /// ln L and σ² for the correlation `phi` of neighbouring steps, by generalised least squares: minus `phi` times the
+    /// step before, the charges of the load are independent.
     fn likelihood(&self, phi: f64, freedom: f64) -> Option<(f64, f64)> {
         let (mut normal, mut right, mut square) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
         let new = 1.0 - phi * phi;

@@ -1,6 +1,7 @@
 //! The midpoint rule for an equation of motion.
 
-/// Angle and speed after a step of `h` seconds by the midpoint rule, with the acceleration at the start and in the middle.
+/// Angle \[rad\] and speed \[rad/s\] after a step of `h` seconds by the midpoint rule. The two functions are the
+/// acceleration in a state, at the start and in the middle of the step.
 pub(crate) fn midpoint(
     [angle, speed]: [f64; 2],
     h: f64,

@@ -8,11 +8,11 @@ use super::{
 };
 use crate::throw::Trace;
 
-/// Longest bridged gap \[s\], and at least one sample: shorter than the electrical time constant of a motor (5 ms for
-/// 20 mH and 4 ohm) and than the period of a rectified supply (10 ms), so that a line follows the current.
+/// Longest bridged gap \[s\]; one sample is always bridged. It is shorter than the electrical time constant of a motor
+/// (5 ms for 20 mH and 4 ohm) and than the period of a rectified supply (10 ms), so that a line follows the current.
 const LONGEST_GAP_S: f64 = 3e-3;
-/// Largest part of a channel that is bridged: values wrong by a third of the current change its integral, and so b0, by
-/// 0.3 %, less than the scatter of healthy throws.
+/// Largest share of a channel that is bridged. If all bridged values are wrong by a third of the current, its integral,
+/// and so b0, is wrong by 0.3 %, less than the scatter of healthy throws.
 const LARGEST_SHARE: f64 = 0.01;
 
 /// The channel with its missing samples replaced by a line between their neighbours (at the ends of the trace by the
@@ -45,8 +45,9 @@ pub(super) fn bridged(values: &[f64], interval_s: f64) -> Cow<'_, [f64]> {
     Cow::Owned(whole)
 }
 
-/// The first missing sample between two times \[s\]. In the inrush the current turns within milliseconds, so that a line
-/// between its samples falsifies the common scale of b0, a1 and a0.
+/// The rejection for the first missing sample between two times \[s\]; `None` if there is none. In the inrush the slope
+/// of the current changes within milliseconds, so a line between its samples falsifies the common scale of b0, a1 and
+/// a0.
 pub(super) fn within(trace: &Trace, from_s: f64, to_s: f64) -> Option<Rejection> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the samples of the trace")]
     let sample = |at_s: f64| ((at_s * trace.sample_rate_hz()).max(0.0) as usize).min(trace.len());

@@ -1,64 +1,65 @@
-//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and
-//! after, and noise of the sensors at rest.
+//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and after
+//! the movement, and noise of the sensors at rest.
 
 use super::{features::Features, rejection::Channel};
 
-/// Share of the peak current at which the search for the start of the motor begins: above sensor noise, below the first
-/// crest.
+/// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise,
+/// below the first crest.
 const START_SHARE: f64 = 0.05;
-/// Least distance of the first sample of a starting motor from the current at rest, in standard deviations of the noise;
-/// the next sample must be as far.
+/// Least distance of the first two samples of a starting motor from the current at rest, in standard deviations of the
+/// noise.
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
-/// Largest charge of one sample of the inrush, as share of that of the throw, for which the charge is known. In a slow recording
-/// the number of samples in the inrush depends on their moments.
+/// In a slow recording it is chance how many samples are in the inrush. The charge of the throw counts as known if one
+/// sample of the inrush has at most this share of it.
 const SAMPLE_SHARE: f64 = 0.1;
-/// Least share of the peak of a sample that a slow recording has of the inrush.
+/// A slow recording may have one sample of the inrush, which is at least this share of the peak.
 const INRUSH_SHARE: f64 = 0.5;
-/// Noise around the foot of the current's rise: in standard deviations, and as share of the peak if the noise is smaller.
+/// The foot of the current's rise is the last sample within this many standard deviations of the noise, or within this
+/// share of the peak if the noise is smaller.
 const FOOT_SIGMAS: f64 = 3.0;
 const FOOT_SHARE: f64 = 0.002;
-/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise. The
-/// share is small because a throw in which the spring helps needs very little current.
+/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise.
+/// The share is small because a throw in which the spring helps needs very little current.
 const ON_SHARE: f64 = 0.005;
 const ON_SIGMAS: f64 = 5.0;
-/// After the arrival of the toe the motor counts as on above this share of the current before it: a motor that drives a standing
-/// toe takes more than a running one, a detection circuit takes less.
+/// After the arrival of the toe the motor counts as on above this share of the current before the arrival: a motor that
+/// drives a standing toe takes more than a running one, a detection circuit takes less.
 const DRIVING_SHARE: f64 = 0.5;
-/// Share of the travel near the end, where the estimation stops: behind it the toe runs into the stock rail.
+/// Share of the travel at which the estimation stops: after it the toe runs into the stock rail.
 pub(super) const NEAR_END_SHARE: f64 = 0.95;
-/// Largest distance of an arrived toe from its end: in standard deviations of the noise, and as share of the travel if the
-/// noise is smaller.
+/// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of
+/// the travel if the noise is smaller.
 const ARRIVED_SIGMAS: f64 = 4.0;
 const ARRIVED_SHARE: f64 = 0.002;
-/// Largest noise of the position for the estimation and for the time of the arrival, as share of the travel.
+/// Largest noise of a position that still gives coefficients and shows the arrival of the toe, as share of the travel.
 pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
-/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
-/// and reached within the first 50 ms.
+/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm. This is above the noise of position
+/// sensors, and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
-/// Least number of quiet samples for noise and offset.
+/// Least number of quiet samples, those before the start of the motor, for noise and offset of a sensor.
 pub(super) const MIN_QUIET: usize = 8;
 
-/// Mean and standard deviation of a channel at rest.
+/// Mean and standard deviation of a channel at rest, in its unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Level {
     pub(super) mean: f64,
     pub(super) sd: f64,
+    /// Number of samples at rest.
     pub(super) samples: usize,
-    /// Step of the converter, from the whole trace; 0 if unknown.
+    /// Quantum of the channel: one step of its analogue-to-digital converter, from the whole trace; 0 if unknown.
     pub(super) quantum: f64,
 }
 
-/// A recorded throw with its course. Indices count its samples.
+/// A recorded throw with its course. Times are indices of its samples.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Movement<'a> {
     /// The channels: finite, of equal length and not empty.
     pub(super) current_a: &'a [f64],
     pub(super) position_mm: &'a [f64],
     pub(super) interval_s: f64,
-    /// Number of samples before the start of the motor; the start is the last of them, or the first sample of the
-    /// trace.
+    /// Number of quiet samples, those before the start of the motor.
     pub(super) quiet: usize,
     /// Last sample with the motor on; `None` if it was never on.
     pub(super) motor_off: Option<usize>,
@@ -66,17 +67,17 @@ pub(super) struct Movement<'a> {
     pub(super) current: Level,
     /// Position before the start.
     pub(super) position: Level,
-    /// Samples from one measured position to the next; more than 1 if lines join them.
+    /// Number of samples from one measured position to the next; more than 1 if lines join the measured positions.
     pub(super) position_every: f64,
-    /// Standard deviation of the noise of the position, also if it is not known at rest.
+    /// Standard deviation of the noise of the position \[mm\], also if there are no samples at rest.
     pub(super) position_noise_mm: f64,
     /// Sign of the toe's movement; 0 without movement.
     pub(super) sign: f64,
-    /// Distance from start to end \[mm\].
+    /// Distance of the toe from its start to its end position \[mm\].
     pub(super) travel_mm: f64,
     /// First sample at which 95 % of the travel is done.
     pub(super) near_end: usize,
-    /// First sample at which the toe is at its end, within the noise.
+    /// First sample at which the toe is at its end position, within the noise.
     pub(super) arrived: usize,
     /// Position at the end \[mm\].
     pub(super) end_mm: f64,
@@ -95,7 +96,7 @@ impl<'a> Movement<'a> {
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
         let threshold = |level: &Level, peak: f64| {
-            // A pulse of a contact among a few samples looks like noise as large as the running current.
+            // With few samples at rest, one pulse from a contact looks like noise as large as the running current.
             let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
             (ON_SHARE * peak).max((ON_SIGMAS * level.sd).min(largest))
         };
@@ -135,12 +136,12 @@ impl<'a> Movement<'a> {
             let since = arrived - (arrived - quiet) / 4;
             let before_a = median_distance(&current[since..=arrived], level.mean, scratch);
             let driving = threshold(&level, peak_a).max(DRIVING_SHARE * before_a);
-            // A mean of some samples, as single samples of a noisy detection circuit are as large as those of a motor.
+            // A mean decides, as single samples of a noisy detection circuit are as large as those of a motor.
             let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
             let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
             motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
         }
-        // A slow recording may have one sample of the inrush. Its charge would be as large as that of the rest of the throw.
+        // In a slow recording one sample of the inrush would have as much charge as the rest of the throw.
         let from = (quiet + usize::from(hides_inrush(interval_s))).min(len - 1);
         let on = from..motor_off.map_or(0, |off| off + 1).max(from);
         let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
@@ -164,7 +165,6 @@ impl<'a> Movement<'a> {
         }
     }
 
-    /// The samples of a channel.
     pub(super) fn values(&self, channel: Channel) -> &'a [f64] {
         match channel {
             Channel::Current => self.current_a,
@@ -172,7 +172,6 @@ impl<'a> Movement<'a> {
         }
     }
 
-    /// The level of a channel at rest.
     pub(super) fn level(&self, channel: Channel) -> Level {
         match channel {
             Channel::Current => self.current,
@@ -180,7 +179,7 @@ impl<'a> Movement<'a> {
         }
     }
 
-    /// Sign of the driving current: that of the inrush. (Later a stiff spring may drive the motor.)
+    /// Sign of a current that drives the throw: that of the inrush, as later a stiff spring may drive the motor.
     pub(super) fn drive(&self) -> f64 {
         let beyond = |i: &&f64| (*i - self.current.mean).abs() >= 0.5 * self.peak_a;
         self.current_a[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
@@ -196,7 +195,7 @@ impl<'a> Movement<'a> {
         speed(last - stretch, last) > 0.5 * running
     }
 
-    /// Whether the motor still drives at the last sample, with at least half of the mean current.
+    /// Whether the motor still drives at the end of the trace: the current is at least half of its mean.
     pub(super) fn ends_driven(&self) -> bool {
         let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET)..];
         mean(last.iter().map(|i| (i - self.current.mean).abs())) > 0.5 * self.mean_a
@@ -207,19 +206,19 @@ impl<'a> Movement<'a> {
         self.quiet.saturating_sub(1)
     }
 
-    /// First sample at which the toe is released.
+    /// First sample at which the toe is released; `None` if it is never.
     pub(super) fn released(&self) -> Option<usize> {
         let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
         (self.start()..self.position_mm.len()).find(|&k| self.progress_mm(k) >= least_mm)
     }
 
-    /// Distance of the toe from its place at rest \[mm\], positive in the direction of the throw.
+    /// Distance of the toe from its position at rest \[mm\], positive in the direction of the throw.
     pub(super) fn progress_mm(&self, sample: usize) -> f64 {
         self.sign * (self.position_mm[sample] - self.position.mean)
     }
 
-    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it.
-    /// (With a driving spring the current crosses zero while the motor is on.)
+    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it. If
+    /// the toe does not slow down, the motor is still on, and a spring that drives the throw takes its current to zero.
     pub(super) fn end(&self) -> usize {
         let position = self.position_mm;
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
@@ -228,9 +227,9 @@ impl<'a> Movement<'a> {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// Sets the number of samples from one measured position to the next. Lines join the measured positions. The samples on
-    /// a line have no noise of their own: only measured positions at rest count, and the noise is that at rest, or the
-    /// expected noise.
+    /// Sets the number of samples from one measured position to the next. The samples on the lines between measured
+    /// positions have no noise of their own, so only measured positions count as samples at rest. For the same reason
+    /// the noise of the whole trace is that at rest, or `expected_noise_mm` without enough samples at rest.
     pub(super) fn measure_position_every(&mut self, samples: f64, expected_noise_mm: f64) {
         self.position_every = samples.max(1.0);
         self.position.samples = samples_in(self.position.samples as f64, self.position_every);
@@ -240,7 +239,7 @@ impl<'a> Movement<'a> {
         }
     }
 
-    /// The features of the two channels.
+    /// The features that follow from the course alone.
     pub(super) fn features(&self) -> Features {
         let start = self.start();
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * self.interval_s;
@@ -252,7 +251,7 @@ impl<'a> Movement<'a> {
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
             release_s: self.motor_off.and_then(|_| self.released()).map(since_start_s),
-            // The offset of a huge current overflows.
+            // For a huge current the difference from its offset overflows.
             peak_current_a: Some(self.peak_a).filter(|peak_a| peak_a.is_finite()),
             running_current_a: running
                 .filter(|running| !running.is_empty())
@@ -271,8 +270,9 @@ impl<'a> Movement<'a> {
 }
 
 impl Level {
-    /// Whether the noise hides this step of the converter, so that a constant value does not repeat its code for long. A
-    /// value between two codes flickers with a standard deviation of half a step, also with hardly any noise.
+    /// Whether the noise hides this step of the converter, so that a constant value does not give the same output for
+    /// long. A constant value between two outputs of the converter makes it flicker with a standard deviation of half a
+    /// step, even with hardly any noise; this does not count.
     pub(super) fn hides(&self, step: f64) -> bool {
         self.sd > 0.6 * step
     }
@@ -288,15 +288,16 @@ impl Level {
     }
 }
 
-/// Whether a recording has one sample of the inrush at most.
+/// Whether a recording with this sampling interval may have only one sample of the inrush.
 fn hides_inrush(interval_s: f64) -> bool {
     interval_s > SHORTEST_RISE_S / 2.0
 }
 
-/// The last sample before the current exceeds its noise; `None` if it never does.
+/// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does.
 ///
-/// Two neighbouring samples show the start, as a single one may be a disturbance. A recording that is too slow for this
-/// has one sample of the inrush at most; without it the current of a throw in which the spring helps is hardly above 0.
+/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
+/// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
+/// current of a throw in which the spring helps is hardly above 0.
 pub(super) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
     let lead = median_of(&current[..current.len().min(5)], scratch);
     let peak = peak(current, lead);
@@ -322,18 +323,19 @@ pub(super) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
     if peak == 0.0 || first == 0 {
         return (peak > 0.0).then_some(0);
     }
-    // Goes down the flank to the foot, the last sample within the noise.
+    // The foot is the last sample within the noise before the rise.
     let band = (FOOT_SIGMAS * noise.sd).max(FOOT_SHARE * peak);
     let centre = if noise.samples >= MIN_QUIET { noise.mean } else { lead };
     Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
 }
 
-/// Largest distance from the level; 0 without values.
+/// Largest distance of a value from the level; 0 without values.
 pub(super) fn peak(values: &[f64], level: f64) -> f64 {
     largest(values, |v| (v - level).abs()).max(0.0)
 }
 
-/// Largest value of a function, in lanes without a branch; negative infinity without values.
+/// Largest of the function's results for all values; negative infinity without values. It is computed in independent
+/// lanes without a branch, for speed.
 pub(super) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     const LANES: usize = 8;
     let mut most = [f64::NEG_INFINITY; LANES];
@@ -347,7 +349,7 @@ pub(super) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Whether all tests are true; counted, as a loop that may end early takes three times as long.
+/// Whether all tests are true. It counts them, as a loop that may end early takes three times as long.
 pub(super) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
     let count = tests.len() as u64;
     tests.map(u64::from).sum::<u64>() == count
@@ -362,13 +364,13 @@ pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Number of whole samples in a time \[s\].
+/// Number of whole sampling intervals in a time; both in s.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
 pub(super) fn samples_in(time_s: f64, interval_s: f64) -> usize {
     (time_s / interval_s) as usize
 }
 
-/// Median, computed in the scratch buffer; 0 without values.
+/// Median (for an even number of values the upper one), computed in the scratch buffer; 0 without values.
 pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend_from_slice(values);
@@ -376,8 +378,8 @@ pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     if values.is_empty() { 0.0 } else { *scratch.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
-/// Median of values that are not negative, computed in place; 0 without values. The bits of such values are in their
-/// order, and integers compare faster.
+/// Median of values that are not negative, computed in place; 0 without values. Such values have the same order as
+/// their bits, and integers compare faster.
 pub(super) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
@@ -390,7 +392,7 @@ pub(super) fn median_distance(values: &[f64], level: f64, scratch: &mut Vec<f64>
     median_of_magnitudes(scratch)
 }
 
-/// Standard deviation over median magnitude of a normal variable.
+/// Ratio of the standard deviation of a normal variable to the median of its magnitude.
 pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
 
 /// Standard deviation of white noise on a smooth signal, from the median of its second differences.
@@ -408,12 +410,12 @@ pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> 
 }
 
 /// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
-/// it.
+/// it. 0 if all values are equal.
 pub(super) fn quantum(values: &[f64]) -> f64 {
     const LANES: usize = 4;
     // Four lanes without a branch, as this runs over every sample several times in each throw.
     let mut least = [f64::INFINITY; LANES];
-    let mut meet = |lane: usize, before: f64, after: f64| {
+    let mut compare = |lane: usize, before: f64, after: f64| {
         let difference = (after - before).abs();
         let difference = if difference > 0.0 { difference } else { f64::INFINITY };
         least[lane] = if difference < least[lane] { difference } else { least[lane] };
@@ -422,11 +424,11 @@ pub(super) fn quantum(values: &[f64]) -> f64 {
     let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
     for (before, after) in before.iter().zip(after) {
         for lane in 0..LANES {
-            meet(lane, before[lane], after[lane]);
+            compare(lane, before[lane], after[lane]);
         }
     }
     for (before, after) in before_rest.iter().zip(after_rest) {
-        meet(0, *before, *after);
+        compare(0, *before, *after);
     }
     let least = least.into_iter().fold(f64::INFINITY, f64::min);
     if least.is_finite() { least } else { 0.0 }
@@ -436,7 +438,7 @@ pub(super) fn quantum(values: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// 3 s of a running current, with a rise of 6 ms and an inrush of 30 A that decays within 0.1 s.
+    /// The charge feature of a motor that runs for 3 s, with an inrush of 30 A that rises in 6 ms and decays in 0.1 s.
     fn charge_as(rate_hz: f64, phase: f64, running_a: f64) -> Option<f64> {
         let current: Vec<f64> = (0..=10_000)
             .map(|k| (f64::from(k) + phase) / rate_hz - 0.4)

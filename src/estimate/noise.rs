@@ -7,27 +7,27 @@ use super::{
     settings::Settings,
 };
 
-/// Largest ratio of measured to configured noise; more is a fault of the sensor or its wiring. Noise of the current
-/// affects the coefficients ten times as much as noise of the position. The covariance uses the measured noise.
+/// Largest ratio of measured to configured noise of a healthy sensor and its wiring. Noise of the current affects the
+/// coefficients ten times as much as noise of the position.
 const CURRENT_NOISE_FACTOR: f64 = 3.5;
 const POSITION_NOISE_FACTOR: f64 = 25.0;
 
-/// Largest noise of the current for the estimation, as share of the peak.
+/// Largest noise of a current that still gives coefficients, as share of the peak.
 const LARGEST_NOISE_SHARE: f64 = 0.025;
 
-/// Rejects noise that is too large compared with the signals.
+/// Rejects noise that is too large compared with the signals for any estimate.
 pub(super) fn resolved(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
     let largest_a = LARGEST_NOISE_SHARE * movement.peak_a;
     within(movement, settings, [largest_a, LARGEST_POSITION_SHARE * movement.travel_mm])
 }
 
-/// Rejects noise that is too large compared with the configured sensors.
+/// Rejects noise that is too large compared with that of the configured sensors. The throw may still have an estimate.
 pub(super) fn plausible(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
     let largest_a = CURRENT_NOISE_FACTOR * settings.current_noise_a;
     within(movement, settings, [largest_a, POSITION_NOISE_FACTOR * settings.position_noise_mm])
 }
 
-/// Rejects a channel whose noise at rest has a larger standard deviation than this \[A, mm\].
+/// Rejects a channel whose noise at rest has a standard deviation above `current_a` \[A\] or `position_mm` \[mm\].
 fn within(movement: &Movement<'_>, settings: &Settings, [current_a, position_mm]: [f64; 2]) -> Result<(), Rejection> {
     for (channel, level, expected, largest) in [
         (Channel::Current, movement.current, settings.current_noise_a, current_a),
@@ -40,21 +40,21 @@ fn within(movement: &Movement<'_>, settings: &Settings, [current_a, position_mm]
     Ok(())
 }
 
-/// Shortest stretch for a noise comparison \[samples\].
+/// Shortest stretch whose noise is compared with the usual noise \[samples\].
 const NOISE_SAMPLES: usize = 64;
 /// Least noise that hides the vibrations of the machine, as share of the configured noise.
 const LEAST_NOISE: f64 = 0.5;
-/// Standard normal quantile for one false rejection in 3 million stretches.
+/// Allowed deviation of a stretch \[standard deviations\]: one false rejection in 3 million stretches.
 const NOISE_QUANTILE: f64 = 5.0;
-/// Least noise for a comparison, in steps of the converter; below it, rounding determines the differences.
+/// Least noise for a comparison, in steps of the converter. With less noise, rounding determines the differences.
 const NOISE_QUANTA: f64 = 8.0;
-/// Ratio of the noise at rest to that of the whole trace: more is a disturbance at rest, less is noise from the
-/// machine.
+/// Usual ratio of the noise at rest to that of the whole trace. A larger ratio is a disturbance at rest; with a smaller
+/// one the machine itself makes noise in motion.
 const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
-/// Rejects a stretch of the current with other noise than the rest, which shows another gain, if the noise elsewhere is
-/// that of the sensor. (With a ripple of the supply, noise of a commutator, a coarse converter, or a sensor so good
-/// that vibrations are visible, there is no check.)
+/// Rejects a current whose noise is different in one stretch, as there its gain was different. The check needs a noise
+/// that comes from the sensor. There is no check if the supply ripples, the commutator makes noise, the converter is
+/// coarse, or the sensor is so good that it shows the vibrations of the machine.
 pub(super) fn noise_level(
     movement: &Movement<'_>,
     settings: &Settings,
@@ -74,7 +74,7 @@ pub(super) fn noise_level(
     if at_rest > REST_NOISE.end * usual {
         return Err(Rejection::GainChanged { ratio: at_rest / usual });
     }
-    // A disturbed stretch may cover most of one half.
+    // The noisier half counts, as a smoothed stretch may cover most of the other half.
     let [first, second] = [&quiet[..quiet.len() / 2], &quiet[quiet.len() / 2..]];
     let halves = second_difference_noise(first, scratch).max(second_difference_noise(second, scratch));
     if halves < REST_NOISE.start * usual {
@@ -92,13 +92,14 @@ pub(super) fn noise_level(
     }
     let mut width = NOISE_SAMPLES;
     while width < scratch.len() {
-        // Neighbouring second differences share samples, so 35/18 of them count as one. (Wilson, Hilferty)
+        // Limits of a mean of squares by Wilson and Hilferty. Neighbouring second differences share samples, so 35/18
+        // of them count as one.
         let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
         let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
         let (low, high) = (limit(-1.0), limit(1.0));
         for from in (0..scratch.len() - width).step_by(width / 4) {
             let ratio = (scratch[from + width] - scratch[from]) / width as f64;
-            // In motion vibrations of the machine may add to the noise.
+            // In motion, vibrations of the machine may add to the noise.
             let at_rest = from + width + 3 < movement.start();
             if ratio < low || (at_rest && ratio > high) {
                 return Err(Rejection::GainChanged { ratio: ratio.sqrt() });

@@ -1,16 +1,18 @@
 //! One pass over the samples: every signal filtered by 1/C(s), and the sums of the normal equations.
 //!
-//! The sums are over the canonical states s of the filters (see `filter`) and the samples, and are converted to
-//! derivatives afterwards: φ and z are linear in them with constant coefficients, so a sample needs P² + P products,
-//! and at most N multiplications for each filter. The highest derivative is not computed either: as `y_f⁽ᴺ⁾` = y -
-//! `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f`,
+//! The regressor φ and the instrument z are linear in the canonical states s of the filters (see `filter`) and in the
+//! samples, with constant coefficients. So the sums are formed from states and samples, and are converted to
+//! derivatives afterwards. A sample then needs P² + P products, and at most N multiplications for each filter. The
+//! highest derivative is not computed either, as `y_f⁽ᴺ⁾` = y - `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f` for C = sᴺ + `c_1`
+//! sᴺ⁻¹ + … + `c_N`:
 //!
 //! ```text
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾ = [0, c_1 … c_N] + (Σ z φ')⁻¹ Σ z (y - c_N y_eq,f)
 //! ```
 //!
-//! The samples are taken in blocks: filters and sums in one loop do not fit into the registers, and x̂ of a block is
-//! filtered together with the signals of the next block, so that no filter waits for another one.
+//! The samples are processed in blocks, as filters and sums in one loop do not fit into the registers. The auxiliary
+//! output x̂ of a block is filtered together with the signals of the next block, so that no filter waits for another
+//! one.
 
 use super::{
     block::{BLOCK, Block, Samples},
@@ -19,35 +21,41 @@ use super::{
     sums::{Raw, Sums, regressor},
 };
 
-/// Least number of samples of a start.
+/// Least number of samples that the first pass of an estimation uses, if the trace has as many.
 const START_SAMPLES: usize = 200;
+
 /// The auxiliary model of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
-    /// Parameters of the model; a pass uses only their numerators.
+    /// Parameters of the model. A pass uses only its numerators.
     pub(super) parameters: &'a [f64; P],
-    /// Denominator, if it differs from that of the filter.
+    /// Denominator of the model; `None` if it is that of the filter.
     pub(super) denominator: Option<&'a [f64; N]>,
 }
 
-/// The filters of a pass; those of the auxiliary model are the second.
+/// The filters of a pass. In each pair the second value belongs to the auxiliary model.
 struct Filters<'a, const N: usize, const S: usize, const P: usize> {
     each: [&'a Discrete<N>; 2],
     columns: [Columns<N, P>; 2],
+    /// Weights of the filtered equilibrium on the states of its filter.
     shift_rows: [[f64; N]; 2],
+    /// Parameters of the auxiliary model.
     theta: &'a [f64; P],
     /// Last coefficient of the denominator of the auxiliary model.
     a_last: f64,
 }
 
-/// Weights of the numerator columns on the states of the input filters.
+/// The numerator columns as sums over the states of the input filters and the inputs.
 struct Columns<const N: usize, const P: usize> {
+    /// Input of each column.
     input: [usize; P],
+    /// Weights on the states of its filter.
     state: [[f64; N]; P],
+    /// Weight on the input itself.
     through: [f64; P],
 }
 
-/// States of the filters before a sample.
+/// States of all filters before a sample.
 #[derive(Clone, Copy)]
 struct States<const N: usize, const S: usize> {
     inputs: [[f64; N]; S],
@@ -59,8 +67,8 @@ struct States<const N: usize, const S: usize> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares), and
-    /// only two samples of each `workspace.stride` are used, as this is a start for the iteration. `None` if C cannot be
+    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares).
+    /// Such a pass only starts the iteration, so it uses two of every `workspace.stride` samples. `None` if C cannot be
     /// discretised.
     pub(super) fn pass(
         &self,
@@ -84,7 +92,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         filtered_sums(self, problem, c, (parameters, denominator.unwrap_or(c)), workspace)
     }
 
-    /// `IV`: with an auxiliary model; `APART`: its denominator differs from that of the filter; `SHIFTED`: with `y_eq`.
+    /// [`Self::pass`] for one structure. `IV`: with an auxiliary model (instrumental variables). `APART`: its
+    /// denominator differs from that of the filter. `SHIFTED`: with an equilibrium `y_eq`.
     fn filtered_sums<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,
         problem: &Problem<S>,
@@ -156,7 +165,7 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
         Self { each: filters, columns, shift_rows, theta, a_last }
     }
 
-    /// Every filter starts at rest.
+    /// The states of filters that are at rest at the first sample.
     fn start(&self, problem: &Problem<S>) -> States<N, S> {
         let first = problem.inputs.map(|input| match input {
             Signal::Sampled(u, _) => u[0],
@@ -171,7 +180,8 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
         States { inputs, model_inputs, output, auxiliary: none, shift: none, model_shift: none }
     }
 
-    /// Filters the signals of a block, and x̂ of the block before it. Not inlined: the states would not stay in registers.
+    /// Filters the signals of `block`, and x̂ of the block `before` it. Inlined into its caller, the states would not
+    /// stay in registers.
     #[inline(never)]
     fn run<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,
@@ -180,12 +190,13 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
         before: &mut Block<N, S, P>,
     ) {
         let [filter, model_filter] = self.each;
+        let Some(output_states) = block.phi.last_chunk_mut::<N>() else { return };
         let mut now = *states;
         for k in 0..BLOCK {
             for s in 0..S {
-                filter.pass(&mut now.inputs[s], block.inputs[s][k], &mut block.input_states[s], k);
+                filter.store_and_advance(&mut now.inputs[s], block.inputs[s][k], &mut block.input_states[s], k);
                 if APART {
-                    model_filter.pass(
+                    model_filter.store_and_advance(
                         &mut now.model_inputs[s],
                         block.inputs[s][k],
                         &mut block.model_input_states[s],
@@ -193,30 +204,28 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
                     );
                 }
             }
-            filter.pass(&mut now.output, block.output[k], &mut block.output_states, k);
+            filter.store_and_advance(&mut now.output, block.output[k], output_states, k);
             if SHIFTED {
-                filter.pass(&mut now.shift, block.equilibrium[k], &mut block.shift_states, k);
+                let shift = block.equilibrium[k];
+                filter.store_and_advance(&mut now.shift, shift, &mut block.shift_states, k);
                 if APART {
-                    model_filter.pass(&mut now.model_shift, block.equilibrium[k], &mut block.model_shift_states, k);
+                    model_filter.store_and_advance(&mut now.model_shift, shift, &mut block.model_shift_states, k);
                 }
             }
             if IV {
-                filter.pass(&mut now.auxiliary, before.model[k], &mut before.auxiliary, k);
+                filter.store_and_advance(&mut now.auxiliary, before.model[k], &mut before.auxiliary, k);
             }
         }
         *states = now;
     }
 
-    /// Reads the columns, `y_eq,f` and x̂ from the states of the filters, for `used` samples.
+    /// Computes the numerator columns, `y_eq,f` and x̂ of `used` samples from the states of the filters.
     fn read<const IV: bool, const APART: bool, const SHIFTED: bool>(&self, block: &mut Block<N, S, P>, used: usize) {
         let [columns, model_columns] = &self.columns;
         for k in 0..BLOCK {
             let values = columns.read::<S>(&block.input_states, &block.inputs, k);
             for at in 0..P - N {
                 block.phi[at][k] = values[at];
-            }
-            for i in 0..N {
-                block.phi[P - N + i][k] = block.output_states[i][k];
             }
             let shift = if SHIFTED { weighted(&self.shift_rows[0], &block.shift_states, k) } else { 0.0 };
             block.shift[k] = shift;
@@ -236,7 +245,7 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
                 block.model[k] = model;
             }
         }
-        // No product with a sample after the last one.
+        // Samples after the last one must not contribute to the sums.
         for values in block.phi.iter_mut().chain([&mut block.shift]) {
             values[used..].fill(0.0);
         }
@@ -255,12 +264,12 @@ impl<const N: usize, const P: usize> Columns<N, P> {
         columns
     }
 
-    /// The numerator columns at this sample; the rest is 0.
+    /// The numerator columns at sample `k`; the last N values are 0.
     #[inline]
     fn read<const S: usize>(&self, states: &[[Samples; N]; S], inputs: &[Samples; S], k: usize) -> [f64; P] {
         let mut values = [0.0; P];
         for at in 0..P - N {
-            // A constant at compile time if every numerator is a constant.
+            // If every numerator is of order 0, column and input have the same number, known to the compiler.
             let input = if P - N == S { at } else { self.input[at] };
             values[at] = self.through[at] * inputs[input][k] + weighted(&self.state[at], &states[input], k);
         }
@@ -268,6 +277,7 @@ impl<const N: usize, const P: usize> Columns<N, P> {
     }
 }
 
+/// The sum of the states at sample `k` with these weights.
 #[inline]
 fn weighted<const N: usize>(weights: &[f64; N], states: &[Samples; N], k: usize) -> f64 {
     let mut sum = weights[0] * states[0][k];

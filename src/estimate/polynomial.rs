@@ -1,8 +1,9 @@
-//! Monic polynomials, given by the coefficients \[`a_1` … `a_N`\]: stability, and reflection of roots.
+//! Monic polynomials A(s) = s^N + `a_1` s^(N-1) + … + `a_N`, given by \[`a_1` … `a_N`\]: stability, and reflection of
+//! roots.
 
 use nalgebra::Complex;
 
-/// Whether every root of the monic polynomial with coefficients `a` has a negative real part (Routh's scheme).
+/// Whether every root of the polynomial has a negative real part (Routh's scheme).
 pub(super) fn is_stable<const N: usize>(a: &[f64; N]) -> bool {
     if a.iter().any(|a| !a.is_finite() || *a <= 0.0) {
         return false;
@@ -25,12 +26,12 @@ pub(super) fn is_stable<const N: usize>(a: &[f64; N]) -> bool {
     lower[0] > 0.0
 }
 
-/// `a` with the roots in the right half plane reflected to the left; unchanged when it is stable.
+/// The polynomial whose roots are those of `a`, with the roots in the right half plane reflected to the left.
 pub(super) fn reflected<const N: usize>(a: &[f64; N]) -> [f64; N] {
     let rho = root_radius(a);
     let mut roots = roots(&normalised(a, rho));
     for root in &mut roots {
-        // A root on the axis gets a little damping, so that the filter decays.
+        // A root on the imaginary axis gets a little damping, so that the filter decays.
         root.re = -root.re.abs().max(1e-6);
     }
     let mut product = [Complex::new(0.0, 0.0); N];
@@ -47,7 +48,7 @@ pub(super) fn reflected<const N: usize>(a: &[f64; N]) -> [f64; N] {
     })
 }
 
-/// Roots of the monic polynomial with coefficients `a` (Durand-Kerner from points on a spiral).
+/// Roots of the polynomial (Durand and Kerner's iteration, from points on a spiral).
 fn roots<const N: usize>(a: &[f64; N]) -> [Complex<f64>; N] {
     let seed = Complex::new(0.4, 0.9);
     let mut roots: [Complex<f64>; N] = std::array::from_fn(|i| (0..i).fold(seed, |power, _| power * seed));
@@ -68,7 +69,8 @@ fn roots<const N: usize>(a: &[f64; N]) -> [Complex<f64>; N] {
     roots
 }
 
-/// max |`a_i|^(1/i)`, the root radius of A up to a factor of two; 1 if all coefficients are zero.
+/// The largest |`a_i|^(1/i)`, which is the largest magnitude of a root up to a factor of two; 1 if all coefficients are
+/// 0.
 pub(super) fn root_radius<const N: usize>(a: &[f64; N]) -> f64 {
     let radius = (1..).zip(a).fold(0.0, |radius: f64, (i, a)| radius.max(a.abs().powf(1.0 / f64::from(i))));
     if radius > 0.0 { radius } else { 1.0 }

@@ -1,14 +1,16 @@
-//! Ratios of the coefficients from the movement, independent of its start.
+//! The ratios a1/b0 and a0/b0 of the coefficients, from the movement without its start.
 //!
-//! Equation (12) integrated from the sample s at which the toe has moved a little, and divided by b0, is linear in the ratios:
+//! Let s be a sample at which the toe has moved a little. Equation (12) integrated from s on, and divided by b0, is
+//! linear in the ratios:
 //!
 //! ```text
 //! ∫ u dt = (a1/b0) (y - y_s) + (a0/b0) ∫ (y - y_eq) dt + (1/b0) (y' - y'_s)
 //! ```
 //!
-//! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
-//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk; a varying load and
-//! errors of the model are correlated over still longer times. So the covariance is that of a random load (see `load`).
+//! This needs neither the time or position of the release, nor the speed at s, nor an iteration. A movement at nearly
+//! constant speed determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, and a
+//! varying load and errors of the model are correlated over still longer times. So the covariance is that of a random
+//! load (see `load`).
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
@@ -21,32 +23,33 @@ use super::{
     small::unit_diagonal,
 };
 
-/// Standard deviation of the logarithm of the common scale without information from the start.
+/// Standard deviation of the logarithm of the common scale of the coefficients if nothing is known about it.
 const SCALE_SD: f64 = 0.45;
 /// Share of the travel that is skipped as the start: 1.5 mm of 115 mm.
 const SKIPPED_SHARE: f64 = 0.013;
-/// Standard deviation of the part of the travel that play hides from the sensor, as share of the travel: 0.6 mm of 115 mm,
-/// the root mean square of a play that is uniform up to 1 mm.
+/// Standard deviation of the part of the travel that play hides from the sensor, as share of the travel. It is 0.6 mm
+/// of 115 mm, the root mean square of a play of 0 to 1 mm.
 const HIDDEN_SHARE: f64 = 0.005;
-/// Half of the interval of the difference for the speed \[s\].
+/// The speed at a sample is the central difference between this time before it and this time after it \[s\].
 const SPEED_S: f64 = 0.02;
 /// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
-/// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every chair gives
-/// 0.3 %; a current that does not belong to the position gives more.
+/// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every slide chair
+/// causes 0.3 %; a current that does not belong to the position causes more.
 const LARGEST_RESIDUAL: f64 = 0.006;
 
-/// a1/b0 and a0/b0.
+/// The ratios a1/b0 and a0/b0 with their errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Ratios {
     pub(super) values: [f64; 2],
-    /// Covariances of the logarithms: of errors that differ in each throw, and of errors that are equal in every throw.
+    /// Covariances of the logarithms of the ratios: from errors that differ in each throw, and from errors that are
+    /// equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
     pub(super) log_systematic: Matrix2<f64>,
-    /// Errors of the logarithms for one standard deviation of the part of the current at rest that the machine does not
-    /// draw in motion.
+    /// Errors of the logarithms of the ratios for one standard deviation of the part of the current at rest that the
+    /// machine does not draw in motion.
     log_offset: [f64; 2],
-    /// First sample used.
+    /// First sample used, in the window.
     pub(super) from: usize,
 }
 
@@ -54,7 +57,7 @@ pub(super) struct Ratios {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Input<'a> {
     pub(super) values: &'a [f64],
-    /// Change of each value with the current; `None` for 1.
+    /// Derivative of each value with respect to the current; `None` if it is 1.
     pub(super) scale: Option<&'a [f64]>,
     /// Variance of the offset of the current \[A²\].
     pub(super) offset: f64,
@@ -62,7 +65,7 @@ pub(super) struct Input<'a> {
     pub(super) rest_a: f64,
 }
 
-/// The result of the full model, accepted or not.
+/// Fit and iterations of a solution of the full model, accepted or not.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FullModel {
     pub(super) fit_pct: f64,
@@ -98,8 +101,8 @@ impl Ratios {
     }
 }
 
-/// Covariance of (b0, a1, a0) from the standard deviation of the logarithm of their common scale, and the covariance of the
-/// logarithms of their ratios.
+/// Covariance of (b0, a1, a0) from the standard deviation of the logarithm of their common scale, and the covariance of
+/// the logarithms of their ratios.
 pub(super) fn covariance(coefficients: [f64; 3], scale_sd: f64, of_ratios: Matrix2<f64>) -> Matrix3<f64> {
     let mut log = Matrix3::repeat(scale_sd * scale_sd);
     let mut ratios = log.fixed_view_mut::<2, 2>(1, 1);
@@ -108,12 +111,12 @@ pub(super) fn covariance(coefficients: [f64; 3], scale_sd: f64, of_ratios: Matri
     scale * log * scale
 }
 
-/// Distance of either sample of a central difference from its middle \[samples\]; see [`SPEED_S`].
+/// [`SPEED_S`] in samples.
 fn reach(interval_s: f64) -> usize {
     samples_in(SPEED_S, interval_s).max(1)
 }
 
-/// The first sample after the start of the movement.
+/// The first sample after the start of the movement; `None` if the toe does not move.
 pub(super) fn start(output: &[f64], interval_s: f64) -> Option<usize> {
     let (travel, reach) = (*output.last()?, reach(interval_s));
     (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel).map(|k| k + reach)
@@ -150,12 +153,12 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
     let found = inverse * right;
     let load = Load::of((input, output), equilibrium, from, interval_s)?;
-    // A charge of the load disturbs all later rows.
+    // A charge of the load changes all later rows.
     let mut effects = [Vector4::zeros(); STEPS];
     let (mut squares, mut total) = (0.0, 0.0_f64);
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
-    // Charge by a current offset of 1 A.
+    // Charge from an offset of 1 A.
     let mut extra = 0.0;
     for (at, (row, charge)) in rows().enumerate() {
         let time_s = at as f64 * interval_s;
@@ -173,7 +176,7 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         return None;
     }
     let (drift, dry) = (inverse * drift, inverse * dry * (DRY_SHARE * found[0] * running));
-    // The rails are further on than the sensor, by a constant distance.
+    // With play the rails are ahead of the sensor by a constant distance.
     let hidden = inverse * hidden * (HIDDEN_SHARE * travel * found[1]);
     let covariance = load.covariance(|step| (inverse * effects[step]).xyz())?;
     let values = [found[0], found[1]];

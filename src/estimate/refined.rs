@@ -1,21 +1,24 @@
 //! Refined estimation, with a prefilter for the noise.
 //!
-//! With white noise on output and input the equation error of A y = b0 u is A `n_y` - b0 `n_u`, of spectrum
-//! `s_y²` |C|², C = s² + `c_1` s + `c_0` its stable spectral factor:
+//! With white noise `n_y` of variance `s_y²` on the output and `n_u` of variance `s_u²` on the input, the error of the
+//! equation A y = b0 u is A `n_y` - b0 `n_u`. It has the spectrum `s_y²` |C|², with the stable spectral factor
+//! C = s² + `c_1` s + `c_0`:
 //!
 //! ```text
 //! |C|² = |A|² + r b0²,   r = s_u² / s_y²,   c_0 = √(a_0² + r b0²),   c_1 = √(a_1² - 2 a_0 + 2 c_0)
 //! ```
 //!
-//! Filtered by 1/C the error is white, so the sums of SRIV with this filter instead of 1/A are nearly those of maximum
-//! likelihood: the scatter halves. But the faster filter passes more noise of the current into the instrument, which
-//! uses the same current as the regressor. As `s_u²` is known, so is the mean of its contribution to Σ z ε,
+//! Filtered by 1/C the error is white. So SRIV with this filter instead of 1/A is nearly the maximum-likelihood
+//! estimate, and its scatter is half as large. But the faster filter passes more noise of the current into the
+//! instrument z, which uses the same current as the regressor. The mean β of the sum Σ z ε, with the equation error ε,
+//! is then not 0. It is known, as `s_u²` is known,
 //!
 //! ```text
-//! β = -s_u² Σ_k Σ_{j ≤ k} g_z(j) g_ε(j),   g_z and g_ε = b0 g_1 the responses of instrument and error to one sample
+//! β = -s_u² Σ_k Σ_{j ≤ k} g_z(j) g_ε(j)
 //! ```
 //!
-//! and M⁻¹ β is subtracted. (Young 2008; Garnier, Gilson, Young.)
+//! with the responses `g_z` of the instrument and `g_ε` = b0 `g_1` of the error to one sample of the current, `g_1`
+//! that of the filter 1/C. M⁻¹ β is subtracted from the estimate, M = Σ z φ'. (Young 2008; Garnier, Gilson, Young.)
 
 use super::{
     covariance::Noise,
@@ -28,9 +31,9 @@ use super::{
 };
 
 impl Sriv<2, 1, 3> {
-    /// Refines `solution`, which must be stable, with the noise of output and input; its `fit` stays that of the model
-    /// before the refinement. `None` without noise of the input, for which the prefilter of SRIV is optimal, or without
-    /// noise of the output.
+    /// Refines `solution`, which must be stable, for this noise of output and input. Its `fit` stays that of the model
+    /// before the refinement. `None` if the input is without noise, as then the prefilter of SRIV is optimal, or the
+    /// output is without noise.
     ///
     /// # Errors
     /// When the normal equations become singular or the model unstable.
@@ -76,13 +79,13 @@ impl Sriv<2, 1, 3> {
     }
 }
 
-/// `c_1`, `c_0` for the parameters b0, a1, a0.
+/// \[`c_1`, `c_0`\] for the parameters b0, a1, a0 and the `ratio` r of the noise variances.
 fn spectral_factor([b0, a1, a0]: &[f64; 3], ratio: f64) -> [f64; 2] {
     let c0 = (a0 * a0 + ratio * b0 * b0).sqrt();
     [(a1 * a1 - 2.0 * a0 + 2.0 * c0).max(0.0).sqrt(), c0]
 }
 
-/// The mean β of Σ z ε from noise of the input.
+/// The mean β of Σ z ε from the noise of the input.
 fn noise_in_instrument(
     parameters: &[f64; 3],
     filter: &Discrete<2>,
@@ -94,7 +97,8 @@ fn noise_in_instrument(
     let model = Discrete::new(&[a1, a0], problem.interval_s)?;
     let (input_row, model_row, linear) = (filter.readout(hold), model.readout(hold), filter.readout(Hold::First));
     let len = problem.output.len();
-    // Power of the input's noise over all samples within the length of the response.
+    // For the response after j samples: the noise power of all samples with at least j later samples, over
+    // `noise.inputs[0]`.
     let mut reached = noise.scale.map_or(len as f64, |scale| scale.iter().map(|s| s * s).sum());
     let (mut input_state, mut model_state) = (input_row.start(&[0.0; 2], 1.0), model_row.start(&[0.0; 2], 1.0));
     let mut state = linear.start(&[0.0; 2], 0.0);

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::brief;
+use crate::throw::{CENTIMETRE_MM, INCH_MM, brief};
 
 /// One of the two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
@@ -16,7 +16,7 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// The field of the message with its unit.
+    /// The field of the message and its unit, for the text of a rejection.
     fn field(self) -> &'static str {
         match self {
             Self::Current => "current_a is in A",
@@ -25,12 +25,12 @@ impl Channel {
     }
 }
 
-/// A hint at the unit of a position whose travel is a whole stroke in centimetres or inches.
+/// A hint at the unit if the travel is a whole stroke in centimetres or inches; else empty.
 fn likely_unit(travel_mm: f64, stroke_mm: f64) -> &'static str {
     let is_stroke = |unit_mm: f64| (0.9..1.1).contains(&(unit_mm * travel_mm / stroke_mm));
-    if is_stroke(10.0) {
+    if is_stroke(CENTIMETRE_MM) {
         ", as in a complete throw with the position in centimetres; it must be in millimetres (position_mm)"
-    } else if is_stroke(25.4) {
+    } else if is_stroke(INCH_MM) {
         ", as in a complete throw with the position in inches; it must be in millimetres (position_mm)"
     } else {
         ""
@@ -64,15 +64,15 @@ pub enum Rejection {
         /// Time of this sample from the start of the trace \[s\].
         at_s: f64,
     },
-    /// The message has no toe position, and current and supply voltage do not determine the coefficients.
+    /// The message has no toe position, and the coefficients do not follow from current and supply voltage either.
     #[error("{sent}, so only the features of the current are known: {why}")]
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
     NoPosition {
-        /// The content of `position_mm`, which is no toe position, for the text of the rejection.
+        /// The content of `position_mm`, which is no toe position, as a clause for the text.
         #[serde(default)]
         sent: String,
-        /// Why current and supply voltage do not determine the coefficients.
+        /// Why the coefficients do not follow from current and supply voltage, as a clause for the text.
         why: String,
     },
     /// A value that a point machine cannot have.
@@ -102,7 +102,7 @@ pub enum Rejection {
     /// The toe did not move.
     #[error("the toe did not move")]
     NoMovement,
-    /// The toe moved without a motor current.
+    /// The toe moved, but the current does not show a motor.
     #[error(
         "the toe moved {travel_mm:.1} mm, but the current stayed within its noise: the current channel is dead or stuck"
     )]
@@ -118,7 +118,7 @@ pub enum Rejection {
         /// Distance moved by then \[mm\].
         moved_mm: f64,
     },
-    /// The recording began after the start of the motor, or lost it.
+    /// The recording began after the start of the motor, or its first samples are lost.
     #[error("the start of the motor is not in the recording: the current is {current_a:.2} A at its first sample")]
     StartMissing {
         /// Current at the first sample with the motor on \[A\].
@@ -134,14 +134,14 @@ pub enum Rejection {
         /// The configured stroke \[mm\].
         stroke_mm: f64,
     },
-    /// The motor pushed against an obstacle.
+    /// The toe stood still while the motor drove it, before the end of the stroke.
     #[error(
         "obstructed: the toe stood still at {position_mm:.1} mm for {stalled_s:.2} s while the motor was driving it"
     )]
     Obstructed {
         /// Position of the toe \[mm\].
         position_mm: f64,
-        /// Time of the motor after the stop of the toe \[s\].
+        /// Time for which the motor ran after the toe stopped \[s\].
         stalled_s: f64,
     },
     /// The toe moved further than the machine can.
@@ -163,7 +163,7 @@ pub enum Rejection {
         duration_s: f64,
         /// The limit \[s\].
         longest_s: f64,
-        /// Sampling rate in the message, after decimation \[Hz\].
+        /// Sampling rate in the message, after decimation to about 1 kHz \[Hz\].
         rate_hz: f64,
     },
     /// The toe moved backwards during the throw.
@@ -172,7 +172,7 @@ pub enum Rejection {
         /// Largest distance back from the furthest position \[mm\].
         back_mm: f64,
     },
-    /// A channel stood at the limit of its range.
+    /// A channel reached the limit of its range and stayed there.
     #[error("the {channel} is clipped at {limit:.3} from {at_s:.3} s on")]
     Clipped {
         /// Which channel.
@@ -213,7 +213,7 @@ pub enum Rejection {
         /// Time of the jump from the start of the trace \[s\].
         at_s: f64,
     },
-    /// The noise of the current, and so its gain, changed for some time.
+    /// The noise of the current changed for some time, so its gain did too.
     #[error(
         "the noise of the current is {ratio:.2} times that of the rest for some time: its gain changed, or it was disturbed or smoothed"
     )]
@@ -230,7 +230,7 @@ pub enum Rejection {
         /// Time of the missing samples \[s\].
         missing_s: f64,
     },
-    /// The rise of the current is not that of an armature.
+    /// The first samples of the current do not rise as in an armature with inductance and resistance.
     #[error(
         "the current's first samples depart from an armature's rise by {departure_a:.2} A: samples are missing at the \
          motor's start, or their instants jitter"
@@ -242,10 +242,10 @@ pub enum Rejection {
     /// The toe starts later or earlier than the current shows.
     #[error(
         "the toe starts {delay_ms:.1} ms later than the current shows: a brake that releases late, play, lost motion, or channels \
-         of different moments"
+         that are not synchronous"
     )]
     LateStart {
-        /// Delay; negative for an early start \[ms\].
+        /// Delay \[ms\]; negative for an early start.
         delay_ms: f64,
     },
     /// The first movement needs less torque than the motor gives.
@@ -256,7 +256,7 @@ pub enum Rejection {
     Spike {
         /// Which channel.
         channel: Channel,
-        /// Height over its neighbours \[A or mm\].
+        /// Height over the mean of its neighbours \[A or mm\].
         height: f64,
         /// Time of the spike \[s\].
         at_s: f64,
@@ -269,7 +269,7 @@ pub enum Rejection {
     Undersampled {
         /// Time between samples \[s\].
         interval_s: f64,
-        /// Samples from the start to the first crest.
+        /// Number of samples from the start of the motor to the end of the current's first crest.
         rise_samples: usize,
     },
     /// The noise of a channel is much larger than configured, or too large for an estimate.
@@ -279,7 +279,7 @@ pub enum Rejection {
         channel: Channel,
         /// Measured standard deviation \[A or mm\].
         measured: f64,
-        /// From the configuration \[A or mm\].
+        /// Standard deviation in the configuration \[A or mm\].
         expected: f64,
     },
     /// The normal equations are singular or nearly so.
@@ -305,7 +305,7 @@ pub enum Rejection {
          direction)"
     )]
     NotPositive {
-        /// KT / J.
+        /// KT / J \[rad s⁻² A⁻¹\].
         b0: f64,
         /// Kf / J \[s⁻¹\].
         a1: f64,
@@ -323,12 +323,12 @@ pub enum Rejection {
     /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
     #[error(
         "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: the load varies along the stroke, \
-         or the channels do not belong together (lost samples, a disturbed channel, channels of different moments)"
+         or the channels do not belong together (lost samples, a disturbed channel, channels that are not synchronous)"
     )]
     Misfit {
-        /// Largest departure, averaged over short stretches \[mm\].
+        /// Largest departure, as mean over 20 ms \[mm\].
         peak_mm: f64,
-        /// Time of this sample from the start of the trace \[s\].
+        /// Start of these 20 ms, from the start of the trace \[s\].
         at_s: f64,
     },
     /// The current has no inrush.
@@ -370,7 +370,7 @@ pub enum Rejection {
     },
 }
 
-/// The sentence about noise: the remedy may be a setting.
+/// The text of [`Rejection::Noisy`]. If the noise is above the configured one, a setting may be the remedy.
 fn noise(channel: Channel, measured: f64, configured: f64) -> String {
     let (unit, key) = match channel {
         Channel::Current => ("A", "current_noise_a"),
@@ -392,7 +392,7 @@ impl Rejection {
         self.into()
     }
 
-    /// Whether the reason has a time between `from_s` and `to_s` \[s\].
+    /// Whether the reason is a jump or a spike between `from_s` and `to_s` \[s from the start of the trace\].
     pub(super) fn is_between(&self, from_s: f64, to_s: f64) -> bool {
         match self {
             Self::CurrentJump { at_s, .. } | Self::PositionJump { at_s, .. } | Self::Spike { at_s, .. } => {
@@ -402,21 +402,21 @@ impl Rejection {
         }
     }
 
-    /// Whether the reason affects only the model or the start of the throw, so that the rest of the movement may give
-    /// the ratios.
+    /// Whether the later movement may still give the ratios of the coefficients, as the reason concerns only the start
+    /// of the throw or the full model.
     pub(super) fn leaves_ratios(&self) -> bool {
         let is_of_start =
             matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. });
         is_of_start || self.refutes_the_model()
     }
 
-    /// Whether the full model describes the throw badly: its toe moves long after the motor, as with a long unlocking stroke, or
-    /// its channels do not belong together.
+    /// Whether the full model does not describe the throw at all. The toe may move long after the motor, as with a long
+    /// unlocking stroke, or the channels do not belong together.
     pub(super) fn refutes_the_model(&self) -> bool {
         matches!(self, Self::NotPositive { .. } | Self::Unstable { .. } | Self::PoorFit { .. })
     }
 
-    /// The channel whose values show that its sensor or cable is faulty, if the reason is one.
+    /// The channel with a faulty sensor or cable; `None` if the reason does not show such a fault.
     pub fn faulty_channel(&self) -> Option<Channel> {
         match self {
             Self::NotFinite { channel, .. }
@@ -430,7 +430,7 @@ impl Rejection {
         }
     }
 
-    /// Whether the points did not complete their movement: a fault of the machine, not of the sensors.
+    /// Whether the points did not complete their movement, which is a fault of the machine and not of the sensors.
     pub fn is_incomplete(&self) -> bool {
         matches!(
             self,

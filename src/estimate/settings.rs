@@ -16,7 +16,7 @@ pub enum Motor {
 }
 
 settings! {
-    /// Parameters of a machine and its sensors; the `[machines]` section of the configuration.
+    /// Parameters of a machine and its sensors that the estimator needs; the `[machines]` section of the configuration.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Settings {
@@ -24,11 +24,12 @@ settings! {
         pub lead_mm: f64 = 10.0, Within(0.5, 500.0, "mm");
         /// Toe position at which the rails are unstressed \[mm from normal\], -1,000 to 1,000.
         pub neutral_mm: f64 = 0.0, Within(-1_000.0, 1_000.0, "mm");
-        /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown. A throw below 95 % of it is incomplete, unless it
-        /// ends as a complete one (above 85 %): then the gain of the sensor, or this stroke, is wrong. A motor that drives
-        /// a standing toe for half a second is an obstruction, unless 98 % of a known stroke are done.
+        /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown. A throw of less than 95 % of it is incomplete. But if
+        /// a throw of more than 85 % ends as a complete one, the gain of the position sensor, or this setting, is
+        /// wrong. A throw is obstructed if the motor drives a standing toe for half a second, unless 98 % of a known
+        /// stroke are done.
         pub stroke_mm: Option<f64> = None, Within(1.0, 1_000.0, "mm");
-        /// Kind of motor.
+        /// Torque law of the motor.
         pub motor: Motor = Motor::PermanentMagnet;
         /// Standard deviation of the current sensor's noise \[A\], 0.000001 to 10; used when the trace has no quiet
         /// samples.
@@ -38,7 +39,8 @@ settings! {
         pub position_noise_mm: f64 = 0.02, Within(1e-6, 10.0, "mm");
         /// Least fit `R²_T` of an accepted estimate \[%\], 0 to 100.
         pub fit_floor_pct: f64 = 98.0, Within(0.0, 100.0, "%");
-        /// Whether to refine each estimate with a prefilter for the noise; halves the scatter if the noise is white.
+        /// Whether to refine each estimate with a prefilter for the noise. This halves the scatter if the noise is
+        /// white.
         pub refined: bool = false;
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Inverse and reciprocal condition of a matrix.
+/// Inverse of a matrix, and its reciprocal condition number.
 pub(super) struct Inverse<const P: usize> {
     pub(super) inverse: [[f64; P]; P],
     /// Reciprocal condition number (1-norm) of the matrix after scaling its rows and columns to unit maximum.
@@ -26,7 +26,8 @@ pub(super) fn invert<const P: usize>(matrix: &[[f64; P]; P]) -> Option<Inverse<P
     rcond.is_finite().then_some(Inverse { inverse, rcond })
 }
 
-/// The matrix of normal equations scaled to unit diagonal, as the columns have different units; and the scale of each column.
+/// Scales the matrix of normal equations to a diagonal of 1, as its columns have different units. Returns it with the
+/// scale of each column.
 pub(super) fn unit_diagonal<const P: usize>(normal: &SMatrix<f64, P, P>) -> (SMatrix<f64, P, P>, SVector<f64, P>) {
     let scale = normal.diagonal().map(|square| square.sqrt().recip());
     (SMatrix::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]), scale)

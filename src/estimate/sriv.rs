@@ -6,8 +6,9 @@
 //! A(p) y = Σ_s B_s(p) u_s + a_N y_eq,   A(p) = p^N + a_1 p^(N-1) + … + a_N,   p = d/dt
 //! ```
 //!
-//! of which equation (12) is the case N = 2, S = 1, B = b0. Every signal is filtered by 1/Â(s), which gives filtered
-//! derivatives without differentiation:
+//! with inputs `u_s`, output y, and the output `y_eq` at which the spring is unstressed. Equation (12) is the case
+//! N = 2, S = 1, B = b0. Every signal is filtered by 1/Â(s), where Â is the present estimate of A; this gives filtered
+//! derivatives (index f) without differentiation:
 //!
 //! ```text
 //! y_f⁽ᴺ⁾ = φ' θ,   φ = [ u_f⁽ᵐ⁾ … u_f for every input, -y_f⁽ᴺ⁻¹⁾ … -y_f', -(y_f - y_eq,f) ],   θ = [B_1 … B_S, a_1 … a_N]
@@ -18,20 +19,20 @@
 //! `y_eq`) / Â, which is independent of the noise in y. Filter and auxiliary model come from the previous estimate; the
 //! first estimate is least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
 //!
-//! A constant load is the input [`Signal::Constant`]. One pass over the samples filters, computes the sums and stores
-//! the instruments for the covariance; the buffers are in [`Workspace`] and are reused.
+//! A constant load is the input [`Signal::Constant`]. One pass over the samples filters them, forms the sums and stores
+//! the instruments for the covariance. The buffers of a [`Workspace`] are reused from problem to problem.
 
 use super::{
     pass::Auxiliary,
     polynomial::{is_stable, reflected},
     rejection::Rejection,
     small::{Inverse, invert, times},
-    sums::Sums,
+    sums::{LANES, Sums},
 };
 
 pub use super::problem::{Problem, Signal, Sriv, Workspace};
 
-/// Reason for the end of the iteration.
+/// The reason why the iteration ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
     /// Further steps would change the parameters by less than the tolerance.
@@ -40,10 +41,10 @@ pub enum Termination {
     IterationLimit,
 }
 
-/// A problem without a solution.
+/// The reason why a problem has no solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
-    /// A sampled input and the output differ in length.
+    /// A sampled input, or the equilibrium, and the output differ in length.
     #[error("input and output differ in length")]
     UnequalLengths,
     /// Fewer samples than twice the parameters.
@@ -54,7 +55,7 @@ pub enum Failure {
     Singular,
 }
 
-/// Least reciprocal condition of the normal matrix; below it rounding affects the third digit.
+/// Least reciprocal condition number of the normal matrix; below it rounding affects the third digit of the parameters.
 const MIN_RCOND: f64 = 1e-12;
 
 impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
@@ -62,7 +63,7 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
     /// SRIV converges to wrong values.
     ///
     /// # Errors
-    /// The first problem: nearly singular, not converged, unstable, or a fit `R²_T` below `floor_pct`.
+    /// The first problem: nearly singular, not converged, unstable, or a fit `R²_T` below `floor_pct` \[%\].
     pub fn sound(&self, floor_pct: f64) -> Result<(), Rejection> {
         let fit_pct = 100.0 * self.fit;
         if self.rcond < MIN_RCOND {
@@ -80,20 +81,20 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
     }
 }
 
-/// The estimate with its diagnostics.
+/// The parameters of a model with the diagnostics of their estimation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution<const N: usize, const S: usize, const P: usize> {
     /// θ: numerator coefficients input by input, highest derivative first, then `a_1` … `a_N`.
     pub parameters: [f64; P],
-    /// Number of iterations after the start.
+    /// Number of iterations after the first, least-squares pass.
     pub iterations: usize,
-    /// Reason for the end.
+    /// Why the iteration ended.
     pub termination: Termination,
-    /// Whether the last filter needed reflected poles, or the parameters are those of an unstable model.
+    /// Whether the last filter was unstable before the reflection of its poles, or the final model is unstable.
     pub reflected: bool,
-    /// Reciprocal condition of the equilibrated normal matrix of the last iteration.
+    /// Reciprocal condition number of the scaled normal matrix of the last iteration.
     pub rcond: f64,
-    /// `R²_T` = 1 - var(y - x̂) / var(y).
+    /// `R²_T` = 1 - var(y - x̂) / var(y): 1 for a perfect fit.
     pub fit: f64,
     /// (Σ z φ')⁻¹ of the last iteration.
     pub(super) inverse: [[f64; P]; P],
@@ -105,7 +106,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     /// Identifies the model.
     ///
     /// # Errors
-    /// When the problem has too few samples, unequal lengths, or singular normal equations.
+    /// When there are too few samples, the signals differ in length, or the normal equations are singular.
     pub fn identify(&self, problem: &Problem<S>, workspace: &mut Workspace<P>) -> Result<Solution<N, S, P>, Failure> {
         let len = problem.output.len();
         let differs = |input: &Signal| matches!(input, Signal::Sampled(u, _) if u.len() != len);
@@ -167,15 +168,15 @@ pub(super) fn solve<const N: usize, const P: usize>(
     if parameters.iter().all(|p| p.is_finite()) { Ok((parameters, inverse)) } else { Err(Failure::Singular) }
 }
 
-/// ‖next - before‖ / ‖next‖.
+/// Relative change of the parameters, ‖next - before‖ / ‖next‖.
 pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f64 {
     let squares = |values: [f64; P]| values.iter().map(|v| v * v).sum::<f64>();
     (squares(std::array::from_fn(|i| next[i] - before[i])) / squares(*next)).sqrt()
 }
 
-/// Bound of the distance to the end of the iteration after a step of this length. Steps of a fast iteration shrink nearly in
-/// a geometric progression, so the steps that would follow add up to change² / (last - change), of which the bound is four
-/// times; it is at most the step itself.
+/// Upper bound of the distance to the end of the iteration, from its last two steps. The steps of a fast iteration
+/// shrink nearly in a geometric progression, so all later steps together are change² / (last - change). The bound is
+/// four times this for a fast iteration, and the last step for a slow one.
 fn remaining(change: f64, last: f64) -> f64 {
     const FAST: f64 = 0.1;
     const MARGIN: f64 = 4.0;
@@ -193,8 +194,8 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
     a
 }
 
-/// 1 - var(y - x̂) / var(y); both from values around those of the first sample, so that no square is much larger than
-/// a variance.
+/// `R²_T` = 1 - var(y - x̂) / var(y). The values of the first sample are subtracted before squaring, so that no square
+/// is much larger than a variance.
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
     let (first, first_error) = (output[0], output[0] - model[0]);
@@ -205,9 +206,8 @@ fn fit(output: &[f64], model: &[f64]) -> f64 {
     1.0 - (error_square - error * error / count) / (square - value * value / count)
 }
 
-/// Sums over pairs in four lanes, as a single chain of additions is slow.
+/// Sums of the `terms` of all pairs, in [`LANES`] partial sums.
 fn sums<const K: usize>(left: &[f64], right: &[f64], terms: impl Fn(f64, f64) -> [f64; K]) -> [f64; K] {
-    const LANES: usize = 4;
     let mut lanes = [[0.0; LANES]; K];
     let (left, left_rest) = left.as_chunks::<LANES>();
     let (right, right_rest) = right.as_chunks::<LANES>();

@@ -1,24 +1,24 @@
 //! The start of a movement: its delay behind the current, and its acceleration per ampere.
 //!
-//! With the ratios of the coefficients, which the later movement shows, the movement after a prompt start is known up to
-//! b0: y = b0 F with F = ∬ (u - a1/b0 y' - a0/b0 (y - `y_eq`)). A delay δ and b0 are fitted by least squares to the first
-//! part of the travel,
+//! The later movement shows the ratios of the coefficients. With these the movement after a start without delay is
+//! known except for b0: y = b0 F with F = ∬ (u - a1/b0 y' - a0/b0 (y - `y_eq`)). A delay δ and b0 are fitted by least
+//! squares to the first part of the travel,
 //!
 //! ```text
 //! y(t) = b0 F(t - δ)
 //! ```
 //!
-//! A late brake, play, lost motion and a position behind the current delay the movement, or take its acceleration.
-//! Friction, motor and inertia hardly change δ. A healthy machine has a δ of its own, of some milliseconds of either sign,
-//! as dry friction and the elastic drive are not in the model: only its changes mean something.
+//! A brake that releases late, play, lost motion or a late position signal delays the movement, or reduces its first
+//! acceleration. Friction, motor and inertia hardly change δ. Dry friction and the elastic drive are not in the model,
+//! so a healthy machine has a δ of some milliseconds of either sign. Only changes of δ show a fault.
 
 use super::movement::samples_in;
 
-/// Length of the start, as share of the travel: after 3 % the inrush is over.
+/// Share of the travel that counts as the start: after 3 % the inrush is over.
 pub(super) const START_SHARE: f64 = 0.03;
 /// Longest start, and longest delay \[s\].
 const LONGEST_S: f64 = 0.6;
-/// Movement beyond the start that a negative delay needs \[s\].
+/// Time after the start for which F is computed as well, as a negative delay needs it \[s\].
 const AHEAD_S: f64 = 0.03;
 /// Largest change of the delay in a step of the iteration \[s\].
 const STEP_S: f64 = 0.01;
@@ -29,16 +29,7 @@ const CONVERGED_S: f64 = 2e-6;
 /// Least number of samples of a usable start.
 pub(super) const LEAST_SAMPLES: usize = 8;
 
-/// The start of a movement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Start {
-    /// Delay of the movement behind the current \[s\].
-    pub(super) delay_s: f64,
-    /// b0 of the start alone \[rad s⁻² A⁻¹\].
-    pub(super) gain: f64,
-}
-
-/// A movement and the model fitted to it.
+/// The signals of a window and the model fitted to them.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fitted<'a> {
     pub(super) input: &'a [f64],
@@ -49,14 +40,14 @@ pub(super) struct Fitted<'a> {
     pub(super) equilibrium: Option<&'a [f64]>,
     /// b0, a1, a0.
     pub(super) parameters: [f64; 3],
-    /// Sample at which the motor starts.
+    /// Foot of the current's rise: the last sample before the start of the motor.
     pub(super) foot: usize,
     pub(super) interval_s: f64,
     /// Variance of the noise of the output.
     pub(super) noise: f64,
 }
 
-/// Computes F: the movement over b0 after a prompt start, for the samples of `output`.
+/// Computes F, the movement after a start without delay for b0 = 1, for the samples of `output`.
 pub(super) fn free_movement(
     free: &mut Vec<f64>,
     (input, output): (&[f64], &[f64]),
@@ -77,14 +68,15 @@ pub(super) fn free_movement(
     }
 }
 
-/// The start of a movement whose motor starts with the first sample; `None` if the samples do not show it.
+/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. The motor starts with
+/// the first sample. `None` if the samples do not show them.
 pub(super) fn find(
     (input, output): (&[f64], &[f64]),
     equilibrium: &[f64],
     ratios: [f64; 2],
     interval_s: f64,
     free: &mut Vec<f64>,
-) -> Option<Start> {
+) -> Option<(f64, f64)> {
     let travel = *output.last()?;
     let last = output.iter().take(samples_in(LONGEST_S, interval_s)).position(|y| *y > START_SHARE * travel)?;
     let end = (last + samples_in(AHEAD_S, interval_s).max(1) + 1).min(output.len());
@@ -123,7 +115,7 @@ pub(super) fn find(
         }
         delay += change.clamp(-step, step);
         if (change * interval_s).abs() < CONVERGED_S {
-            return Some(Start { delay_s: delay * interval_s, gain });
+            return Some((delay * interval_s, gain));
         }
     }
     None

@@ -1,14 +1,14 @@
-//! The sums of the normal equations over the raw signals, and their conversion to derivatives.
+//! The sums of the normal equations over filter states and samples, and their conversion to derivatives.
 
 use super::{
     block::{BLOCK, Block, Samples},
     filter::Readout,
 };
 
-/// Partial sums of a sum, as a single chain of additions is slow.
-const LANES: usize = 4;
+/// Number of partial sums of a sum, as a single chain of additions is slow.
+pub(super) const LANES: usize = 4;
 
-/// A sum in parts.
+/// The partial sums of one sum.
 type Lanes = [f64; LANES];
 
 /// Both sides of the instrumental-variable equations, summed over the samples in one pass.
@@ -19,14 +19,15 @@ pub(super) struct Sums<const P: usize> {
     pub(super) right: [f64; P],
 }
 
-/// Sums over the raw signals: rows are (numerator columns, states of x̂), `y_eq,f` and x̂.
+/// Sums of products before the conversion to derivatives. The rows are the instrument (numerator columns, states of
+/// x̂), `y_eq,f` and x̂. `T` is [`Lanes`] while the sums are formed, then a number.
 pub(super) struct Raw<const P: usize, T> {
     rows: [Row<P, T>; P],
     shift: Row<P, T>,
     model: Row<P, T>,
 }
 
-/// Sums of the products of a row with the columns (numerator columns, states of y), with y, and with `y_eq,f`.
+/// Sums of the products of one row with the regressor (numerator columns, states of y), with y, and with `y_eq,f`.
 #[derive(Clone, Copy)]
 struct Row<const P: usize, T> {
     columns: [T; P],
@@ -62,7 +63,7 @@ impl<const P: usize> Row<P, Lanes> {
     const ZERO: Self = Self { columns: [[0.0; LANES]; P], output: [0.0; LANES], shift: [0.0; LANES] };
 
     fn add<const SHIFTED: bool, const N: usize, const S: usize>(&mut self, values: &Samples, block: &Block<N, S, P>) {
-        // A copy, which stays in registers.
+        // A local copy stays in registers.
         let mut row = *self;
         for from in (0..BLOCK).step_by(LANES) {
             for (sum, phi) in row.columns.iter_mut().zip(&block.phi) {
@@ -82,6 +83,7 @@ impl<const P: usize> Row<P, Lanes> {
     }
 }
 
+/// Adds the products of the samples from `from` on, one to each partial sum.
 #[inline]
 fn add_products(sums: &mut Lanes, left: &Samples, right: &Samples, from: usize) {
     for lane in 0..LANES {
@@ -90,7 +92,6 @@ fn add_products(sums: &mut Lanes, left: &Samples, right: &Samples, from: usize) 
 }
 
 impl<const P: usize> Row<P, f64> {
-    /// Adds `factor` times another row.
     fn add_scaled(&mut self, factor: f64, other: &Self) {
         for (sum, column) in self.columns.iter_mut().zip(&other.columns) {
             *sum += factor * column;
@@ -101,7 +102,8 @@ impl<const P: usize> Row<P, f64> {
 }
 
 impl<const P: usize> Raw<P, f64> {
-    /// x̂ = Σ numerator · column + `a_N` `y_eq,f`, so its sums follow from those of the columns.
+    /// Computes the sums of x̂ = Σ numerator · column + `a_N` `y_eq,f` from those of the columns and of `y_eq,f`. Valid
+    /// if the auxiliary model has the denominator of the filter.
     pub(super) fn set_model(&mut self, numerators: &[f64], a_last: f64) {
         self.model.add_scaled(a_last, &self.shift);
         for (row, numerator) in self.rows.iter().zip(numerators) {
@@ -109,7 +111,7 @@ impl<const P: usize> Raw<P, f64> {
         }
     }
 
-    /// Converts the sums from states to derivatives.
+    /// Converts the sums from states to derivatives; `c_last` is the last coefficient of C.
     pub(super) fn sums<const N: usize>(&self, linear: &Readout<N>, c_last: f64) -> Sums<P> {
         let columns = |row: &Row<P, f64>| regressor(&row.columns, linear, row.output, row.shift);
         let right = |row: &Row<P, f64>| row.output - c_last * row.shift;
@@ -126,7 +128,8 @@ impl<const P: usize> Raw<P, f64> {
     }
 }
 
-/// (columns, states of v) to (columns, -`v_f⁽ᴺ⁻¹⁾` … -(`v_f` - `y_eq,f`)).
+/// Converts a vector (columns, states of the filter of a signal v) to (columns, -`v_f⁽ᴺ⁻¹⁾` … -(`v_f` - `y_eq,f`)),
+/// with the value `sample` of v and `shift` of `y_eq,f`.
 #[inline]
 pub(super) fn regressor<const N: usize, const P: usize>(
     raw: &[f64; P],

@@ -1,41 +1,44 @@
-//! The window of a trace: the part from which the model is estimated.
+//! The window of a trace: the part from which the coefficients are estimated.
 
 use super::{
     movement::{Level, Movement},
     rejection::Rejection,
 };
 
-/// Standard deviation of an unknown offset of the current, as share of its peak. A recorded machine has an offset of 1.7 %
-/// of its peak.
+/// Standard deviation of the current sensor's offset if the trace does not show it, as share of the peak. The recording
+/// of a real machine has an offset of 1.7 % of its peak.
 const OFFSET_SHARE: f64 = 0.01;
-/// Standard deviation of the share of a current at rest that is not the sensor's offset. Any share is possible, so the 95 %
-/// interval contains the whole current, with a third more for its step at the start of the motor.
+/// A current at rest may be the sensor's offset, or a current that the machine draws only at rest. This is the standard
+/// deviation of the share that the machine draws. Any share is possible, so the 95 % interval contains the whole
+/// current, and a third more for its change at the start of the motor.
 const REST_SHARE: f64 = 0.7;
 
-/// The window of the trace, in the units of the model.
+/// The window of the trace, in the units of the model: input \[A\], or \[A²\] for a series motor, and output \[rad\].
 pub(super) struct Window {
+    /// First sample, and the sample after the last one.
     pub(super) from: usize,
     pub(super) to: usize,
     pub(super) interval_s: f64,
     /// The output at which the spring is unstressed \[rad\].
     pub(super) equilibrium: f64,
-    /// Variances of white noise on input (per unit scale) and output.
+    /// Variances of white noise on the current and on the output.
     pub(super) input_noise: f64,
     pub(super) output_noise: f64,
-    /// Number of quiet samples for the noise of the output.
+    /// Number of samples at rest from which the noise of the output was measured.
     pub(super) noise_samples: usize,
-    /// Variances of the offsets removed from input (per unit scale) and output.
+    /// Variances of the offsets that were removed from the current and from the output.
     pub(super) offsets: [f64; 2],
-    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\]: electronics,
-    /// a brake, a detection circuit. It is subtracted as an offset of the sensor. Equal in every throw.
+    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\]:
+    /// electronics, a brake, a detection circuit. The whole current at rest is subtracted as an offset of the sensor,
+    /// so the error is equal in every throw.
     pub(super) rest_a: f64,
     /// Whether the motor is series-wound, so that the input is I |I|.
     pub(super) series: bool,
     /// Mean magnitude of the current I \[A\].
     pub(super) running: f64,
-    /// Departure of the current's rise from that of an armature beyond noise, as share of the peak.
+    /// Departure of the current's rise from that of an armature, without that from noise, as share of the peak.
     pub(super) rise: f64,
-    /// The reason why the start of the motor is unusable.
+    /// The reason why the start of the throw is unusable, so that only the ratios may be known; `None` if it is usable.
     pub(super) doubt: Option<Rejection>,
 }
 
@@ -49,8 +52,8 @@ pub(super) fn rest(movement: &Movement<'_>) -> f64 {
     REST_SHARE * movement.current.mean.abs()
 }
 
-/// Variance of a mean over quiet samples; `unknown` without samples. With noise below half a step of the converter averaging
-/// does not help.
+/// Variance of an offset that is the mean of the samples at rest; `unknown` without such samples. If the noise is below
+/// half a step of the converter, the rounding error of a sample is added, as all samples may have the same.
 pub(super) fn offset_variance(level: Level, unknown: f64) -> f64 {
     if level.samples == 0 {
         return unknown;

@@ -1,8 +1,8 @@
-//! Axes: range, round ticks, and the position of a value.
+//! Axes of a chart: their range, ticks at round numbers, and the position of a value.
 
 use super::calendar::{self, Tick};
 
-/// Shortest span of a time axis \[s\]: the values of one throw alone have no span.
+/// Shortest time axis \[s\]; needed as the values of a single throw have no span.
 const LEAST_TIME: f64 = 60.0;
 
 /// An axis with its range, linear or logarithmic.
@@ -34,11 +34,11 @@ impl Axis {
             (low, high) = (low - 0.5, high + 0.5);
         }
         let step = round_step((high - low) / 6.0);
-        // A value up to 5 % of a step beyond a round number does not extend the axis by a whole step.
+        // A value that is beyond a round number by less than 5 % of a step does not extend the axis by a whole step.
         Self { low: (low / step + 0.05).floor() * step, high: (high / step - 0.05).ceil() * step, log }
     }
 
-    /// A linear axis that ends at the lowest and the highest value, without margins.
+    /// A linear axis from the lowest to the highest value, without margins.
     pub(super) fn tight(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
         let rounded = Self::over(values.clone(), false, false);
         let finite = || values.clone().filter(|value| value.is_finite());
@@ -53,13 +53,13 @@ impl Axis {
         Self { low: low - widen, high: high + widen, log }
     }
 
-    /// Ticks with dates and times; the axis has room for `characters` of a label.
+    /// Ticks with dates and times. `characters` is the length of the axis in characters of a label.
     pub(super) fn dates(&self, characters: f64) -> Vec<Tick> {
         calendar::ticks(self.low, self.high, characters)
     }
 
-    /// Position of a value on the axis, from 0 at the low end to 1 at the high end; `None` for a value that the axis cannot
-    /// show (not finite, or not positive on a logarithmic axis).
+    /// Position of a value on the axis, from 0 at the low end to 1 at the high end; `None` for a value that the axis
+    /// cannot show (not finite, or not positive on a logarithmic axis).
     pub(super) fn place(&self, value: f64) -> Option<f64> {
         let place = if self.log {
             (value / self.low).log10() / (self.high / self.low).log10()
@@ -69,11 +69,13 @@ impl Axis {
         place.is_finite().then_some(place)
     }
 
+    /// Ticks with numbers.
     pub(super) fn numbers(&self) -> Vec<Tick> {
         let tick = |value| Tick { value, label: self.label(value), below: None };
         self.ticks().into_iter().map(tick).collect()
     }
 
+    /// The values of the ticks.
     fn ticks(&self) -> Vec<f64> {
         if self.log {
             let decades = (self.high / self.low).log10().round();

@@ -2,7 +2,8 @@
 
 use jiff::{SignedDuration, Timestamp, civil::Date, tz::TimeZone};
 
-/// A tick: value and label, and a second label below if it differs from that of the previous tick.
+/// A tick: its value and label, and a second label below (the date or the year) if it differs from that of the tick
+/// before.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tick {
     pub(super) value: f64,
@@ -11,14 +12,14 @@ pub(super) struct Tick {
 }
 
 const DAY: i64 = 86_400;
-/// Midnight of a Monday \[s since 1970\], the origin of steps of fixed length.
+/// Midnight of a Monday \[s since 1970\]. Steps of fixed length count from it, so that weeks begin on Mondays.
 const MONDAY: i64 = 4 * DAY;
-/// Steps of fixed length, up to two weeks \[s\].
+/// Possible distances of ticks with fixed length, up to two weeks \[s\].
 const FIXED: [i64; 22] = [
     1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1_800, 3_600, 7_200, 10_800, 21_600, 43_200, 86_400, 172_800, 345_600,
     604_800, 1_209_600,
 ];
-/// Longer steps \[months\].
+/// Longer possible distances of ticks \[months\].
 const MONTHS: [i64; 15] = [1, 3, 6, 12, 24, 60, 120, 240, 600, 1_200, 2_400, 6_000, 12_000, 24_000, 60_000];
 /// Least space between neighbouring labels \[characters\].
 const GAP: f64 = 1.5;
@@ -31,16 +32,16 @@ enum Step {
 }
 
 impl Step {
-    /// Length, for months the shortest \[s\].
+    /// Least length \[s\].
     fn length_s(self) -> f64 {
         match self {
             Self::Seconds(seconds) => seconds as f64,
-            // February is the shortest month.
+            // February has 28 days.
             Self::Months(months) => (months * 28 * DAY) as f64,
         }
     }
 
-    /// Format of the label, its width \[characters\], and format of the second label below.
+    /// Format of the label, width of the label \[characters\], and format of the second label below it.
     const fn labels(self) -> (&'static str, f64, &'static str) {
         match self {
             Self::Seconds(..60) => ("%H:%M:%S", 8.0, "%-d %b %Y"),
@@ -51,13 +52,13 @@ impl Step {
         }
     }
 
-    /// Whether the labels fit on an axis of `span_s` with room for `characters`.
+    /// Whether the labels fit on an axis of `span_s` seconds that is `characters` long.
     fn fits(self, span_s: f64, characters: f64) -> bool {
         let (_, width, _) = self.labels();
         self.length_s() / span_s * characters >= width + GAP
     }
 
-    /// The tick number `count`; number 0 is the last one at or before `low`.
+    /// The moment of tick number `count`, counted from the last tick at or before `low`. `None` if no calendar has it.
     fn moment(self, low: Timestamp, count: i64) -> Option<Timestamp> {
         match self {
             Self::Seconds(step) => {
@@ -75,7 +76,7 @@ impl Step {
     }
 }
 
-/// Ticks between two moments \[s since 1970\] on an axis with room for `characters` of a label.
+/// Ticks between two moments \[s since 1970\] on an axis that is `characters` of a label long.
 pub(super) fn ticks(low: f64, high: f64, characters: f64) -> Vec<Tick> {
     let mut steps = FIXED.into_iter().map(Step::Seconds).chain(MONTHS.into_iter().map(Step::Months));
     let Some(step) = steps.find(|step| step.fits(high - low, characters)) else { return Vec::new() };
@@ -95,7 +96,7 @@ pub(super) fn ticks(low: f64, high: f64, characters: f64) -> Vec<Tick> {
             last = now;
         }
     }
-    // Drops the first date if the next would overlap it.
+    // The first date is dropped if the next one would overlap it.
     let next = ticks.iter().skip(1).find(|tick| tick.below.is_some()).map(|tick| tick.value);
     if let (Some(first), Some(next)) = (ticks.first_mut(), next) {
         let width = first.below.as_ref().map_or(0, String::len) as f64;
@@ -117,35 +118,36 @@ mod tests {
     /// Length of the axis of a dashboard chart.
     const CHARACTERS: f64 = 42.0;
 
-    fn said(from: &str, to: &str) -> Vec<String> {
+    /// The labels of the ticks between two moments, with the second label after a slash.
+    fn labels(from: &str, to: &str) -> Vec<String> {
         let second = |text: &str| text.parse::<Timestamp>().unwrap().as_second() as f64;
-        let say = |tick: Tick| match tick.below {
+        let text = |tick: Tick| match tick.below {
             Some(below) => format!("{}/{below}", tick.label),
             None => tick.label,
         };
-        ticks(second(from), second(to), CHARACTERS).into_iter().map(say).collect()
+        ticks(second(from), second(to), CHARACTERS).into_iter().map(text).collect()
     }
 
     #[test]
     fn each_span_has_its_own_labels() {
         assert_eq!(
-            said("2026-11-21T10:00:07Z", "2026-11-21T10:01:00Z"),
+            labels("2026-11-21T10:00:07Z", "2026-11-21T10:01:00Z"),
             ["10:00:15/21 Nov 2026", "10:00:30", "10:00:45", "10:01:00"]
         );
         assert_eq!(
-            said("2026-11-21T21:10:00Z", "2026-11-22T02:00:00Z"),
+            labels("2026-11-21T21:10:00Z", "2026-11-22T02:00:00Z"),
             ["22:00/21 Nov 2026", "23:00", "00:00/22 Nov 2026", "01:00", "02:00"]
         );
         assert_eq!(
-            said("2026-12-20T10:00:00Z", "2027-01-20T10:00:00Z"),
+            labels("2026-12-20T10:00:00Z", "2027-01-20T10:00:00Z"),
             ["21 Dec/2026", "28 Dec", "4 Jan/2027", "11 Jan", "18 Jan"]
         );
         assert_eq!(
-            said("2026-08-05T02:50:00Z", "2027-03-17T19:50:00Z"),
+            labels("2026-08-05T02:50:00Z", "2027-03-17T19:50:00Z"),
             ["Sep/2026", "Oct", "Nov", "Dec", "Jan/2027", "Feb", "Mar"]
         );
         assert_eq!(
-            said("1969-12-31T23:00:00Z", "2026-11-21T10:00:00Z"),
+            labels("1969-12-31T23:00:00Z", "2026-11-21T10:00:00Z"),
             ["1970", "1980", "1990", "2000", "2010", "2020"]
         );
     }

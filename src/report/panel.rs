@@ -7,9 +7,9 @@ use super::svg::{Anchor, Canvas};
 
 /// Colours that people with colour blindness can distinguish (Okabe and Ito, 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
-/// Typical width of a character of 12 px \[px\]; the true width of SVG text is known only to the viewer.
+/// Typical width of a character of 12 px \[px\]. Only the viewer of an SVG knows the true width.
 const CHARACTER: f64 = 6.8;
-/// Least space between neighbouring names \[px\].
+/// Least space between neighbouring names or labels \[px\].
 const GAP: f64 = 10.0;
 /// Space left of the axes \[px\].
 const LEFT: f64 = 72.0;
@@ -32,32 +32,32 @@ struct Curve {
     name: String,
     #[serde(serialize_with = "short")]
     points: Vec<(f64, f64)>,
-    /// Half width of the band around the curve, one value for each point; empty for no band.
+    /// Half the width of the band around the curve, one value for each point; empty for no band.
     reach: Vec<f64>,
     dots: bool,
 }
 
-/// Writes y with five digits, more than a screen resolves.
+/// Writes each y with five digits, more than a screen resolves, to keep the JSON short.
 fn short<S: Serializer>(points: &[(f64, f64)], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(points.iter().map(|(x, y)| (x, format!("{y:.4e}").parse().unwrap_or(*y))))
 }
 
-/// A chart with its title, axes and legend. Its JSON is the input of the script that draws the chart.
+/// A chart with its title, axes and legend. The script of the dashboard, which draws charts too, reads its JSON.
 #[derive(Debug, Clone, Serialize)]
 #[must_use]
 pub struct Panel {
     title: String,
     y_label: String,
     log_y: bool,
-    /// Dashed horizontal lines: y and label.
+    /// Dashed horizontal lines, each with its y and label.
     levels: Vec<(f64, String)>,
-    /// Dashed vertical lines of a chart of curves: x and label.
+    /// Dashed vertical lines of a chart of curves, each with its x and label.
     marks: Vec<(f64, String)>,
     #[serde(flatten)]
     content: Content,
 }
 
-/// The rectangle inside the axes, with the y axis.
+/// The rectangle that the axes enclose \[px\], with the y axis.
 struct Frame {
     left: f64,
     top: f64,
@@ -83,7 +83,7 @@ impl Panel {
         Self::with(title, y_label, Content::Curves { x_label: "UTC".to_owned(), times: true, curves: Vec::new() })
     }
 
-    /// An empty chart of bars; each group has one bar for each of the `categories`, which have different colours.
+    /// An empty chart of bars. Each group has one bar for each of the `categories`, in the colour of the category.
     pub fn bars<S: Into<String>>(
         title: impl Into<String>,
         y_label: impl Into<String>,
@@ -104,7 +104,7 @@ impl Panel {
         }
     }
 
-    /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
+    /// Adds a curve of (x, y); a value that is not finite interrupts it. Ignored by a chart of bars.
     pub fn line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         self.curve(name, points.into_iter().collect(), Vec::new(), false)
     }
@@ -141,8 +141,8 @@ impl Panel {
         self
     }
 
-    /// Adds a dashed vertical line with a label; drawn if `x` is in the range of the curves. Ignored by a chart of
-    /// bars.
+    /// Adds a dashed vertical line with a label. It is drawn if `x` is in the range of the curves. Ignored by a chart
+    /// of bars.
     pub fn mark(mut self, x: f64, label: impl Into<String>) -> Self {
         self.marks.push((x, label.into()));
         self
@@ -186,7 +186,7 @@ impl Panel {
             }
         }
         let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
-        // Labels keep clear of the end of a history, its most important part.
+        // The end of a history is its most important part, so no label of a level is there.
         let (label_at, anchor) = match self.content {
             Content::Curves { times: true, .. } => (frame.left + 4.0, Anchor::Start),
             _ => (right - 4.0, Anchor::End),
@@ -194,7 +194,7 @@ impl Panel {
         for (value, label) in &self.levels {
             let Some(y) = frame.y_of(*value) else { continue };
             canvas.line((frame.left, y), (right, y), FRAME, 1.2, true);
-            // The label of a high line goes below the line, as the legend is above the axes.
+            // The label of a line near the top goes below it, as the legend is above the axes.
             let down = if y < frame.top + 16.0 { 14.0 } else { -5.0 };
             canvas.outlined_text(label_at, y + down, 12.0, anchor, label);
         }
@@ -225,13 +225,13 @@ impl Panel {
         }
     }
 
-    /// The marks in the range of the curves, from left to right, with rows in which their labels do not overlap.
+    /// The marks in the range of the curves, from left to right. Their labels are in rows, so that they do not overlap.
     fn placed_marks<'a>(&'a self, left: f64, width: f64) -> Vec<PlacedMark<'a>> {
         let Content::Curves { times, curves, .. } = &self.content else { return Vec::new() };
         let x = x_range(*times, curves);
         let place = |(value, label): &'a (f64, String)| Some((x.place(*value)?, label.as_str()));
         let mut shown: Vec<(f64, &str)> = self.marks.iter().filter_map(place).collect();
-        // Rounding may move a mark at the end of the axis.
+        // Rounding may move a mark at an end of the axis a little beyond it.
         shown.retain(|(place, _)| (-0.002..=1.002).contains(place));
         shown.sort_by(|one, other| one.0.total_cmp(&other.0));
         let mut ends = [f64::NEG_INFINITY; MARK_ROWS];
@@ -272,14 +272,14 @@ impl Curve {
     }
 }
 
-/// Largest number of rows of labels of marks; a mark without space for its label is a line only.
+/// Largest number of rows for the labels of marks. A mark whose label has no space is a line without label.
 const MARK_ROWS: usize = 3;
-/// Height of a row \[px\].
+/// Height of such a row \[px\].
 const MARK_ROW: f64 = 14.0;
 
-/// A mark in a chart.
+/// A mark with its place in the chart.
 struct PlacedMark<'a> {
-    /// Place of the line and centre of the label \[px\].
+    /// Horizontal position of the line, and of the centre of the label \[px\].
     line: f64,
     centre: f64,
     /// Row of the label, counted from the frame up; `None` without space for the label.
@@ -308,7 +308,7 @@ fn draw_x_axis(canvas: &mut Canvas, frame: &Frame, x: Axis, label: &str, times: 
     canvas.text(frame.left + frame.width / 2.0, bottom + down, 13.0, Anchor::Middle, label);
 }
 
-/// Draws the bands, then the curves, the first one on top.
+/// Draws the bands, then the curves, with the first curve on top.
 fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve]) {
     let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
@@ -328,7 +328,7 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve]) {
             if run.len() > 1 {
                 canvas.polyline(&run, colour);
             }
-            // A point without neighbours is a dot.
+            // A point without neighbours would be invisible as a line.
             for (x, y) in run.iter().filter(|_| curve.dots || run.len() == 1) {
                 canvas.circle(*x, *y, 3.2, colour);
             }

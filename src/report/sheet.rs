@@ -1,11 +1,11 @@
-//! Several panels under one title, as one SVG document.
+//! A sheet: several panels under one title, as one SVG document.
 
 use super::{
     panel::Panel,
     svg::{Anchor, Canvas},
 };
 
-/// Usual size of a panel \[px\].
+/// Size of a panel if no other is set \[px\].
 const PANEL_WIDTH: f64 = 640.0;
 const PANEL_HEIGHT: f64 = 380.0;
 /// Height of the sheet's title \[px\].

@@ -1,8 +1,8 @@
-//! The SVG elements of charts. Errors of `write!` are ignored: a `String` accepts every write.
+//! The SVG elements of charts. Errors of `write!` are ignored, as writing to a `String` cannot fail.
 
 use std::fmt::Write;
 
-/// The part of a text that is at its coordinates.
+/// Alignment of a text: which part of it is at its coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
     Start,
@@ -39,13 +39,13 @@ impl Canvas {
         self.text_with(format_args!("x=\"{x:.1}\" y=\"{y:.1}\""), size, anchor, content);
     }
 
-    /// A text with a white outline, readable over bars and lines.
+    /// A text with a white outline, which is readable over bars and lines.
     pub(super) fn outlined_text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
         let outline = "stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\" paint-order=\"stroke\"";
         self.text_with(format_args!("x=\"{x:.1}\" y=\"{y:.1}\" {outline}"), size, anchor, content);
     }
 
-    /// A text that is turned by `degrees`; its anchor is at (x, y).
+    /// A text that is turned clockwise by `degrees` around (x, y), where its anchor is.
     pub(super) fn turned_text(&mut self, (x, y): (f64, f64), degrees: i32, size: f64, anchor: Anchor, content: &str) {
         let turn = format_args!("transform=\"translate({x:.1} {y:.1}) rotate({degrees})\"");
         self.text_with(turn, size, anchor, content);

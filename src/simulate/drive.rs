@@ -1,9 +1,9 @@
 //! The toe drive of equation (8) and the friction clutch in it.
 //!
-//! The drive's force is F = `K_fs` (p theta - x - s) + `C_fs` (p theta' - x'), where s is the slip of the clutch so
-//! far. The clutch holds up to its limit, then slips at that force until screw and toe move at the same speed again.
-//! This limits the force on an obstacle: without a clutch the motor would stall at 110 V and 27 A and press 110 kN on
-//! the rails.
+//! The drive's force is F = `K_fs` (p theta - x - s) + `C_fs` (p theta' - x'), with the screw angle theta, the toe
+//! travel p per radian, the toe position x and the slip s of the clutch so far. The clutch holds up to a limit of the
+//! force. Then it slips with this force until screw and toe move at the same speed again. This limits the force on an
+//! obstacle: without a clutch the motor would stall with 27 A at 110 V and press 110 kN on the rails.
 
 use super::dynamics::{SCREW, SCREW_SPEED, State, position, speed};
 use super::machine::Parameters;
@@ -47,21 +47,22 @@ impl Drive {
         self.slipping_n.unwrap_or(-self.stiffness * self.slip_m)
     }
 
-    /// Force on the toe at `toe_m` in this state if the clutch holds \[N\].
+    /// Force on the toe at `toe_m` \[N\] if the clutch holds in this state.
     #[inline]
     fn holding_force(&self, state: &State, toe_m: f64) -> f64 {
         let stretch = self.metres_per_radian * state[SCREW] - toe_m - self.slip_m;
         self.stiffness * stretch + self.damping * self.relative_speed(state)
     }
 
-    /// Speed of the screw's push relative to the toe \[m/s\].
+    /// Speed of the screw's end of the drive relative to the toe \[m/s\].
     #[inline]
     fn relative_speed(&self, state: &State) -> f64 {
         self.metres_per_radian * state[SCREW_SPEED] - speed(&self.toe, state)
     }
 
-    /// Starts to slip if the force in the state `reached`, computed with a holding clutch, exceeds the limit. Returns
-    /// whether the clutch slips now; the caller then computes the step again.
+    /// Lets the clutch slip if the force at the end of the step exceeds the limit; `reached` is the state there,
+    /// computed with a holding clutch. Returns true if the clutch begins to slip: then the caller computes the step
+    /// again.
     #[inline]
     pub(super) fn breaks_away(&mut self, reached: &State, toe_m: f64) -> bool {
         if self.slips() {
@@ -74,8 +75,8 @@ impl Drive {
         self.slips()
     }
 
-    /// Ends the slip when the relative speed no longer has the sign of the clutch's force. The slip is set so that the
-    /// force does not jump.
+    /// Lets a slipping clutch hold again when the relative speed no longer has the sign of its force, with a slip for
+    /// which the force does not jump. Returns whether the clutch began to hold.
     #[inline]
     pub(super) fn engages(&mut self, reached: &State) -> bool {
         let Some(force) = self.slipping_n.filter(|force| force * self.relative_speed(reached) <= 0.0) else {

@@ -1,8 +1,8 @@
 //! Motor, gearbox, ball screw, toe drive and rails as one linear system, discretised exactly.
 //!
-//! All quantities are referred to the screw: psi is the motor angle divided by the gear ratio, theta the screw angle, q
-//! the modes of the rails; angles and toe position count from the neutral position. With p the toe travel per screw
-//! angle:
+//! All quantities are referred to the screw: psi is the motor angle divided by the gear ratio n, theta the screw angle,
+//! `q_k` the coordinates of the modes of the rails, with frequency `w_k` and damping ratio zeta. Angles and toe
+//! position x are 0 at the neutral position. p is the toe travel for a screw angle of 1 rad.
 //!
 //! ```text
 //! (J_M + J_L) n² psi'' = n T_motor - B_M n² psi' - T_gh            (3), with the gearhead's torque opposing the motor
@@ -12,15 +12,17 @@
 //! q_k'' = -2 zeta w_k q_k' - w_k² q_k + f_k(toe) F + chairs and stops
 //! ```
 //!
-//! Between changes of contact this is z' = A z + B f with constant A, so a step with constant f is exact: z(t + h) =
-//! e^(A h) z(t) + G f, from the matrix exponential of the augmented system.
+//! With the state z and the torques and forces f this is z' = A z + B f. A is constant as long as no contact changes,
+//! so a step of h with constant f is exact: z(t + h) = e^(A h) z(t) + G f. Both matrices come from the matrix
+//! exponential of the augmented system.
 
 use nalgebra::DMatrix;
 
 use super::machine::Parameters;
 use super::rails::{MAX_MODES, Modes};
 
-/// Length of the state vector: psi, psi', theta, theta', then `MAX_MODES` of q and of q'. Unused modes stay 0.
+/// Length of the state vector: psi, psi', theta, theta', then `MAX_MODES` values of q and as many of q'. Unused modes
+/// stay 0.
 pub(super) const STATES: usize = 4 + 2 * MAX_MODES;
 /// Index of theta in the state.
 pub(super) const SCREW: usize = 2;
@@ -36,7 +38,7 @@ const MODE_SPEED: usize = 4 + MAX_MODES;
 /// A state, or the change of the state by a constant force over one step.
 pub(super) type State = [f64; STATES];
 
-/// Stiffness of the stock rail where it stops the toe \[N/m\].
+/// Stiffness \[N/m\] and damping \[N s/m\] of the stock rail, or an obstacle, where it stops the toe.
 const STOP_STIFFNESS_N_M: f64 = 2e7;
 const STOP_DAMPING_NS_M: f64 = 1e5;
 
@@ -49,12 +51,12 @@ pub(super) struct Phase {
     pub slipping: bool,
 }
 
-/// Exact step of the linear system (matrix exponential).
+/// Exact step of the linear system.
 #[derive(Debug, Clone)]
 pub(super) struct Step {
     /// Columns of e^(A h).
     transition: [State; STATES],
-    /// Effect of 1 N m at the motor, seen at the screw.
+    /// Effect on the state of 1 N m at the motor, referred to the screw.
     pub motor: State,
     /// Effect of 1 N m at the screw.
     pub screw: State,
@@ -67,7 +69,7 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// The step of `h` seconds.
+    /// The step of `h` seconds in this phase.
     pub(super) fn new(parameters: &Parameters, modes: &Modes, h: f64, phase: Phase) -> Self {
         let n = modes.count;
         let active: Vec<usize> = (0..4).chain((0..n).map(|k| MODE + k)).chain((0..n).map(|k| MODE_SPEED + k)).collect();
@@ -104,7 +106,7 @@ impl Step {
         Self { transition, motor: column(first), screw, toe, drive, modal }
     }
 
-    /// e^(A h) z.
+    /// The state after a step without torques and forces, e^(A h) z.
     #[inline]
     pub(super) fn advance(&self, state: &State) -> State {
         let mut next = [0.0; STATES];
@@ -114,7 +116,7 @@ impl Step {
         next
     }
 
-    /// Effect of a force that acts on the modes with this shape.
+    /// Effect of 1 N on the rails at a place where the modes have these deflections.
     pub(super) fn shaped(&self, shape: &[f64; MAX_MODES]) -> State {
         shaped(&self.modal, shape)
     }
@@ -137,7 +139,7 @@ pub(super) fn add_scaled(target: &mut State, source: &State, factor: f64) {
 
 type Inputs = [f64; 2 + MAX_MODES];
 
-/// A and B of the system; inputs are the torque at psi, the torque at theta, and a force on each mode.
+/// A and B of the system. Its inputs are the torque at psi, the torque at theta, and a force on each mode.
 fn continuous(parameters: &Parameters, modes: &Modes, phase: Phase) -> ([State; STATES], [Inputs; STATES]) {
     let n2 = parameters.gear_ratio.powi(2);
     let motor_inertia = (parameters.rotor_inertia_kg_m2 + parameters.load_inertia_kg_m2) * n2;
@@ -180,30 +182,30 @@ fn continuous(parameters: &Parameters, modes: &Modes, phase: Phase) -> ([State; 
     (a, b)
 }
 
-/// Position from neutral of the toe or of a chair \[m\], from the deflection of each mode there.
+/// Position of the toe or of a chair \[m from neutral\]; `shape` is the deflection of each mode there.
 #[inline]
 pub(super) fn position(shape: &[f64; MAX_MODES], state: &State) -> f64 {
     shape.iter().zip(&state[MODE..]).map(|(shape, q)| shape * q).sum()
 }
 
-/// Speed of the toe or of a chair \[m/s\].
+/// Speed of the toe or of a chair \[m/s\]; `shape` is the deflection of each mode there.
 #[inline]
 pub(super) fn speed(shape: &[f64; MAX_MODES], state: &State) -> f64 {
     shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum()
 }
 
-/// Force of a stop at `stop_m` from neutral on the `toe` \[N\].
+/// Force on the toe \[N\] of a stop at `stop_m` from neutral; `toe` is the deflection of each mode at the toe.
 pub(super) fn stop_force(toe: &[f64; MAX_MODES], state: &State, stop_m: f64) -> f64 {
     STOP_STIFFNESS_N_M * (stop_m - position(toe, state)) - STOP_DAMPING_NS_M * speed(toe, state)
 }
 
-/// The constant part of the force of a stop at `stop_m` from neutral \[N\]. The matrix A contains the part that depends on
-/// the state.
+/// The constant part of the force of a stop at `stop_m` from neutral \[N\]. The part that depends on the state is in
+/// the matrix A.
 pub(super) fn stop_offset_force(stop_m: f64) -> f64 {
     STOP_STIFFNESS_N_M * stop_m
 }
 
-/// State of the machine at rest with the toe at `toe_m` from neutral; the bent rails strain the drive.
+/// State of the machine at rest with the toe at `toe_m` from neutral, where the bent rails strain the drive.
 pub(super) fn at_rest(parameters: &Parameters, modes: &Modes, toe_m: f64) -> State {
     let p = parameters.metres_per_radian();
     let force = toe_m / modes.toe_compliance();

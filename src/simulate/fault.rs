@@ -1,13 +1,13 @@
 //! Faults of the simulated machine: the part, the size, and the development over the throws.
 //!
-//! The size of a fault is the change of a coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
-//! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
+//! The size of a fault is the change of a coefficient: a motor of -10 % lowers b0 by 10 %, friction of +25 % raises a1
+//! by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
 //!
-//! Estimates show this change, with two exceptions. A weaker motor runs faster, so that dry friction counts as less
-//! viscous friction: a motor of -20 % is estimated as -20 % in b0 and -4 % in a1. And on a beam the chairs near the heel
-//! stick until the rail has bent, so their friction builds up over the first centimetres of toe travel, which no constant
-//! coefficient describes: friction of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped
-//! rails the estimates are +24.5 % in a1, -0.4 % in b0 and 0 % in a0.
+//! Estimates show this change, with two exceptions. First, a weaker motor runs faster, so that dry friction counts as
+//! less viscous friction: a motor of -20 % is estimated as -20 % in b0 and -4 % in a1. Second, on a beam the chairs
+//! near the heel stick until the rail has bent. Their friction builds up over the first centimetres of toe travel,
+//! which no constant coefficient describes. So friction of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0
+//! and a0. With lumped rails the estimates are +24.5 % in a1, -0.4 % in b0 and 0 % in a0.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,10 +19,10 @@ use crate::throw::OutOfRange;
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Part {
-    /// Magnets of the motor: torque per ampere and back-EMF constant, which are one constant in SI units. A weaker motor
-    /// needs more current and runs faster.
+    /// Magnets of the motor: torque constant and back-EMF constant, which are equal in SI units. A weaker motor needs
+    /// more current and runs faster.
     Kt,
-    /// Dry friction on the slide chairs (mu); a decrease scales every friction of the machine.
+    /// Dry friction on the slide chairs (mu). A decrease scales every friction of the machine.
     Friction,
     /// Restoring stiffness of the drive on the screw angle (`K_bs`).
     Stiffness,
@@ -52,12 +52,12 @@ pub enum Shape {
     Step,
     /// Linear growth to the full size, then constant.
     Ramp {
-        /// Throws until full size.
+        /// Number of throws until the full size.
         throws: u64,
     },
     /// A random walk without a preferred direction.
     RandomWalk {
-        /// Throws after which its standard deviation is the size.
+        /// Number of throws after which its standard deviation is the full size.
         throws: u64,
     },
 }
@@ -77,7 +77,8 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// Size at a throw \[%\]. Only a random walk uses `walk`, its sum of standard normal steps up to this throw.
+    /// Size at a throw \[%\]. `walk` is the sum of standard normal steps up to this throw, and is for a random walk
+    /// only.
     pub fn size_at(&self, throw_index: u64, walk: f64) -> f64 {
         let Some(since) = throw_index.checked_sub(self.from_throw) else { return 0.0 };
         match self.shape {
@@ -88,18 +89,18 @@ impl Fault {
     }
 }
 
-/// Condition of the parts as ratios to a new machine; 1 means unchanged.
+/// Condition of the parts, as ratios of the coefficients to those of a new machine; 1 means unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Condition {
-    /// Ratio of the torque per ampere, and of b0.
+    /// Ratio of b0 because of the torque per ampere.
     pub kt: f64,
-    /// Ratio of a1 from friction.
+    /// Ratio of a1 because of friction.
     pub friction: f64,
-    /// Ratio of a0 from the stiffness of the drive.
+    /// Ratio of a0 because of the stiffness of the drive.
     pub stiffness: f64,
-    /// Ratio of a0 from the stiffness of the rails.
+    /// Ratio of a0 because of the stiffness of the rails.
     pub rail_stiffness: f64,
-    /// Ratio of the whole inertia at the screw.
+    /// Ratio of the total inertia at the screw, by which all three coefficients are divided.
     pub inertia: f64,
 }
 
@@ -110,7 +111,7 @@ impl Default for Condition {
 }
 
 impl Condition {
-    /// Adds a fault of `size_pct` in `part`, on top of the faults so far.
+    /// Adds a fault of `size_pct` \[%\] in `part` to the faults so far.
     pub fn worsen(&mut self, part: Part, size_pct: f64) {
         let ratio = (1.0 + size_pct / 100.0).max(0.05);
         match part {
@@ -124,9 +125,8 @@ impl Condition {
 }
 
 impl Parameters {
-    /// These parameters with the parts in this condition.
-    ///
-    /// Dry friction on the chairs counts by its torque at running speed, see [`Parameters::coefficients`].
+    /// The parameters of this machine with its parts in this condition. Additional friction is dry friction on the
+    /// chairs, which counts in a1 as in [`Parameters::coefficients`].
     ///
     /// # Errors
     /// When a parameter is out of its range.
@@ -151,7 +151,7 @@ impl Parameters {
         Ok(worn)
     }
 
-    /// Changes the friction of a machine with these loads.
+    /// Changes the friction of a machine with these loads so that its a1 is multiplied by `ratio`.
     fn add_friction(&mut self, ratio: f64, loads: &Loads) {
         if ratio < 1.0 {
             self.scale_friction(ratio);
@@ -159,8 +159,8 @@ impl Parameters {
             let chairs = loads.chair_dry_per_mu * self.rails.slide_friction;
             let speed = self.running_speed(loads.viscous, loads.drive_dry + chairs);
             let drag = ratio * (loads.viscous + (loads.drive_dry + chairs) / speed);
-            // More friction slows the machine, and a slower machine turns the same torque into more a1. So `dry` is
-            // computed at the slower speed.
+            // More friction slows the machine, and at a lower speed the same dry torque counts as more a1. So the
+            // torque is computed at the lower speed.
             let slower = self.running_speed(drag, 0.0);
             let dry = (drag - loads.viscous) * slower;
             self.rails.slide_friction = (dry - loads.drive_dry) / loads.chair_dry_per_mu;

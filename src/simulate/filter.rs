@@ -1,4 +1,5 @@
-//! The logger's anti-alias filter: 4th-order Butterworth, as two second-order sections by the bilinear transform.
+//! The logger's anti-alias filter: a 4th-order Butterworth low-pass, as two second-order sections by the bilinear
+//! transform.
 
 use std::f64::consts::PI;
 
@@ -9,7 +10,6 @@ struct Section {
     a: [f64; 2],
 }
 
-/// A 4th-order Butterworth low-pass filter.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Butterworth {
     sections: [Section; 2],
@@ -18,7 +18,7 @@ pub(super) struct Butterworth {
 impl Butterworth {
     /// A filter with the cut-off `cut_off_hz`, below half of `rate_hz`, for a signal sampled at `rate_hz`.
     pub(super) fn new(cut_off_hz: f64, rate_hz: f64) -> Self {
-        // Prewarping keeps the -3 dB point of the analogue filter.
+        // Prewarped, so that the cut-off stays where it is in the analogue filter.
         let k = (PI * cut_off_hz / rate_hz).tan();
         let section = |index: f64| {
             // Damping of the pole pair of a 4th-order Butterworth: 2 sin(pi (2 i + 1) / 8).
@@ -30,7 +30,7 @@ impl Butterworth {
         Self { sections: [section(0.0), section(1.0)] }
     }
 
-    /// Filters in place; the signal counts as constant before its first value.
+    /// Filters the signal in place, as if it had its first value for ever before.
     pub(super) fn run(&self, signal: &mut [f64]) {
         for section in &self.sections {
             let Some(&first) = signal.first() else { return };

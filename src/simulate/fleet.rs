@@ -1,4 +1,4 @@
-//! A simulated fleet: natural spread between machines, weather and wear from throw to throw. The same seed gives the
+//! A simulated fleet: differences between machines, and weather and wear from throw to throw. The same seed gives the
 //! same throws, and the throws of a machine do not depend on the size of the fleet.
 
 use std::f64::consts::{PI, TAU};
@@ -26,17 +26,17 @@ settings! {
     pub struct FleetSettings {
         /// Number of machines.
         pub machines: usize = 5, Within(1.0, Fleet::MAX_MACHINES as f64, "machines");
-        /// Nominal parameters; each machine differs from them by the spread.
+        /// Nominal parameters of the machines, from which each machine differs by the spread.
         pub machine: Parameters = Parameters::default();
         /// Sensors and loggers of the machines.
         pub sensors: Sensors = Sensors::default();
         /// Differences between machines.
         pub spread: Spread = Spread::default();
-        /// Differences between throws of one machine.
+        /// Differences between the throws of one machine.
         pub scatter: Scatter = Scatter::default();
-        /// Temperature over the throws.
+        /// Temperature of the machines over their throws.
         pub climate: Climate = Climate::default();
-        /// Faults, each on one machine; several faults on the same machine add up.
+        /// Faults, each of one machine. Several faults of the same machine add up.
         pub faults: Vec<FleetFault> = Vec::new();
         /// Incidents, each in some throws of one machine.
         pub incidents: Vec<Incident> = Vec::new();
@@ -72,7 +72,7 @@ settings! {
         pub stiffness_pct: f64 = 1.0, Within(0.0, 30.0, "%");
         /// Scatter of the supply voltage.
         pub supply_pct: f64 = 1.0, Within(0.0, 30.0, "%");
-        /// Correlation of one throw with the next, 0 to below 1.
+        /// Correlation of one throw with the next, 0 to 0.99.
         pub correlation: f64 = 0.5, Within(0.0, 0.99, "");
     }
 }
@@ -82,7 +82,7 @@ settings! {
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
     pub struct Climate {
-        /// Mean \[°C\].
+        /// Mean temperature \[°C\].
         pub mean_c: f64 = 20.0, Within(-50.0, 60.0, "°C");
         /// Half the difference between day and night \[K\].
         pub daily_swing_k: f64 = 0.0, Within(0.0, 40.0, "K");
@@ -101,7 +101,7 @@ impl Climate {
     }
 }
 
-/// A fault on one machine of a fleet.
+/// A fault of one machine of a fleet.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FleetFault {
@@ -111,7 +111,7 @@ pub struct FleetFault {
     pub fault: Fault,
 }
 
-/// An incident in consecutive throws of one machine.
+/// An incident in one or more consecutive throws of one machine.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Incident {
@@ -134,9 +134,9 @@ pub enum IncidentKind {
         /// Distance of the obstruction from the normal position \[mm\].
         at_mm: f64,
     },
-    /// Loss of supply voltage.
+    /// A supply voltage that is too low.
     WeakSupply {
-        /// Voltage lost \[%\].
+        /// Missing part of the voltage \[%\].
         loss_pct: f64,
     },
     /// A sensor that repeats its last value.
@@ -146,7 +146,7 @@ pub enum IncidentKind {
 /// A simulated throw with its true coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedThrow {
-    /// Index of the throw in the life of the machine, from 0 over both directions.
+    /// Index of the throw among all throws of the machine in both directions, from 0.
     pub throw_index: u64,
     /// Direction of the throw.
     pub direction: Direction,
@@ -158,9 +158,9 @@ pub struct SimulatedThrow {
     pub supply_v: f64,
     /// Cut-off of the anti-alias filter \[Hz\].
     pub anti_alias_hz: Option<f64>,
-    /// Condition of the parts in this throw.
+    /// Condition of the parts in this throw, without scatter and temperature.
     pub condition: Condition,
-    /// True coefficients of this throw, equation (13).
+    /// True coefficients of this throw by equation (13), with scatter and temperature.
     pub coefficients: Coefficients,
 }
 
@@ -181,12 +181,12 @@ impl SimulatedThrow {
 
 /// A first-order autoregressive process of unit variance.
 #[derive(Debug, Clone, Copy)]
-struct Wander {
+struct Autoregression {
     correlation: f64,
     value: f64,
 }
 
-impl Wander {
+impl Autoregression {
     fn new(correlation: f64, rng: &mut ChaCha12Rng) -> Self {
         Self { correlation, value: normal(rng) }
     }
@@ -205,9 +205,11 @@ pub struct SimulatedMachine {
     sensors: Sensors,
     climate: Climate,
     scatter: Scatter,
+    /// The faults, each with the sum of the steps of its random walk so far.
     faults: Vec<(Fault, f64)>,
     incidents: Vec<Incident>,
-    wander: [Wander; 4],
+    /// Scatter of torque per ampere, friction, stiffness and supply voltage.
+    deviations: [Autoregression; 4],
     throw_index: u64,
     rng: ChaCha12Rng,
 }
@@ -216,7 +218,7 @@ impl SimulatedMachine {
     /// Simulates the next throw; directions alternate, starting with normal to reverse.
     ///
     /// # Errors
-    /// When wear and scatter have taken a parameter out of its range.
+    /// When faults or scatter have taken a parameter out of its range.
     pub fn next_throw(&mut self) -> Result<SimulatedThrow, OutOfRange> {
         let throw_index = self.throw_index;
         self.throw_index += 1;
@@ -259,6 +261,7 @@ impl SimulatedMachine {
         })
     }
 
+    /// Condition of the parts in a throw; advances the random walks.
     fn wear(&mut self, throw_index: u64) -> Condition {
         let mut condition = Condition::default();
         for (fault, walk) in &mut self.faults {
@@ -270,10 +273,11 @@ impl SimulatedMachine {
         condition
     }
 
+    /// Factors of torque per ampere, friction, stiffness and supply voltage in the next throw.
     fn scatter(&mut self) -> [f64; 4] {
         let sizes =
             [self.scatter.kt_pct, self.scatter.friction_pct, self.scatter.stiffness_pct, self.scatter.supply_pct];
-        std::array::from_fn(|at| (sizes[at] / 100.0 * self.wander[at].next(&mut self.rng)).exp())
+        std::array::from_fn(|at| (sizes[at] / 100.0 * self.deviations[at].next(&mut self.rng)).exp())
     }
 }
 
@@ -290,10 +294,10 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Largest fleet, in machines.
+    /// Largest number of machines in a fleet.
     pub const MAX_MACHINES: usize = 10_000;
 
-    /// A fleet with these settings; the same seed gives the same fleet and the same throws.
+    /// A fleet with these settings. The same seed gives the same fleet and the same throws.
     ///
     /// # Errors
     /// When a setting is out of its range, or a fault or incident names a machine outside the fleet.
@@ -303,7 +307,7 @@ impl Fleet {
         Ok(Self { machines })
     }
 
-    /// The same machines, whose throws follow from another seed.
+    /// The same machines, with the random numbers of another seed for their throws.
     #[must_use]
     pub fn with_throws_of(mut self, seed: u64) -> Self {
         for (number, machine) in self.machines.iter_mut().enumerate() {
@@ -356,6 +360,7 @@ impl FleetSettings {
         If(machine < self.machines, "the number of a machine, counted from 0").check(name, machine as f64)
     }
 
+    /// The machine with this number, which differs from the nominal parameters by the spread.
     fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {
         let mut rng = generator(seed, number);
         let mut ratio = |pct: f64| (pct / 100.0 * normal(&mut rng)).exp();
@@ -368,7 +373,7 @@ impl FleetSettings {
         parameters.back_emf_constant *= kt;
         parameters.scale_friction(friction);
         parameters.rails.bending_stiffness_n_m2 *= stiffness;
-        let wander = std::array::from_fn(|_| Wander::new(self.scatter.correlation, &mut rng));
+        let deviations = std::array::from_fn(|_| Autoregression::new(self.scatter.correlation, &mut rng));
         Ok(SimulatedMachine {
             parameters,
             sensors: self.sensors.clone(),
@@ -376,14 +381,14 @@ impl FleetSettings {
             scatter: self.scatter,
             faults: self.faults.iter().filter(|on| on.machine == number).map(|on| (on.fault, 0.0)).collect(),
             incidents: self.incidents.iter().filter(|on| on.machine == number).copied().collect(),
-            wander,
+            deviations,
             throw_index: 0,
             rng,
         })
     }
 }
 
-/// The random numbers of a machine.
+/// The random number generator of a machine.
 fn generator(seed: u64, number: usize) -> ChaCha12Rng {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     rng.set_stream(number as u64);

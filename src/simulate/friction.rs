@@ -1,20 +1,20 @@
-//! Dry friction at the motor, the screw and every slide chair, with true sticking.
+//! Dry friction at the motor, the screw and every slide chair, with contacts that stick.
 //!
-//! Each contact's force f is constant over a step and obeys Coulomb's law at its end: |f| <= limit, and where the
-//! contact slides f = -limit sign(v). Velocities at the end of the step are `v = v_free + D f`, with the response D of
-//! the step. The law is then a small complementarity problem; projected Gauss-Seidel solves it, starting with the
-//! forces of the previous step. While all contacts slide, which is nearly always, these forces already satisfy the law
-//! and no solution is needed.
+//! The force f of each contact is constant over a step and follows Coulomb's law at the end of the step: |f| <= limit,
+//! and f = -limit sign(v) where the contact slides with velocity v. The velocities at the end of the step are
+//! `v = v_free + D f`, with the velocities `v_free` without friction and the response D of the step. This is a small
+//! complementarity problem. Projected Gauss-Seidel iteration solves it, from the forces of the previous step. Nearly
+//! always all contacts slide: then these forces already satisfy the law, and nothing is solved.
 
 use super::dynamics::{MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled, speed};
 use super::machine::Parameters;
 use super::rails::{Chair, MAX_MODES, Modes};
 
-/// Largest number of Gauss-Seidel sweeps in a step. Sticking contacts converge in a few, as they start with the forces
-/// of the previous step.
+/// Largest number of Gauss-Seidel iterations in a step. Sticking contacts converge in a few, as they start with the
+/// forces of the previous step.
 const MAX_SWEEPS: usize = 60;
 
-/// Place of a contact.
+/// Place of a contact. A chair has the deflection of each mode there.
 #[derive(Debug, Clone, Copy)]
 enum Site {
     Motor,
@@ -31,6 +31,7 @@ impl Site {
         }
     }
 
+    /// Effect on the state of a unit force (a unit torque at motor and screw) over one step.
     fn effect(&self, step: &Step) -> State {
         match self {
             Self::Motor => step.motor,
@@ -43,19 +44,20 @@ impl Site {
 #[derive(Debug, Clone, Copy)]
 struct Contact {
     site: Site,
-    /// Sliding friction \[N m or N\].
+    /// Sliding friction \[N m at motor and screw, N at a chair\].
     sliding: f64,
-    /// Present limit of the force \[N m or N\]: sliding friction, or more near standstill.
+    /// Present limit of the force, in the same unit: sliding friction, or more near standstill or with a closed brake.
     limit: f64,
+    /// Force in the last step, in the same unit.
     force: f64,
 }
 
-/// Effect of the force at each contact on the state and on all contacts, for one kind of step.
+/// Effect of the force at each contact on the state and on all contacts, for one [`Step`].
 #[derive(Debug, Clone)]
 pub(super) struct Response {
     /// Effect on the state of a unit force at each contact.
     effect: Vec<State>,
-    /// D: the row is the contact with the velocity, the column the contact with the force.
+    /// The matrix D: a row for the velocity of each contact, a column for the force of each contact.
     velocity: Vec<Vec<f64>>,
 }
 
@@ -64,15 +66,20 @@ pub(super) struct Response {
 pub(super) struct Friction {
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
+    /// `None` without extra friction at low speed.
     stribeck: Option<Stribeck>,
     /// Effect of the present forces on the state; NaN when it must be computed again.
     effect: State,
+    /// Torque of the closed brake \[N m on the screw\].
     brake: f64,
 }
 
+/// Extra friction at low speed, which falls with the square of the speed in the exponent (Stribeck).
 #[derive(Debug, Clone, Copy)]
 struct Stribeck {
+    /// Extra friction at standstill, as ratio to sliding friction.
     excess: f64,
+    /// Toe speed at which it has fallen to 1/e.
     toe_speed_m_s: f64,
     metres_per_radian: f64,
 }
@@ -105,19 +112,18 @@ impl Friction {
         Response { effect, velocity }
     }
 
-    /// Closes the brake.
+    /// Adds the torque of the brake to the friction of the motor.
     pub(super) fn close_brake(&mut self) {
         let motor = &mut self.contacts[0];
         motor.limit = motor.sliding + self.brake;
-        // Break-away friction may have been more than the new limit, and Gauss-Seidel must start within the limits.
+        // The force may be above the new limit because of break-away friction, but the iteration must start within the
+        // limits.
         motor.force = motor.force.clamp(-motor.limit, motor.limit);
         self.forget_effect();
     }
 
-    /// Adds this step's friction to `next`, the state that the step would reach without friction.
-    ///
-    /// `state` is the start of the step; only break-away friction needs it. The torque of the brake does not depend on
-    /// speed.
+    /// Adds this step's friction to `next`, the state that the step would reach without friction. `state` is the state
+    /// at the start of the step, from which the break-away friction follows.
     pub(super) fn apply(&mut self, state: &State, next: &mut State, response: &Response, motor_on: bool) {
         if let Some(stribeck) = self.stribeck {
             self.update_limits(state, stribeck, motor_on);
@@ -136,7 +142,7 @@ impl Friction {
         *next = reached;
     }
 
-    /// Discards the stored effect after the response changed.
+    /// Discards the stored effect of the forces, which is wrong after a change of the response or of the forces.
     pub(super) fn forget_effect(&mut self) {
         self.effect = [f64::NAN; STATES];
     }
@@ -148,6 +154,7 @@ impl Friction {
         }
     }
 
+    /// Computes the limit of each contact from its speed. A sliding contact gets the new limit as its force.
     fn update_limits(&mut self, state: &State, stribeck: Stribeck, motor_on: bool) {
         let brake = if motor_on { 0.0 } else { self.brake };
         for (at, contact) in self.contacts.iter_mut().enumerate() {
@@ -167,6 +174,8 @@ impl Friction {
         }
     }
 
+    /// Computes the forces that satisfy Coulomb's law, by projected Gauss-Seidel iteration; `free` is the state without
+    /// friction.
     fn solve(&mut self, free: &State, response: &Response) {
         let mut velocity: Vec<f64> = self.contacts.iter().map(|contact| contact.site.velocity(free)).collect();
         for (row, v) in response.velocity.iter().zip(&mut velocity) {
@@ -195,7 +204,8 @@ impl Friction {
 }
 
 impl Contact {
-    /// Whether the contact slides in `state` with its force at the limit and against its speed, or has no friction.
+    /// Whether the contact slides in `state`, with its force at the limit and against its speed, or has no friction.
+    /// Then the force satisfies Coulomb's law.
     #[inline]
     fn holds(&self, state: &State) -> bool {
         let against = || self.force * self.site.velocity(state);

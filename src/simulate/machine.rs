@@ -37,9 +37,9 @@ settings! {
         pub supply_v: f64 = 110.0, Above(0.0);
         /// Shape of the supply voltage over time.
         pub supply: Waveform = Waveform::Constant;
-        /// Share of the ripple of |sin| that is left after smoothing; 1 without smoothing. With 0.17 the current of the
-        /// default machine ripples by ±1 A, as recorded on a real machine; without smoothing it would ripple by ±6 A
-        /// through 20 mH.
+        /// Share of the ripple of a rectified supply that is left after smoothing; 1 without smoothing. With 0.17 the
+        /// current of the default machine ripples by ±1 A, as recorded on a real machine. Without smoothing it would
+        /// ripple by ±6 A.
         pub rectifier_ripple: f64 = 0.17, Within(0.0, 1.0, "");
         /// Armature resistance R at 20 °C, with the leads \[ohm\].
         pub resistance_ohm: f64 = 4.0, Above(0.0);
@@ -88,7 +88,7 @@ settings! {
         pub neutral_mm: f64 = 0.0, Finite;
         /// Distance before the end of the stroke at which the motor is cut off \[mm\].
         pub cut_off_mm: f64 = 0.5, Above(0.0);
-        /// Longest time the controller leaves the motor on \[s\].
+        /// Longest time for which the controller leaves the motor on \[s\], above 0 and at most 40.
         pub timeout_s: f64 = 12.0;
         /// The switch rails.
         pub rails: Rails = Rails::default();
@@ -105,7 +105,8 @@ settings! {
     }
 }
 
-/// Coefficients by equation (13) with all inertia referred to the screw: the true values for the estimator.
+/// Coefficients by equation (13), with all inertia referred to the screw: the true values with which estimates are
+/// compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coefficients {
     /// KT n / `J_tot` \[rad s⁻² A⁻¹\]; of a series motor k n / `J_tot` \[rad s⁻² A⁻²\].
@@ -116,7 +117,7 @@ pub struct Coefficients {
     pub a0: f64,
     /// The part of `a1` from viscous friction alone \[s⁻¹\].
     pub a1_viscous: f64,
-    /// Whole inertia at the screw `J_tot` \[kg m²\].
+    /// Total inertia `J_tot`, referred to the screw \[kg m²\].
     pub inertia_kg_m2: f64,
     /// Screw speed at which the motor's torque balances friction \[rad/s\]. Springs are left out: their effects in the
     /// two directions cancel.
@@ -124,7 +125,7 @@ pub struct Coefficients {
 }
 
 impl Coefficients {
-    /// b0, a1, a0.
+    /// (b0, a1, a0).
     pub fn values(&self) -> [f64; 3] {
         [self.b0, self.a1, self.a0]
     }
@@ -133,8 +134,11 @@ impl Coefficients {
 /// Inertia, friction and stiffness of all parts, referred to the screw.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Loads {
+    /// Inertia `J_tot` \[kg m²\].
     pub inertia: f64,
+    /// Viscous friction \[N m s\].
     pub viscous: f64,
+    /// Restoring stiffness \[N m/rad\].
     pub stiffness: f64,
     /// Dry friction of motor and screw \[N m\].
     pub drive_dry: f64,
@@ -143,7 +147,7 @@ pub(super) struct Loads {
 }
 
 impl Parameters {
-    /// Toe travel per screw angle \[m/rad\].
+    /// Toe travel for a screw angle of 1 rad \[m/rad\].
     pub(super) fn metres_per_radian(&self) -> f64 {
         self.lead_mm / 1000.0 / TAU
     }
@@ -163,15 +167,15 @@ impl Parameters {
         }
     }
 
-    /// Running speed \[rad/s on the screw\] in steady state, against a `viscous` \[N m s\] and a `constant` \[N m\]
-    /// load.
+    /// Speed of the screw in steady state \[rad/s\], with this viscous friction \[N m s\] and this constant load \[N
+    /// m\].
     pub(super) fn running_speed(&self, viscous: f64, constant: f64) -> f64 {
         let (kt, kv) = (self.torque_constant * self.gear_ratio, self.back_emf_constant * self.gear_ratio);
         let r = self.resistance_ohm;
         match self.motor {
             MotorKind::PermanentMagnet => (kt * self.supply_v / r - constant) / (viscous + kt * kv / r),
             MotorKind::Series => {
-                // k I² n = load(w) with I = V / (R + k n w) is monotone in w: bisection.
+                // The torque k n I², with I = V / (R + k n w), falls with the speed w and the load rises: bisection.
                 let surplus = |w: f64| kt * (self.supply_v / (r + kv * w)).powi(2) - viscous * w - constant;
                 let (mut low, mut high) = (0.0, 1e4);
                 for _ in 0..80 {
@@ -185,9 +189,9 @@ impl Parameters {
 
     /// The coefficients that follow from these parameters at 20 °C.
     ///
-    /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Equation (10) has no dry
-    /// friction. It counts as the viscous friction with the same torque at running speed, as in an estimate from one
-    /// throw.
+    /// Rails count with the mass, damping and stiffness of their bending line in slow movement. Equation (10) has no
+    /// dry friction. Dry friction counts as the viscous friction with the same torque at running speed, as in an
+    /// estimate from one throw.
     ///
     /// # Errors
     /// When a parameter is out of its range.
@@ -221,15 +225,16 @@ impl Parameters {
         self.rails.check_ranges().map_err(|error| error.within("rails"))
     }
 
-    /// These parameters at `temperature_c`: magnets and back-EMF, copper resistance, grease, thermal thrust in the
-    /// rails.
+    /// These parameters, which hold at 20 °C, at `temperature_c`: torque and back-EMF constants, copper resistance,
+    /// viscous friction, and stiffness of the rails.
     #[must_use]
     pub fn at_temperature(&self, temperature_c: f64) -> Self {
+        /// Change of the resistance of copper with temperature \[%/K\].
         const COPPER_PCT_PER_K: f64 = 0.39;
         let kelvin = temperature_c - 20.0;
         let linear = |pct: f64| (1.0 + pct / 100.0 * kelvin).max(0.05);
         let magnet = if self.motor == MotorKind::PermanentMagnet { linear(self.magnet_pct_per_k) } else { 1.0 };
-        // Viscosity falls by a constant share per kelvin: exponential over a large difference.
+        // Viscosity falls by a constant share per kelvin, which is exponential over a large difference.
         let viscous = (self.viscous_pct_per_k / 100.0 * kelvin).exp();
         let mut warm = self.clone();
         warm.torque_constant *= magnet;

@@ -1,15 +1,19 @@
-//! The simulated point machine, and simulated fleets. It shares only the throw type with the monitor.
+//! The simulated point machine, and simulated fleets. This room shares only the throw type with the monitor, so that
+//! the monitor is never tested against its own model.
 //!
 //! | file | what it holds |
 //! |---|---|
 //! | `machine` | the parameters, and the coefficients that follow from them |
 //! | `rails` | the switch rails: finite elements, reduced to modes |
-//! | `dynamics` | the linear part, discretised exactly |
+//! | `dynamics` | the linear part of the mechanics, discretised exactly |
 //! | `friction` | dry friction with sticking |
-//! | `drive` | the toe drive and its friction clutch |
-//! | `supply`, `motion` | the voltage; one throw, step by step |
-//! | `filter`, `sensors` | from the true motion to the recorded trace |
-//! | `fault`, `fleet` | faults; many machines, their weather and wear |
+//! | `drive` | the drive between screw and toe, with its friction clutch |
+//! | `supply` | the supply voltage over time |
+//! | `motion` | one throw, step by step |
+//! | `filter` | the logger's anti-alias filter |
+//! | `sensors` | from the true motion to the recorded trace |
+//! | `fault` | faults of a machine |
+//! | `fleet` | many machines, their weather and wear |
 
 mod drive;
 mod dynamics;
@@ -31,5 +35,5 @@ pub use fleet::{
 pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};
-pub use sensors::{Channel, Recording, Sensors, Stuck, Which};
+pub use sensors::{Channel, Recording, Sensor, Sensors, Stuck};
 pub use supply::Waveform;

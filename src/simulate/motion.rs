@@ -1,8 +1,8 @@
 //! Simulates a throw step by step: armature, contactor, stops and friction.
 //!
-//! The armature (1) is integrated exactly over a step, with the speed at the middle of the step. Its mean torque drives
-//! the mechanics, which are exact for constant forces; see [`super::dynamics`]. The scheme is of second order in the
-//! step while no contact sticks and no stop is touched.
+//! The equation of the armature, (1), is integrated exactly over a step for a constant speed, that at the middle of the
+//! step. The mean torque over the step drives the mechanics, which are exact for constant forces (see
+//! [`super::dynamics`]). While no contact sticks and the toe touches no stop, the error is of second order in the step.
 
 use crate::throw::{
     Direction, OutOfRange,
@@ -16,26 +16,27 @@ use super::friction::{Friction, Response};
 use super::machine::{MotorKind, Parameters};
 use super::rails::Modes;
 
-/// Step of the simulation in normal use \[s\].
+/// Usual step of the simulation \[s\].
 pub const STEP_S: f64 = 2e-4;
-/// Time constant of the current in the arc of the opening contactor \[s\].
+/// Time constant with which the current decays in the arc of the opening contactor \[s\].
 const ARC_TIME_S: f64 = 1e-3;
 /// Time simulated after the motor was cut off \[s\].
 const SETTLE_S: f64 = 0.4;
 
 settings! {
-    /// Conditions of a throw: temperature, supply, obstruction, cut-off.
+    /// Conditions of one throw.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Conditions {
         /// Temperature of the machine \[°C\].
         pub temperature_c: f64 = 20.0, Within(-60.0, 80.0, "°C");
         /// Ratio of the supply voltage to the nominal voltage.
         pub supply_ratio: f64 = 1.0, Within(0.0, 3.0, "");
-        /// Position of an obstacle between rail and stock rail \[mm from normal\].
+        /// Position of an obstacle between rail and stock rail \[mm from normal\]; `None` for no obstacle.
         pub obstruction_mm: Option<f64> = None;
-        /// Time after which the controller cuts the motor off before the end of the stroke \[s\].
+        /// Time after which the motor is cut off although the stroke is not complete \[s\]; `None` for the controller's
+        /// longest time.
         pub cut_off_after_s: Option<f64> = None, Above(0.0);
-        /// Phase of a rectified supply when the motor is switched on \[rad\].
+        /// Phase of the mains of a rectified supply when the motor is switched on \[rad\].
         pub supply_phase_rad: f64 = 0.0, Finite;
     }
 }
@@ -47,34 +48,34 @@ impl Conditions {
     }
 }
 
-/// True motion of a throw on the time grid of the simulation, from the moment when the motor is switched on.
+/// True motion of a throw at each step of the simulation, from the moment when the motor is switched on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Grid step \[s\].
+    /// Step \[s\].
     pub step_s: f64,
     /// Armature current \[A\], positive when it drives the throw.
     pub current_a: Vec<f64>,
     /// Toe position \[mm from normal\].
     pub toe_mm: Vec<f64>,
-    /// Grid index at which the motor was cut off.
+    /// Index of the step at which the motor was cut off.
     pub cut_off: usize,
-    /// Whether the stroke was completed.
+    /// Whether the toe reached the cut-off point before the end of the stroke.
     pub completed: bool,
 }
 
 impl Parameters {
-    /// Simulates one throw in steps of `step_s` (normally [`STEP_S`]), from the start of the motor to 0.4 s after its
+    /// Simulates one throw in steps of `step_s` (usually [`STEP_S`]), from the start of the motor to 0.4 s after its
     /// cut-off.
     ///
     /// # Errors
-    /// When a parameter is out of its range.
+    /// When a parameter or condition is out of its range, or the parameters together cannot be simulated.
     pub fn simulate(&self, direction: Direction, conditions: &Conditions, step_s: f64) -> Result<Motion, OutOfRange> {
         self.check()?;
         conditions.check(self.stroke_mm)?;
         let machine = self.at_temperature(conditions.temperature_c);
         let modes = machine.rails.modes();
         let motion = Machine::new(&machine, &modes, direction, conditions, step_s).run();
-        // Some combinations of valid parameters cannot be integrated.
+        // With some combinations of valid parameters the states grow without bound.
         for (key, values) in [("current_a", &motion.current_a), ("toe_mm", &motion.toe_mm)] {
             let last = values[values.len() - 1];
             If(last.is_finite(), "finite: these parameters together cannot be simulated").check(key, last)?;
@@ -83,6 +84,7 @@ impl Parameters {
     }
 }
 
+/// A throw in progress.
 struct Machine<'a> {
     parameters: &'a Parameters,
     conditions: &'a Conditions,
@@ -90,9 +92,10 @@ struct Machine<'a> {
     sign: f64,
     /// Position of the stock rail at which the throw ends \[mm from normal\].
     end_mm: f64,
+    /// Step \[s\].
     h: f64,
-    /// The step in each phase with the response of the friction. Each is built at its first use: a throw without stops and
-    /// slipping needs only one.
+    /// The linear step for each [`Phase`], with the response of the friction. Each is built at its first use, as a
+    /// throw in which the toe touches no stop and the clutch holds needs only one.
     steps: [Option<(Step, Response)>; 4],
     modes: &'a Modes,
     drive: Drive,
@@ -100,9 +103,11 @@ struct Machine<'a> {
     state: State,
     /// Toe position in `state` \[m from neutral\].
     toe_m: f64,
+    /// Armature current \[A\], positive when it drives towards reverse.
     current: f64,
     decay: Decay,
-    /// Motor speed at the previous step, to extrapolate the speed at the middle of the next.
+    /// Motor speed at the previous step \[rad/s\], referred to the screw, to extrapolate the speed at the middle of the
+    /// next.
     last_speed: f64,
     /// Position of the stop that the toe touches \[m from neutral\].
     contact: Option<f64>,
@@ -153,21 +158,20 @@ impl<'a> Machine<'a> {
             cut_off: steps_on,
             completed: false,
         };
-        let mut off_at = None;
+        let mut on = true;
         for at in 0..steps_on + settle {
-            let on = off_at.is_none();
             self.step(at, on);
             motion.current_a.push(self.current * self.sign);
             let toe_mm = self.toe_mm();
             motion.toe_mm.push(toe_mm);
             let arrived = (toe_mm - cut_off_mm) * self.sign >= 0.0;
             if on && (arrived || at + 1 >= steps_on) {
-                off_at = Some(at + 1);
+                on = false;
                 motion.completed = arrived;
                 motion.cut_off = at + 1;
                 self.friction.close_brake();
             }
-            if off_at.is_some_and(|off| at >= off + settle) {
+            if !on && at >= motion.cut_off + settle {
                 break;
             }
         }
@@ -178,6 +182,7 @@ impl<'a> Machine<'a> {
         self.toe_m * 1000.0 + self.parameters.neutral_mm
     }
 
+    /// Advances the throw by the step number `at`; `on` is whether the motor has its supply.
     fn step(&mut self, at: usize, on: bool) {
         let torque = self.armature(at, on) * self.parameters.gear_ratio;
         let mut next = self.reached(torque, on);
@@ -222,7 +227,7 @@ impl<'a> Machine<'a> {
         let p = self.parameters;
         let speed = self.state[MOTOR_SPEED];
         let mid_speed = (speed + 0.5 * (speed - self.last_speed)) * p.gear_ratio;
-        // R i + L i' = V - back-EMF; the back-EMF of a series motor acts as a resistance that grows with speed.
+        // R i + L i' = V - back-EMF. The back-EMF of a series motor acts as a resistance that grows with speed.
         let (resistance, volts) = if on {
             let phase = self.conditions.supply_phase_rad;
             let ripple = p.rectifier_ripple * (p.supply.mean(at, self.h, phase) - 1.0);
@@ -252,6 +257,7 @@ impl<'a> Machine<'a> {
         }
     }
 
+    /// Ends the contact with a stop, or begins one, in the state after the step.
     fn update_contact(&mut self) {
         let was = self.contact;
         if let Some(stop) = was {
@@ -271,11 +277,14 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Decay of a current over one step, e^(-R h / L); kept while the resistance is constant.
+/// Decay of a current from its steady value over one step, e^(-R t / L). It is kept while the resistance is constant.
 #[derive(Debug, Clone, Copy)]
 struct Decay {
+    /// R h / L for a step of h.
     exponent: f64,
+    /// Share of the current that is left after the step.
     left: f64,
+    /// Mean of this share over the step, and mean of its square.
     mean: f64,
     mean_square: f64,
 }

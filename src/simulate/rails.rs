@@ -1,9 +1,10 @@
-//! The switch rails: Euler-Bernoulli finite elements clamped at the heel, reduced to a few modes.
+//! The switch rails: a beam of Euler-Bernoulli finite elements, clamped at the heel, reduced to a few vibration modes.
 //!
 //! Both rails move together and count as one beam with twice the mass and stiffness. Each element has cubic Hermite
-//! shape functions, two degrees of freedom a node (deflection, slope) and a consistent mass matrix; the toe node
-//! carries a lumped mass. The generalised eigenproblem K f = w² M f gives mass-normalised modes; the lowest are kept.
-//! The slide chairs are at the nodes, and each carries its share of the rails' weight.
+//! shape functions, two degrees of freedom a node (deflection, slope) and a consistent mass matrix. The toe node
+//! carries a lumped mass. With mass matrix M and stiffness matrix K, the eigenproblem K f = w² M f gives
+//! mass-normalised modes f, of which those with the lowest frequencies w are kept. The slide chairs are at the nodes,
+//! and each carries its share of the rails' weight.
 
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
@@ -15,16 +16,16 @@ use crate::throw::{
 
 /// Acceleration of free fall \[m s⁻²\].
 const GRAVITY: f64 = 9.81;
-/// Largest number of modes: the state vector has a fixed size.
+/// Largest number of modes, which sets the size of the state vector.
 pub const MAX_MODES: usize = 6;
-/// Largest number of finite elements: keeps the eigenproblem within milliseconds.
+/// Largest number of finite elements, so that the eigenproblem takes milliseconds.
 const MAX_ELEMENTS: usize = 40;
 
-/// Model of the rails: quasi-static, or with vibration modes.
+/// Model of the bending of the rails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RailModel {
-    /// Quasi-static bending line: a single mass, spring and chair.
+    /// The bending line of slow movement: a single mass, spring and chair.
     Lumped,
     /// Finite elements reduced to modes.
     #[default]
@@ -36,7 +37,7 @@ settings! {
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
     pub struct Rails {
-        /// The model of their bending.
+        /// Model of the bending.
         pub model: RailModel = RailModel::Beam;
         /// Length from heel to toe \[m\].
         pub length_m: f64 = 6.5, Above(0.0);
@@ -48,7 +49,7 @@ settings! {
         pub toe_mass_kg: f64 = 40.0, AtLeast(0.0);
         /// Damping ratio of every mode.
         pub damping_ratio: f64 = 0.02, AtLeast(0.0);
-        /// Coefficient of dry friction mu of rail on slide chair.
+        /// Coefficient mu of dry friction between rail and slide chair.
         pub slide_friction: f64 = 0.0, AtLeast(0.0);
         /// Number of finite elements, with a chair at the end of each (beam only).
         pub elements: usize = 13, Within(3.0, MAX_ELEMENTS as f64, "");
@@ -57,31 +58,33 @@ settings! {
     }
 }
 
-/// A slide chair: the deflection of each mode there, and the weight on it.
+/// A slide chair.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chair {
+    /// Deflection of each mode at the chair \[kg^-1/2\].
     pub shape: [f64; MAX_MODES],
+    /// Weight on the chair \[N\].
     pub normal_n: f64,
 }
 
-/// Mass-normalised modes of the rails with the heel clamped and the toe free.
+/// Mass-normalised modes of the rails, with the heel clamped and the toe free.
 #[derive(Debug, Clone)]
 pub(super) struct Modes {
     pub count: usize,
-    /// Squared natural frequencies \[rad² s⁻²\].
+    /// Stiffness of each mode, which is its squared natural frequency \[rad² s⁻²\].
     pub stiffness: [f64; MAX_MODES],
     /// Deflection of each mode at the toe \[kg^-1/2\].
     pub toe: [f64; MAX_MODES],
     pub chairs: Vec<Chair>,
 }
 
-/// Mass, damping, stiffness and chair load of the rails at the toe in slow movement.
+/// Mass, damping and stiffness of the rails as seen at the toe in slow movement, and the weight on their chairs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct QuasiStatic {
     pub mass_kg: f64,
     pub damping_ns_m: f64,
     pub stiffness_n_m: f64,
-    /// Weight on the chairs, each multiplied by its movement relative to the toe's \[N\].
+    /// Sum of the weights on the chairs \[N\], each multiplied by the movement at the chair over that of the toe.
     pub normal_n: f64,
 }
 
@@ -94,8 +97,9 @@ impl Rails {
         }
     }
 
-    /// One mode, the static bending line s(z) = (3 z² - z³)/2 under a force at the toe: 33/140 of the mass, 3 EI/L³,
-    /// and 3/8 of the weight.
+    /// A single mode: the static bending line s(z) = (3 z² - z³)/2 under a force at the toe, with the distance z from
+    /// the heel over the length L. At the toe it has 33/140 of the rails' mass, the stiffness 3 EI/L³, and 3/8 of the
+    /// weight.
     fn lumped(&self) -> Modes {
         let rails_kg = 2.0 * self.mass_kg_m * self.length_m;
         let mass = 33.0 / 140.0 * rails_kg + self.toe_mass_kg;
@@ -117,17 +121,11 @@ impl Rails {
         let mut order: Vec<usize> = (0..freedoms).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         let count = self.modes.min(freedoms);
-        let shape_at = |freedom: usize| {
-            let mut shape = [0.0; MAX_MODES];
-            for (slot, &mode) in shape.iter_mut().zip(&order[..count]) {
-                *slot = vectors[(freedom, mode)];
-            }
-            shape
+        // A value of each mode that is kept, from the lowest frequency up.
+        let of_modes = |value: &dyn Fn(usize) -> f64| -> [f64; MAX_MODES] {
+            std::array::from_fn(|k| if k < count { value(order[k]) } else { 0.0 })
         };
-        let mut omega2 = [0.0; MAX_MODES];
-        for (slot, &mode) in omega2.iter_mut().zip(&order[..count]) {
-            *slot = values[mode];
-        }
+        let shape_at = |freedom: usize| of_modes(&|mode| vectors[(freedom, mode)]);
         let share = 2.0 * self.mass_kg_m * GRAVITY * self.length_m / self.elements as f64;
         let chairs = (1..=self.elements)
             .map(|node| {
@@ -136,10 +134,11 @@ impl Rails {
                 Chair { shape: shape_at(2 * (node - 1)), normal_n }
             })
             .collect();
-        Modes { count, stiffness: omega2, toe: shape_at(freedoms - 2), chairs }
+        Modes { count, stiffness: of_modes(&|mode| values[mode]), toe: shape_at(freedoms - 2), chairs }
     }
 
-    /// Mass and stiffness matrices of both rails; freedoms are (deflection, slope) of nodes 1 to `elements`.
+    /// Mass and stiffness matrices of both rails. The degrees of freedom are deflection and slope of the nodes 1 to
+    /// `elements`.
     fn matrices(&self) -> (DMatrix<f64>, DMatrix<f64>) {
         let h = self.length_m / self.elements as f64;
         let m = 2.0 * self.mass_kg_m * h / 420.0;
@@ -164,7 +163,7 @@ impl Rails {
         for element in 0..self.elements {
             for row in 0..4 {
                 for column in 0..4 {
-                    // The two freedoms of the heel are clamped and have no row or column.
+                    // The two degrees of freedom of the heel are clamped and have no row or column.
                     if let (Some(i), Some(j)) =
                         ((2 * element + row).checked_sub(2), (2 * element + column).checked_sub(2))
                     {
@@ -191,12 +190,12 @@ fn generalised_eigen(mass: DMatrix<f64>, stiffness: &DMatrix<f64>) -> (Vec<f64>,
 }
 
 impl Modes {
-    /// Deflection per force at the toe \[m/N\].
+    /// Deflection of the toe for a static force there \[m/N\].
     pub(super) fn toe_compliance(&self) -> f64 {
         (0..self.count).map(|k| self.toe[k] * self.toe[k] / self.stiffness[k]).sum()
     }
 
-    /// Modal coordinates when the toe is held at `toe_m`.
+    /// Coordinate of each mode in equilibrium with the toe held at `toe_m`.
     pub(super) fn held_at(&self, toe_m: f64) -> [f64; MAX_MODES] {
         let force = toe_m / self.toe_compliance();
         std::array::from_fn(|k| if k < self.count { self.toe[k] / self.stiffness[k] * force } else { 0.0 })
@@ -226,7 +225,7 @@ mod tests {
             let found = omega2.sqrt() / TAU;
             assert!((found / hz - 1.0).abs() < 0.005, "{found} Hz, expected {hz}");
         }
-        // Without it, the textbook's (b L)² = 3.5160, 22.034, 61.697.
+        // Without the mass, the textbook has the wave numbers b with (b L)² = 3.5160, 22.034, 61.697.
         let bare = Rails { toe_mass_kg: 0.0, ..Rails::default() };
         let unit = (8.8e5_f64 / 56.0).sqrt() / (6.5 * 6.5);
         for (omega2, known) in bare.modes().stiffness.iter().zip([3.5160, 22.034, 61.697]) {

@@ -1,7 +1,7 @@
 //! Sensors and logger: from the true motion to the recorded trace.
 //!
-//! In this order, as in a real channel: gain and offset of the sensor, anti-alias filter, sampling (with jitter), noise,
-//! clipping, quantisation, stuck channels, dropped samples.
+//! The errors are applied in this order, as in a real channel: gain of the sensor, anti-alias filter, sampling with
+//! jitter, offset, noise, clipping, quantisation, stuck channel, dropped samples.
 
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
@@ -17,19 +17,20 @@ use super::filter::Butterworth;
 use super::motion::{Motion, STEP_S};
 
 settings! {
-    /// Sensor of a channel; all values in the unit of the channel (A or mm).
+    /// Sensor of one channel. Its values have the unit of the channel, A or mm.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Channel {
+    pub struct Sensor {
         /// Standard deviation of white noise.
         pub noise: f64 = 0.02, AtLeast(0.0);
         /// Constant error.
         pub offset: f64 = 0.0, Finite;
         /// Error of the gain \[%\].
         pub gain_pct: f64 = 0.0, Within(-90.0, 900.0, "%");
-        /// Largest magnitude; larger values are clipped. `None` for no limit.
+        /// Largest magnitude that the sensor shows; larger values are clipped. `None` for no limit.
         pub full_scale: Option<f64> = None, Above(0.0);
-        /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
+        /// Resolution of the converter over the range from minus to plus full scale \[bits\]; needs `full_scale`.
+        /// `None` for no quantisation.
         pub bits: Option<u32> = None, Within(4.0, 24.0, "bits");
     }
 }
@@ -37,7 +38,7 @@ settings! {
 /// The two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Which {
+pub enum Channel {
     /// Motor current.
     Current,
     /// Toe position.
@@ -51,17 +52,18 @@ settings! {
     pub struct Sensors {
         /// Sampling rate \[Hz\], 25 to 20,000.
         pub sample_rate_hz: f64 = 1000.0, Within(25.0, 20_000.0, "Hz");
-        /// Recording before the motor starts \[s\].
+        /// Length of the recording before the motor starts \[s\].
         pub before_s: f64 = 0.2, Within(0.0, 5.0, "s");
-        /// Recording after the motor is cut off \[s\].
+        /// Length of the recording after the motor is cut off \[s\].
         pub after_s: f64 = 0.2, Within(0.0, 5.0, "s");
-        /// Motor current \[A\].
-        pub current: Channel = Channel::default();
-        /// Toe position \[mm\].
-        pub position: Channel = Channel::default();
-        /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
+        /// Sensor of the motor current \[A\].
+        pub current: Sensor = Sensor::default();
+        /// Sensor of the toe position \[mm\].
+        pub position: Sensor = Sensor::default();
+        /// Whether the sign of the current shows the direction: negative from reverse to normal. Else it is positive in
+        /// both.
         pub signed_current: bool = false;
-        /// Standard deviation of the sampling instants \[s\].
+        /// Standard deviation of the sampling instants from their nominal times \[s\].
         pub jitter_s: f64 = 0.0, Within(0.0, 1.0, "s");
         /// Share of samples that the logger drops \[%\].
         pub dropped_pct: f64 = 0.0, Within(0.0, 50.0, "%");
@@ -77,7 +79,7 @@ settings! {
 #[serde(deny_unknown_fields)]
 pub struct Stuck {
     /// The channel at fault.
-    pub channel: Which,
+    pub channel: Channel,
     /// Time of the last correct value, after the start of the motor \[s\].
     pub from_s: f64,
 }
@@ -85,16 +87,16 @@ pub struct Stuck {
 /// Recording of a throw as the logger samples it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Nominal time of each sample after the first \[s\]; dropped samples leave holes.
+    /// Nominal time of each sample from the first one on \[s\]; a dropped sample leaves a gap.
     pub time_s: Vec<f64>,
-    /// The samples.
+    /// The samples, without the dropped ones.
     pub trace: Trace,
 }
 
 impl Sensors {
     /// Sensors without noise and errors, sampled at `sample_rate_hz`.
     pub fn perfect(sample_rate_hz: f64) -> Self {
-        let channel = Channel { noise: 0.0, ..Channel::default() };
+        let channel = Sensor { noise: 0.0, ..Sensor::default() };
         Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
     }
 
@@ -126,7 +128,7 @@ impl Sensors {
         1.0 / (self.sample_rate_hz * steps)
     }
 
-    /// The recording of `motion`, with sensor errors, filter and sampling.
+    /// Records `motion` with the errors of the sensors, the filter and the sampling.
     ///
     /// # Errors
     /// When a value is out of its range.
@@ -149,8 +151,8 @@ impl Sensors {
             let mut mm = self.position.reading(interpolate(&position, time_s / motion.step_s), rng);
             if let Some(stuck) = self.stuck.filter(|stuck| nominal_s >= stuck.from_s) {
                 let value = match stuck.channel {
-                    Which::Current => &mut a,
-                    Which::Position => &mut mm,
+                    Channel::Current => &mut a,
+                    Channel::Position => &mut mm,
                 };
                 *value = *stuck_at.get_or_insert(*value);
             }
@@ -164,7 +166,7 @@ impl Sensors {
         Ok(recording(self.sample_rate_hz, time, current_a, position_mm))
     }
 
-    /// The channel on the grid of the simulation, after gain and anti-alias filter.
+    /// The channel at each step of the simulation, after gain and anti-alias filter.
     fn filtered(&self, motion: &Motion, truth: &[f64], gain: f64) -> Vec<f64> {
         let mut channel: Vec<f64> = truth.iter().map(|value| value * gain).collect();
         if let Some(cut_off_hz) = self.anti_alias_hz {
@@ -180,7 +182,7 @@ impl Stuck {
     }
 }
 
-impl Channel {
+impl Sensor {
     fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
         if self.bits.is_none() {
@@ -190,6 +192,7 @@ impl Channel {
         If(self.full_scale.is_some(), must).check("full_scale", self.full_scale.unwrap_or(f64::NAN))
     }
 
+    /// The output of the sensor for the value `truth`, to which the gain is already applied.
     fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {
         let mut value = truth + self.offset;
         if self.noise > 0.0 {
@@ -216,7 +219,7 @@ fn recording(sample_rate_hz: f64, time_s: Vec<f64>, current_a: Vec<f64>, positio
     Recording { time_s, trace }
 }
 
-/// Linear interpolation at a fractional grid index; constant beyond both ends.
+/// Linear interpolation between the values of `grid` at a fractional index; constant beyond both ends.
 fn interpolate(grid: &[f64], index: f64) -> f64 {
     let last = grid.len() - 1;
     if index <= 0.0 {

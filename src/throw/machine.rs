@@ -1,4 +1,4 @@
-//! Names of sites and machines. They are chunks of zenoh key expressions, so few characters are allowed.
+//! Names of sites and machines. They are parts of zenoh key expressions, so few characters are allowed.
 
 use std::{fmt, str::FromStr};
 
@@ -13,7 +13,7 @@ pub struct Name(String);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{text:?} is not a site or machine name: use 1 to {max} characters of A-Z a-z 0-9 _ -", max = Name::MAX_LEN)]
 pub struct InvalidName {
-    /// The text, cut to a printable length.
+    /// The text, cut after [`Name::MAX_LEN`] + 1 characters.
     pub text: String,
 }
 
@@ -21,12 +21,13 @@ impl Name {
     /// Longest name, in characters (all of them one byte).
     pub const MAX_LEN: usize = 64;
 
-    #[expect(clippy::expect_used, reason = "called with literals that a test reads")]
+    /// The name of a literal of the program; panics for a text that is not a name.
+    #[expect(clippy::expect_used, reason = "called only with literals, and tests run these calls")]
     pub(crate) fn fixed(text: &str) -> Self {
         text.parse().expect("a valid name")
     }
 
-    /// The name as text.
+    /// The text of the name.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -76,7 +77,7 @@ pub struct MachineId {
 }
 
 impl MachineId {
-    /// The machine `machine` at `site`.
+    /// The machine with these two names.
     ///
     /// # Errors
     /// When either text is not a valid [`Name`].

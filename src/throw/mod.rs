@@ -42,7 +42,7 @@ impl Direction {
         self.into()
     }
 
-    /// +1 when the throw increases the toe position, -1 when it decreases it.
+    /// +1 if the toe position increases in the throw, -1 if it decreases.
     pub const fn sign(self) -> f64 {
         match self {
             Self::NormalToReverse => 1.0,
@@ -66,12 +66,12 @@ impl fmt::Display for Direction {
     }
 }
 
-/// Identity of a throw among the throws of its machine: boot of the logger and sequence number in that boot.
+/// Identity of a throw among the throws of its machine: the boot of the logger, and the sequence number in this boot.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
 pub struct ThrowRef {
-    /// Identifier of the boot; the logger makes a new one at each start.
+    /// Identifier of the boot. The logger makes a new one at each start.
     pub boot_id: String,
-    /// Sequence number of the throw: +1 with each throw of a boot.
+    /// Sequence number of the throw; it increases by 1 with each throw of a boot.
     pub throw_no: u64,
 }
 
@@ -80,27 +80,30 @@ pub struct ThrowRef {
 pub struct Throw {
     /// Boot and sequence number.
     pub id: ThrowRef,
-    /// Wall time of the first sample (UTC).
+    /// Time of the first sample (UTC).
     pub started_at: Timestamp,
     /// Direction as the logger declared it; `None` for "unknown".
     pub direction: Option<Direction>,
     /// Motor current and toe position.
     pub trace: Trace,
-    /// Ambient or machine temperature \[°C\].
+    /// Temperature of the machine or of its surroundings \[°C\]; `None` if the logger does not measure it.
     pub temperature_c: Option<f64>,
-    /// Supply voltage during the throw, measured by the logger \[V\].
+    /// Mean supply voltage during the throw \[V\]; `None` if the logger does not measure it.
     pub supply_v: Option<f64>,
     /// Cut-off of the anti-alias filter of both channels \[Hz\]; `None` if the logger declares no filter.
     pub anti_alias_hz: Option<f64>,
 }
 
-/// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
+/// Units in which a logger may send the position by mistake \[mm\].
+pub(crate) const CENTIMETRE_MM: f64 = 10.0;
+pub(crate) const INCH_MM: f64 = 25.4;
+/// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a machine in the sun.
 pub const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
 /// Possible supply voltages \[V\]: point machines have 20 to 400 V. Outside this range the sensor has failed.
 pub const POSSIBLE_SUPPLY_V: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 
 impl Throw {
-    /// A throw of which only its trace is known, as from a recording; it has an arbitrary identity, and began in 1970.
+    /// A throw whose trace alone is known, as from a recording. Its identity is arbitrary, and its time is in 1970.
     pub fn recorded(trace: Trace) -> Self {
         Self {
             id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 1 },
@@ -113,13 +116,13 @@ impl Throw {
         }
     }
 
-    /// The supply voltage, if it was measured and is possible \[V\].
+    /// The supply voltage \[V\], if it was measured and is within [`POSSIBLE_SUPPLY_V`].
     pub fn possible_supply_v(&self) -> Option<f64> {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))
     }
 
-    /// The cut-off of the filter, if it is declared and possible \[Hz\]: above half of the sampling rate a filter
-    /// suppresses no alias.
+    /// The cut-off of the filter \[Hz\], if it is declared and possible. A filter with a cut-off above half of the
+    /// sampling rate suppresses no alias.
     pub fn possible_anti_alias_hz(&self) -> Option<f64> {
         self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= self.half_rate_hz() * 1.0001)
     }
@@ -128,7 +131,7 @@ impl Throw {
         0.5 * self.trace.sample_rate_hz()
     }
 
-    /// A sentence about the optional fields whose values are not possible, and not used; `None` if there are none.
+    /// A sentence about the optional fields whose values are not possible and so not used; `None` if there are none.
     pub fn unused_fields(&self) -> Option<String> {
         let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
         let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());

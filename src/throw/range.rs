@@ -1,8 +1,8 @@
-//! Range checks of numbers in configurations and in parameters of machines.
+//! Range checks of numbers in configurations and in parameters of simulated machines.
 
 use super::text::brief;
 
-/// A number outside its range.
+/// A number that is outside its allowed range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key} is {}, must be {must}", brief(*.value))]
 pub struct OutOfRange {
@@ -10,7 +10,7 @@ pub struct OutOfRange {
     pub key: String,
     /// The value.
     pub value: f64,
-    /// Allowed range with its unit: "0.5 to 500 mm".
+    /// Text of the allowed range with its unit, as in "0.5 to 500 mm".
     pub must: String,
 }
 
@@ -25,11 +25,12 @@ pub(crate) enum Range {
     AtLeast(f64),
     /// From the first to the second value, with their unit, which may be empty.
     Within(f64, f64, &'static str),
-    /// Values for which a condition holds that involves other numbers: the condition, and its text after "must be".
+    /// Allowed if the condition is true, which depends on other numbers as well; and its text after "must be".
     If(bool, &'static str),
 }
 
 impl Range {
+    /// Checks `value`; `key` is the name of the number in the error.
     pub(crate) fn check(self, key: &str, value: f64) -> Result<(), OutOfRange> {
         let is_inside = match self {
             Self::Finite => true,
@@ -53,7 +54,7 @@ impl Range {
 }
 
 impl OutOfRange {
-    /// Prefixes the key with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
+    /// Puts the section of the configuration in front of the key: `lead_mm` becomes `machine.lead_mm`.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self { key: format!("{section}.{}", self.key), ..self }

@@ -1,8 +1,8 @@
-//! Settings of a configuration: each with its default and its range in one place.
+//! A macro for structs of settings: the default and the range of each setting stand next to it.
 
-/// A number of any type, or a number that may be absent.
+/// A number of any type, or an optional number, so that the macro can check settings of all these types.
 pub(crate) trait Number {
-    /// The number; `None` if it is absent.
+    /// The number as `f64`; `None` if it is absent.
     fn number(self) -> Option<f64>;
 }
 
@@ -37,7 +37,8 @@ impl<T: Number> Number for Option<T> {
 }
 
 /// Defines a struct of settings. Each field has its default after `=`, and may have a [`Range`](super::Range) after a
-/// comma. The struct gets `Default`, and `check_ranges`, which returns the first number outside its range.
+/// comma. The struct gets `Default`, and the method `check_ranges`, which fails with the first number outside its
+/// range.
 macro_rules! settings {
     (
         $(#[$attribute:meta])*

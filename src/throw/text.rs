@@ -4,25 +4,26 @@ use std::fmt::Display;
 
 use jiff::Timestamp;
 
-/// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
+/// The text of a number for a sentence. A very large or very small number gets an exponent: 1e300 has 301 digits.
 pub fn brief(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
-/// A number of things: "1 throw", "2 throws". The text of the number decides, so it may be rounded by `format_args!`.
+/// A number of things: "1 throw", "2 throws". The noun is singular if the text of the number is "1", so a number that
+/// `format_args!` rounds to 1 is singular too.
 pub(crate) fn counted(number: impl Display, thing: &str) -> String {
     let number = number.to_string();
     let plural = if number == "1" { "" } else { "s" };
     format!("{number} {thing}{plural}")
 }
 
-/// The text without its numbers, to compare sentences.
+/// The text without its digits, to compare sentences that differ only in their numbers.
 pub(crate) fn without_digits(text: &str) -> String {
     text.replace(|character: char| character.is_ascii_digit(), "")
 }
 
-/// A time for a sentence: "2026-11-21 19:30:12 UTC".
+/// The text of a time for a sentence: "2026-11-21 19:30:12 UTC".
 pub fn utc(at: &Timestamp) -> String {
     at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
 }

@@ -1,4 +1,4 @@
-//! Trace of a throw: its two sampled channels.
+//! The trace of a throw: its two sampled channels.
 
 use std::{fmt::Write as _, sync::Arc};
 
@@ -10,12 +10,12 @@ pub const MAX_SAMPLES: usize = 1_000_000;
 pub const MIN_SAMPLE_RATE_HZ: f64 = 1.0;
 /// Highest sampling rate that a trace accepts \[Hz\].
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
-/// Relative difference of two rates that are the same: the times in a file have at least six digits.
+/// Two sampling rates are the same up to this relative difference: the times in a file have at least six digits.
 const SAME_RATE: f64 = 1e-6;
 
 /// Motor current and toe position, sampled together at a constant rate.
 ///
-/// The channels are equally long and hold 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken sensor
+/// The channels are equally long and have 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken sensor
 /// is a fault of the machine that must be stored and reported, so it is not an error here. Clones share the samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
@@ -24,7 +24,7 @@ pub struct Trace {
     position_mm: Arc<Vec<f64>>,
 }
 
-/// Two channels that do not form a trace.
+/// The reason why two channels do not form a trace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum InvalidTrace {
     /// The sampling rate is not finite or out of range.
@@ -67,8 +67,8 @@ impl Trace {
         Ok(Self { sample_rate_hz, current_a: Arc::new(current_a), position_mm: Arc::new(position_mm) })
     }
 
-    /// The trace with its nominal rate, if the rate measured from the times of the samples is this one within their
-    /// precision.
+    /// Replaces the sampling rate, which was computed from the times of the samples, by `nominal_hz`, if the two are
+    /// the same within the precision of these times.
     #[must_use]
     pub(crate) fn with_exact_rate(self, nominal_hz: Option<f64>) -> Self {
         let is_same = |nominal_hz: &f64| (nominal_hz / self.sample_rate_hz - 1.0).abs() < SAME_RATE;
@@ -97,7 +97,7 @@ impl Trace {
         self.position_mm.iter().any(|mm| mm.is_finite() && *mm != 0.0)
     }
 
-    /// Samples of each channel, at least 1.
+    /// Number of samples of each channel, at least 1.
     #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]
     pub fn len(&self) -> usize {
         self.current_a.len()

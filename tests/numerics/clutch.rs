@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use pointsd::estimate::{Identifier, Motor, Rejection, Settings};
-use pointsd::simulate::{Channel, Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
+use pointsd::simulate::{Conditions, Parameters, Rails, STEP_S, Sensor, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
 
 use super::identify::simulated_in;
@@ -159,7 +159,7 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
     }
     // The motor of a machine may run on against its clutch at the end of the stroke, and the sensor's scale be wrong.
     for gain_pct in [0.0, -1.5, 1.5] {
-        let position = Channel { gain_pct, ..Channel::default() };
+        let position = Sensor { gain_pct, ..Sensor::default() };
         let found = identify(&Sensors { position, ..Sensors::default() }, 114.3);
         assert!(found.is_ok(), "gain {gain_pct} %: {found:?}");
     }
@@ -212,7 +212,7 @@ fn an_obstruction_before_a_quiet_converter_is_no_stuck_sensor() {
         for (direction, offset, seed) in
             [(Direction::NormalToReverse, 0.0366, 40), (Direction::ReverseToNormal, 0.0269, 41)]
         {
-            let position = Channel { noise, offset, full_scale: Some(150.0), bits: Some(12), ..Channel::default() };
+            let position = Sensor { noise, offset, full_scale: Some(150.0), bits: Some(12), ..Sensor::default() };
             let sensors = Sensors { position, ..Sensors::default() };
             for at_mm in [20.0, 35.0, 50.0, 60.0, 75.0, 90.0, 100.0] {
                 let throw = obstructed(&sensors, direction, at_mm, seed);

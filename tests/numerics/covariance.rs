@@ -1,7 +1,7 @@
 //! The stated covariance against the scatter of repeated measurements.
 
 use pointsd::estimate::Identifier;
-use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
+use pointsd::simulate::{Conditions, Parameters, Sensor, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -17,7 +17,7 @@ fn the_95_pct_interval_covers_the_noise_free_estimate_in_93_to_97_pct_of_the_thr
     let mut identifier = Identifier::default();
     let (mut covered, mut throws) = ([0_u32; 3], 0);
     for (current_a, position_mm) in [(0.02, 0.02), (0.05, 0.02), (0.005, 0.2)] {
-        let channel = |noise| Channel { noise, ..Channel::default() };
+        let channel = |noise| Sensor { noise, ..Sensor::default() };
         let sensors = Sensors {
             current: channel(current_a),
             position: channel(position_mm),

@@ -3,7 +3,7 @@
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
     Channel, Climate, Condition, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Parameters, Part,
-    RailModel, Scatter, Sensors, Shape, Stuck, Waveform, Which,
+    RailModel, Scatter, Sensor, Sensors, Shape, Stuck, Waveform,
 };
 use pointsd::throw::{Direction, Throw};
 
@@ -124,10 +124,10 @@ fn sensors_change_the_trace_as_configured() {
     let signed = with(|sensors| sensors.signed_current = true);
     assert!(signed.current_a().iter().zip(perfect.current_a()).all(|(a, b)| (a + b).abs() < 1e-12));
     let offset =
-        with(|sensors| sensors.current = Channel { noise: 0.0, offset: -0.15, gain_pct: 2.0, ..Channel::default() });
+        with(|sensors| sensors.current = Sensor { noise: 0.0, offset: -0.15, gain_pct: 2.0, ..Sensor::default() });
     assert!(offset.current_a().iter().zip(perfect.current_a()).all(|(a, b)| (a - (1.02 * b - 0.15)).abs() < 1e-9));
     let coarse = with(|sensors| {
-        sensors.current = Channel { noise: 0.0, full_scale: Some(10.0), bits: Some(12), ..Channel::default() };
+        sensors.current = Sensor { noise: 0.0, full_scale: Some(10.0), bits: Some(12), ..Sensor::default() };
     });
     let step = 20.0 / 4096.0;
     assert!(coarse.current_a().iter().all(|a| a.abs() <= 10.0 && ((a / step).round() * step - a).abs() < 1e-12));
@@ -138,7 +138,7 @@ fn sensors_change_the_trace_as_configured() {
     let largest =
         jittered.position_mm().iter().zip(perfect.position_mm()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!((1e-3..0.05).contains(&largest), "{largest} mm at 27 mm/s and 0.1 ms");
-    let stuck = with(|sensors| sensors.stuck = Some(Stuck { channel: Which::Position, from_s: 1.0 }));
+    let stuck = with(|sensors| sensors.stuck = Some(Stuck { channel: Channel::Position, from_s: 1.0 }));
     assert!(stuck.position_mm()[1201..].iter().all(|mm| mm.to_bits() == stuck.position_mm()[1200].to_bits()));
 
     for sample_rate_hz in [25.0, 100.0, 333.0, 20_000.0] {
@@ -197,7 +197,7 @@ fn faults_and_incidents_happen_when_they_are_set() {
     settings.incidents = vec![
         incident(IncidentKind::Obstruction { at_mm: 60.0 }, 0),
         incident(IncidentKind::WeakSupply { loss_pct: 30.0 }, 1),
-        incident(IncidentKind::StuckSensor(Stuck { channel: Which::Current, from_s: 0.5 }), 2),
+        incident(IncidentKind::StuckSensor(Stuck { channel: Channel::Current, from_s: 0.5 }), 2),
     ];
     let mut machines = Fleet::new(&settings, 2).unwrap().into_machines();
     let throws: Vec<_> = (0..4).map(|_| machines[0].next_throw().unwrap()).collect();

@@ -1,7 +1,7 @@
 //! The simulated machine against analytical results.
 
 use pointsd::simulate::{
-    Channel, Conditions, Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Scatter,
+    Conditions, Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Scatter, Sensor,
     Sensors, Shape, Spread,
 };
 use pointsd::throw::Direction;
@@ -154,7 +154,7 @@ fn magnet_and_back_emf_fade_together_and_rails_soften_with_heat() {
 fn converters_of_12_and_16_bits_round_to_their_step() {
     let motion = lumped().simulate(Direction::NormalToReverse, &Conditions::default(), STEP_S).unwrap();
     for bits in [12, 16] {
-        let channel = Channel { noise: 0.0, full_scale: Some(150.0), bits: Some(bits), ..Channel::default() };
+        let channel = Sensor { noise: 0.0, full_scale: Some(150.0), bits: Some(bits), ..Sensor::default() };
         let sensors = Sensors { position: channel, ..Sensors::perfect(1000.0) };
         let record = |sensors: &Sensors| {
             let mut rng = rand_chacha::ChaCha12Rng::seed_from_u64(1);

@@ -1,7 +1,7 @@
 //! The current at rest: of a detection circuit, of electronics, of the sensor, or not recorded.
 
 use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Motor, Settings};
-use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
+use pointsd::simulate::{Conditions, Parameters, Sensor, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -114,7 +114,7 @@ fn the_interval_covers_an_offset_that_is_not_recorded() {
         let whole = Recorded::new(&Parameters::default(), &Sensors::default(), direction, None);
         let whole = whole.identify(&Settings::default()).outcome.unwrap();
         for offset in [-0.15, 0.0, 0.15] {
-            let current = Channel { offset, ..Channel::default() };
+            let current = Sensor { offset, ..Sensor::default() };
             let sensors = Sensors { before_s: 0.0, after_s: 0.0, current, ..Sensors::default() };
             let found = Recorded::new(&Parameters::default(), &sensors, direction, None).identify(&settings);
             let estimate = found.outcome.unwrap();
@@ -126,7 +126,7 @@ fn the_interval_covers_an_offset_that_is_not_recorded() {
 
 #[test]
 fn a_noisy_current_names_its_setting() {
-    let current = Channel { noise: 0.1, ..Channel::default() };
+    let current = Sensor { noise: 0.1, ..Sensor::default() };
     let sensors = Sensors { current, ..Sensors::default() };
     let recorded = Recorded::new(&Parameters::default(), &sensors, Direction::NormalToReverse, None);
     let found = recorded.identify(&Settings::default());

@@ -5,7 +5,7 @@ use crate::{
         explain::percent,
         verdict::{Blindness, HidingTemperature},
     },
-    throw::{Direction, counted},
+    throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},
 };
 
 /// Text for throws without an estimate, of one direction or of both, with the code of the last reason.
@@ -67,8 +67,8 @@ pub(crate) fn small_travel(name: &str, travel_mm: f64) -> String {
     format!(
         "Machine {name}: its toe moves {travel_mm:.1} mm, much less than that of most points. If position_mm is in centimetres \
          ({:.0} mm) or in inches ({:.0} mm), send millimetres and take a new baseline (rebaseline).",
-        10.0 * travel_mm,
-        25.4 * travel_mm
+        CENTIMETRE_MM * travel_mm,
+        INCH_MM * travel_mm
     )
 }
 

@@ -3,7 +3,7 @@
 use super::finding::Finding;
 use super::trial::{Bench, Trial, without_dry_friction};
 use crate::estimate::Settings;
-use crate::simulate::{Channel, Parameters, Sensors, Waveform};
+use crate::simulate::{Parameters, Sensor, Sensors, Waveform};
 use crate::throw::{Direction, OutOfRange};
 
 /// Sampling rates of loggers \[Hz\].
@@ -125,7 +125,7 @@ pub(super) fn offset(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     for before_s in [0.2, 0.01, 0.0] {
         for offset in [-0.15, 0.05, 0.15] {
             let perfect = Sensors::perfect(1000.0);
-            let sensors = Sensors { before_s, current: Channel { offset, ..perfect.current }, ..perfect };
+            let sensors = Sensors { before_s, current: Sensor { offset, ..perfect.current }, ..perfect };
             let label = format!("{offset:+.2} A, {:.0} ms", before_s * 1000.0);
             rows.push(bench.row(label, &Trial { sensors, ..Trial::default() })?);
         }
@@ -169,7 +169,7 @@ pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, Ou
     let mut rows = Vec::new();
     for (bits, noise) in [(10, 0.02), (12, 0.02), (12, 0.0), (16, 0.02), (16, 0.0)] {
         let channel =
-            |full_scale| Channel { noise, full_scale: Some(full_scale), bits: Some(bits), ..Channel::default() };
+            |full_scale| Sensor { noise, full_scale: Some(full_scale), bits: Some(bits), ..Sensor::default() };
         let sensors = Sensors { current: channel(20.0), position: channel(150.0), ..Sensors::default() };
         let noisy = if noise > 0.0 { "20 mA, 20 um" } else { "none" };
         let label = format!("{bits}, {noisy}");
