@@ -1,10 +1,11 @@
 //! Distinguishes a fault of a sensor, of the logger's clock or of the supply from a fault of a part.
 //!
-//! In (ln b0, ln a1, ln a0) a gain of the current sensor has the opposite direction of a motor fault, a gain of the
-//! position sensor has the same direction, and a clock that stretches time by s changes (-2, -1, -2) ln s by the
-//! derivatives in equation (12). The gauges distinguish them from a part:
+//! A drift is a vector in (ln b0, ln a1, ln a0). A gain error of the position sensor changes it as a fault of the motor
+//! does, and a gain error of the current sensor in the opposite sense. A clock that stretches time by the factor s
+//! changes it by (-2, -1, -2) ln s, by the derivatives in equation (12). The coefficients alone thus cannot name the
+//! faulty device. The gauges can; the table has the change of the logarithm of each gauge, for a fault of size 1:
 //!
-//! | for 1 of its size | travel | back-EMF (V - R i)/ω | resistance | duration |
+//! | fault | travel | back-EMF (V - R i)/ω | resistance R | duration |
 //! |---|---|---|---|---|
 //! | motor: torque alone, or its magnets | 0 | 0, or 1 | 0 | 0, or 1 |
 //! | friction, stiffness, inertia | 0 | 0 | 0 | 0 |
@@ -12,12 +13,13 @@
 //! | position sensor | 1 | -1 | 0 | 0 |
 //! | clock | 0 | 1 | 0 | 1 |
 //!
-//! Dry friction lowers b0 too, as it takes its part of the torque when the machine starts; b0 and a1 alone show motor and
-//! friction together. The back-EMF, or without a supply voltage the no-load speed, shows whether the motor changed.
+//! More dry friction lowers b0 too, as it takes a part of the torque at the start of the throw: b0 and a1 alone cannot
+//! distinguish motor and friction. The back-EMF shows whether the motor changed; without a supply voltage, the no-load
+//! speed does.
 //!
-//! Without a supply voltage, motor and current sensor look the same, and the alarm names both. A weak supply changes no
-//! coefficient of the model, except that the effect of dry friction, which is viscous in the model, increases at a
-//! lower speed, at most as much as the duration of the throw.
+//! Without a supply voltage, a fault of the motor and one of the current sensor look the same, and the alarm names
+//! both. A weak supply hardly changes the coefficients. Dry friction is the exception: the model has viscous friction
+//! only, so at a lower speed the same dry friction looks larger, at most in proportion to the duration of the throw.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -39,42 +41,47 @@ use super::{
     window::Window,
 };
 
-/// Lead that decides between sensor and machine: odds of 150 to 1, as twice the logarithm.
+/// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
 const DECIDES: f64 = 10.0;
-/// Lead of the machine that excludes a sensor: odds of 20 to 1.
+/// Lead of the machine over a sensor that excludes the sensor: odds of 20 to 1, as twice the logarithm.
 const EXCLUDES: f64 = 6.0;
-/// Bound of the score of one gauge, so that a gauge that changes for another reason cannot decide alone.
+/// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
 const MOST: f64 = 40.0;
 /// Least significance of a change of the supply \[standard deviations\].
 const SUPPLY_SD: f64 = 4.0;
 /// Least relevant change of the supply, as a logarithm.
 const SUPPLY_CHANGE: f64 = 0.05;
-/// Change of the supply voltage that raises an alarm \[%\]: more than that of a battery or mains in service.
+/// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
-/// Range of the increase in duration, as share of the loss of supply voltage.
+/// Range of the increase in duration as part of the loss of supply voltage, both as logarithms.
 const LONGER: std::ops::Range<f64> = 0.6..1.7;
-/// Largest increase of friction, as share of the loss of supply voltage; a decrease is only scatter.
+/// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
 const DRIER: f64 = 1.3;
-/// Least change of the inrush with the gain of the current sensor, as part of it.
+/// Least change of the inrush current as part of the gain error of the current sensor.
 const INRUSH_OF_GAIN: f64 = 0.5;
-/// Standard deviations by which the inrush may have changed less: a gain that is not named, as its inrush is uncertain, is
-/// named as the motor's, and a chair that dries on a soft drive changes the resistance as a gain of 10 to 15 % does.
+/// Slack of this limit in standard deviations of the inrush current. It is small, as both errors are possible: a gain
+/// error that the uncertain inrush hides is named as the motor's, and a chair that dries on a soft drive changes the
+/// resistance as a gain error of 10 to 15 % does.
 const INRUSH_SLACK_SD: f64 = 1.0;
-/// Largest change of the motor's size with the logarithm of the resistance between supply and motor: twice the resistance
-/// changed it by 0.08 on an independent drive at 250 Hz.
+/// Largest apparent change of the motor, as part of the change of the logarithm of the resistance between supply and
+/// motor. Measured on an independent drive at 250 Hz: 0.08, with twice the resistance.
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
-/// Throws for which a past sensor or supply fault can still explain a drift: a longest window of each direction.
+/// Throws for which a past fault of a sensor or the supply can still explain a drift: a longest window of each
+/// direction.
 const LINGERS: u32 = 48;
 
-/// Numbers of consecutive throws for an alarm and for its end, and whether it ended recently.
+/// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Streaks {
+    /// Consecutive throws with the fault above its limit.
     named: u32,
+    /// Consecutive throws since the measured quantity returned to its limit.
     over: u32,
-    /// Throws since the fault was last seen.
+    /// Consecutive throws without the fault.
     unseen: u32,
+    /// Whether the fault still explains a drift: its throws may be in the windows.
     lingers: bool,
 }
 
@@ -83,25 +90,27 @@ struct Streaks {
 #[serde(default)]
 pub(super) struct Instruments {
     pub(super) gauges: Gauges,
-    /// The sensor that explains the drift of the last throw.
+    /// The sensor that was last named.
     channel: Option<SensorChannel>,
-    /// Its size.
+    /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f64,
     sensor: Streaks,
     supply: Streaks,
     circuit: Streaks,
-    /// Of an offset of the current sensor.
+    /// For an offset of the current sensor.
     rest: Streaks,
-    /// Of an offset of the position sensor.
+    /// For an offset of the position sensor.
     shift: Streaks,
 }
 
-/// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
+/// A sensor, or the clock, that may explain a drift.
 struct Suspect {
     channel: SensorChannel,
+    /// Change of (ln b0, ln a1, ln a0) by a fault of size 1.
     effect: [f64; 3],
+    /// Change of the gauges in [`DISTINGUISHING`] by a fault of size 1.
     gauges: [f64; 4],
-    /// Ratio of the gain to the size of the effect.
+    /// Logarithm of the gain, or of the rate of the clock, in a fault of size 1.
     gain: f64,
 }
 
@@ -166,19 +175,22 @@ impl Instruments {
         }
     }
 
-    /// Whether a clock that is wrong by `size` may explain a drift: the coefficients distinguish it from friction, which
-    /// their ratios do not, and a wrong clock does not change the running current, which friction changes.
+    /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a
+    /// wrong clock cannot be distinguished from friction. A wrong clock does not change the running current; friction
+    /// does.
     fn may_be_clock(&self, size: f64, window: &Window) -> bool {
-        /// Least change of the running current beyond its standard deviation, as part of the size.
+        /// Change of the running current, less its standard deviation, from which the clock is excluded; as part of
+        /// `size`.
         const PART: f64 = 0.5;
         let running = self.gauges.level(Gauge::Running, window.throws);
         let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
         window.shows(Cause::Inertia) && !has_changed
     }
 
-    /// Whether a wrong gain of the current sensor may explain a drift: the inrush has changed as well, by at least half of it,
-    /// beyond the changes by the supply voltage and by the temperature of the winding. The resistance is no such evidence, as
-    /// one computed from a toe that moves otherwise than the motor may be anything.
+    /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
+    /// at least half of the error, beyond the changes by the supply voltage and by the temperature of the winding. The
+    /// resistance is no evidence here: if the toe moves differently from the motor, the resistance computed from its
+    /// speed is wrong.
     fn may_be_current(&self, gain: f64, window: &Window) -> bool {
         let level = |gauge| self.gauges.level(gauge, window.throws);
         let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
@@ -189,20 +201,20 @@ impl Instruments {
         shown > INRUSH_OF_GAIN * gain.abs()
     }
 
-    /// Whether a changed resistance between supply and motor explains a drift: it changes the inrush, which accelerates the
-    /// machine, and with it b0 a little, and the speed.
+    /// Whether a changed resistance between supply and motor explains a drift. The resistance changes the inrush
+    /// current and the speed. The inrush accelerates the machine, so b0 changes a little too.
     fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
         let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
         let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
-        // Of a smaller inrush a dry load takes a larger part, at most that of the running current.
+        // Dry friction takes a larger part of a smaller inrush: at most the running current as part of the inrush.
         let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
         let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
     }
 
-    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, beside a change `of_motor` of
-    /// b0. Dry friction F at the speed v is F/v in a1, and a speed that changes along the stroke looks like stiffness: both
-    /// grow at most as much as the duration, and in the ratios to b0 look like a weaker motor.
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where b0 may change by
+    /// `of_motor`. Dry friction F at the speed v adds F/v to a1, and a speed that changes along the stroke looks like
+    /// stiffness. Both grow at most as much as the duration. In the ratios to b0, they look like a weaker motor.
     fn speed_explains(&self, attribution: &Attribution, window: &Window, sense: f64, of_motor: f64) -> bool {
         let slower = self.gauges.level(Gauge::Duration, window.throws).map_or(0.0, |longer| longer.value);
         let slower = (slower * sense).max(0.0);
@@ -222,8 +234,8 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a change of friction, alone or with a small change of the motor beside it: the model has
-    /// no dry friction, whose effect on its coefficients depends on the speed.
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor. The model has no
+    /// dry friction, whose effect on the coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.supply_lost(window.throws) else { return false };
         let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
@@ -242,8 +254,7 @@ impl Instruments {
             || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
     }
 
-    /// Loss of supply voltage, as a logarithm, from the voltage without its error, or the inrush; `None` unless it is
-    /// significant and the duration agrees.
+    /// Loss of supply voltage as a logarithm; `None` unless it is significant and the duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
         let lost = self.supply_change(throws)?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
@@ -251,7 +262,8 @@ impl Instruments {
         (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
-    /// The same without a condition; `None` if it is unknown.
+    /// Loss of supply voltage as a logarithm: from the published voltage corrected by its error, else from the inrush
+    /// current.
     fn supply_change(&self, throws: usize) -> Option<Level> {
         let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
         let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
@@ -259,8 +271,8 @@ impl Instruments {
         Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
     }
 
-    /// Remaining part of the fault of a sensor, by the gauges that it changes, as part of its size when it was named; `None` if
-    /// they are unknown, or another was named since.
+    /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
+    /// gauges are unknown, or another sensor was named since.
     fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
         if sensor == Some(SensorChannel::Supply) {
             return self.gauges.voltage_error_size();
@@ -283,7 +295,7 @@ impl Instruments {
         if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
     }
 
-    /// Updates the alarm about a sensor after a throw with this drift, and its testimony.
+    /// Updates the alarm about a sensor after a throw with this drift.
     pub(super) fn judge(&mut self, drift: &Drift, step: &mut Step) {
         let settings = step.settings;
         let of_drift = if let Testimony::Sensor(fault) = drift.testimony { Some(fault) } else { None };
@@ -342,9 +354,9 @@ impl Instruments {
         }
     }
 
-    /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;
-    /// `circuit`: the resistance between supply and motor. The circuit is part of the supply, as the voltage is measured
-    /// before it.
+    /// Updates the alarm about the supply after a throw. `explained`: `None` if the supply explains no drift, else
+    /// whether this drift is above its limit. `circuit`: the resistance between supply and motor; a part of the supply,
+    /// as the voltage is measured before it.
     pub(super) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
@@ -358,7 +370,7 @@ impl Instruments {
             left,
             delay,
         );
-        // A wrong current changes the resistance too.
+        // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
@@ -394,7 +406,7 @@ impl Instruments {
         }
     }
 
-    /// Deletes the last throws, but not the normal values, after maintenance.
+    /// Forgets the last throws, as after maintenance; keeps the normal values.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
         *self = Self { gauges: std::mem::take(&mut self.gauges), ..Self::default() };
@@ -402,8 +414,9 @@ impl Instruments {
 }
 
 impl Streaks {
-    /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
-    /// limit; `delay`: throws after which a fault has an alarm, as one that is seen in fewer explains no later drift.
+    /// Counts a throw. `holds`: it shows the fault; `matters`: the fault is above its limit; `is_alike`: the throw may
+    /// show the fault; `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
+    /// alarm. A fault without an alarm explains no later drift.
     fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>, delay: u32) {
         streak(&mut self.named, holds && matters);
         streak(&mut self.unseen, !holds && !is_alike);
@@ -413,7 +426,7 @@ impl Streaks {
     }
 }
 
-/// The part with the best fit to drift and gauges, and its score.
+/// The part with the best fit to drift and gauges, and the misfit.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
     let (m, v) = (&window.mean, &window.covariance);
     let scored = |cause: Cause, motor: Option<f64>, score: f64| {
@@ -434,7 +447,8 @@ fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) 
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
 
-/// Combines a size and its standard deviation with the gauges that it changes by `effects`.
+/// Weighted mean of a size and of the sizes that the gauges show, which a fault of size 1 changes by `effects`; with
+/// its standard deviation.
 fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
     let own = size_sd.powi(-2);
     let (mut sum, mut weight) = (own * size, own);
@@ -447,7 +461,7 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
     (sum / weight, weight.sqrt().recip())
 }
 
-/// Misfit of the gauges to their expected values.
+/// Misfit of the gauges to their expected values, as a sum of squares in variances.
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
     let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MOST));
     levels.iter().zip(expected).map(of).sum()

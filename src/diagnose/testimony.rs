@@ -1,48 +1,49 @@
-//! Verdict of the gauges on a drift: caused by a part, by a sensor or the clock, or by the supply.
+//! Verdict of the gauges on a drift: a part, a sensor or the clock, or the supply causes it.
 
 use super::event::{RunnerUp, SensorChannel};
 
 /// Verdict of the gauges on a drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) enum Testimony {
-    /// A part of the machine.
+    /// A part of the machine causes the drift.
     #[default]
     Machine,
-    /// Part and sensor explain the drift equally well, and what they wait for.
+    /// A part and a sensor explain the drift about equally well; `waits`: evidence that would decide.
     Either { channel: SensorChannel, waits: Awaited },
-    /// A sensor.
+    /// A sensor, or the clock, causes the drift.
     Sensor(Fault),
-    /// The supply.
+    /// The supply causes the drift.
     Supply,
-    /// A past fault of sensor or supply, whose throws are still in the windows; `is_alike`: the sensor may explain this
-    /// drift too.
+    /// A past fault of a sensor or the supply causes the drift: its throws are still in the windows. `is_alike`: the
+    /// sensor may also have its fault again.
     Lingers { is_alike: bool },
 }
 
-/// Evidence that would distinguish part and sensor.
+/// Evidence that would decide between a part and a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Awaited {
     /// More throws.
     Throws,
-    /// The resistance of the motor, which is not known although the voltage is published.
+    /// The resistance of the motor, which is unknown although the voltage is published.
     Resistance,
-    /// A published voltage.
+    /// A published supply voltage.
     Voltage,
 }
 
-/// A fault of a sensor.
+/// A fault of a sensor or of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
     pub(super) channel: SensorChannel,
-    /// Logarithm of the gain, or of the rate of the clock, and its standard deviation.
+    /// Logarithm of the gain, or of the rate of the clock.
     pub(super) size: f64,
+    /// Standard deviation of `size`.
     pub(super) size_sd: f64,
-    /// The best part for the drift, and the lead of the sensor over it.
+    /// The part that explains the drift best, and the lead of the sensor over it.
     pub(super) runner_up: RunnerUp,
 }
 
 impl Testimony {
-    /// Whether no part is faulty.
+    /// Whether the drift is no evidence of a faulty part.
     pub(super) fn excuses(self) -> bool {
         matches!(self, Self::Sensor(_) | Self::Supply | Self::Lingers { .. })
     }

@@ -1,25 +1,28 @@
-//! Plausibility of the temperature: a failed sensor must not hide a fault.
+//! Plausibility of the temperature: a failed temperature sensor must not hide a fault of the machine.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::throw::POSSIBLE_C;
 
-/// Largest change by weather, sun and a warm motor \[K\]: at once, for each hour up to five, and for each day.
+/// Largest change by weather, sun and a warm motor \[K\]: at once; more for each hour, up to a total; more for each
+/// day.
 const AT_ONCE_K: f64 = 20.0;
 const PER_HOUR_K: f64 = 2.0;
 const WITHIN_HOURS_K: f64 = 10.0;
 const PER_DAY_K: f64 = 1.0;
-/// Time after which a missing temperature is a fault of the sensor. The last one is used all the same: without it the
+/// Time after which a missing temperature is a fault of the sensor. The last temperature stays in use: without it, the
 /// whole effect of the temperature would appear at once, as a fault of the machine.
 const HOLDS: SignedDuration = SignedDuration::from_hours(24);
-/// Least time and number of equal readings of a stuck sensor: the weather changes within days, by more than the 1 K of a coarse
-/// sensor.
+/// Least time and least number of equal readings of a stuck sensor. Within days, the weather changes by more than the 1
+/// K of a coarse sensor.
 const STUCK: (SignedDuration, u32) = (SignedDuration::from_hours(120), 24);
-/// Factor on the largest number of equal readings before: a tunnel, or a value that a logger renews seldom, has long runs.
+/// Least length of the run of a stuck sensor, as multiple of the longest run before. In a tunnel, or with a logger that
+/// renews the value seldom, healthy runs are long.
 const STUCK_RUNS: u32 = 4;
-/// Consecutive similar readings after which a jump is accepted, if no more readings were accepted before: then these were
-/// wrong. Later a jump that stays is another unit, or a broken or moved sensor, whose readings do not fit what was learned.
+/// Consecutive similar readings after which a jump is accepted, if no more readings were accepted before it: those were
+/// wrong. After more accepted readings, a jump that stays is another unit, or a broken or moved sensor; its readings do
+/// not fit the learned effect of the temperature.
 const SETTLED_READINGS: u32 = 6;
 
 /// An implausible temperature or supply voltage.
@@ -29,48 +32,50 @@ pub(super) enum Disbelief {
     Impossible(f64),
     /// A jump from the first to the second value \[°C\].
     Jump(f64, f64),
-    /// No temperature since this time, after earlier ones.
+    /// Missing since this time; earlier throws had a temperature.
     Missing(Timestamp),
-    /// The same value \[°C\] since this time, after earlier changes. It is used: there is no better one.
+    /// The same value \[°C\] since this time; it had changed before. This value is still used, as there is no better
+    /// one.
     Stuck(f64, Timestamp),
     /// A supply voltage out of the possible range \[V\].
     Supply(f64),
 }
 
-/// The temperature of a throw after the check.
+/// The temperature of a throw after its check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` without.
+    /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` before the first.
     pub(super) celsius: Option<f64>,
-    /// Reason for the rejection of the throw's temperature.
+    /// Why the temperature of the throw is implausible; `None` if it is plausible.
     pub(super) disbelief: Option<Disbelief>,
 }
 
 /// State of the temperature sensor of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Thermometer {
+    /// The last accepted temperature \[°C\], with its time.
     believed: Option<(f64, Timestamp)>,
-    /// Number of accepted readings, up to [`SETTLED_READINGS`] + 1.
+    /// Number of accepted readings, counted up to [`SETTLED_READINGS`] + 1.
     #[serde(default)]
     accepted: u32,
-    /// Boxed, as few machines have rejected readings.
+    /// The rejected readings since the last accepted one. Boxed, as few machines have any.
     #[serde(skip_serializing_if = "Option::is_none")]
     doubt: Option<Box<Doubt>>,
     #[serde(default)]
     run: Run,
 }
 
-/// Consecutive equal readings.
+/// A run of consecutive equal readings.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Run {
     since: Option<Timestamp>,
     readings: u32,
-    /// Readings of the longest run before; 0 if the temperature never changed.
+    /// Readings of the longest run before this one; 0 if the temperature never changed.
     longest: u32,
 }
 
 impl Run {
-    /// Applies a reading, `same` as the one before or not. Returns the begin of the run if the sensor is stuck.
+    /// Adds a reading; `same`: equal to the one before. Returns the begin of the run if the sensor is stuck.
     fn follow(&mut self, same: bool, at: Timestamp) -> Option<Timestamp> {
         if !same {
             let longest = self.longest.max(self.readings);
@@ -86,14 +91,15 @@ impl Run {
 /// Consecutive rejected readings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Doubt {
-    /// Time of the first one.
+    /// Time of the first of them.
     since: Timestamp,
-    /// The last one \[°C\], and the number of consecutive readings like it; `None` in states of an earlier program.
+    /// The last of them \[°C\], and the number of consecutive readings like it; `None` in snapshots of an earlier
+    /// program.
     last: Option<(f64, u32)>,
 }
 
 impl Thermometer {
-    /// Checks the temperature of a throw at a time.
+    /// Checks the temperature of a throw, `None` if the throw has none.
     pub(super) fn read(&mut self, celsius: Option<f64>, at: Timestamp) -> Reading {
         let before = self.believed.map(|(celsius, _)| celsius);
         let Some(celsius) = celsius else {
@@ -101,7 +107,7 @@ impl Thermometer {
             return Reading { celsius: before, disbelief: missing.map(|(_, then)| Disbelief::Missing(then)) };
         };
         if !POSSIBLE_C.contains(&celsius) {
-            // No reading of the weather: the next possible one has the change since the last accepted one.
+            // Says nothing about the weather: the next possible reading is compared with the last accepted one.
             self.doubt = None;
             return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
         }
@@ -110,7 +116,7 @@ impl Thermometer {
             let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
             let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
             let doubted = self.doubt.as_ref().and_then(|doubt| doubt.last);
-            // A sensor in another unit has plausible readings too, which follow the rejected ones.
+            // A sensor in another unit has plausible readings now and then; they are close to the rejected ones.
             let is_like_doubted =
                 doubted.is_some_and(|(doubted, _)| (celsius - doubted).abs() < (celsius - last).abs());
             if (celsius - last).abs() > weather_k || is_like_doubted {

@@ -1,9 +1,10 @@
 //! Wet spells in the throws of a baseline.
 //!
-//! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline it would hide wear for
-//! good, so a spell that begins and ends within the throws is taken out. Two models of the friction's logarithm are
-//! compared: levels, effect of the temperature and slope; and the same with a spell, any of those that fit into the throws.
-//! The evidence is that of [`super::regression`], in which a machine whose throws wander needs no spells.
+//! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline, a wet spell would
+//! hide wear for ever. So a spell that begins and ends within the throws is taken out. The evidence compares two models
+//! of the friction's logarithm: levels, effect of the temperature and slope; and the same with a spell, at any place
+//! that fits. It is the evidence of [`super::regression`]: it finds no spells in a machine whose throws only change
+//! slowly by chance.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -11,36 +12,37 @@ use serde::{Deserialize, Serialize};
 
 use super::{regression::Series, trend::Filling};
 
-/// Change of the friction's logarithm in a spell: some per cent more and less than the 10 to 25 % of rain, as the edges of a
-/// spell are not sharp.
+/// Change of ln a1 in a spell: 10 to 25 % by rain, and some per cent less and more, as the edges of a spell are not
+/// sharp.
 const CHANGE: Range<f64> = -0.34..-0.07;
-/// Number of throws of a spell.
+/// Number of throws in a spell.
 const LENGTH: RangeInclusive<usize> = 6..=LONGEST;
-/// Largest number of throws of a spell.
+/// Largest number of throws in a spell.
 pub(super) const LONGEST: usize = 48;
-/// Least number of throws before a spell, and after it: a step down or up is not rain.
+/// Least number of dry throws before a spell and after it; without them, a change is a step and not rain.
 const DRY: usize = 6;
-/// Logarithm of the Bayes factor of spells against none.
+/// Least logarithm of the Bayes factor of a model with spells against one without.
 const EVIDENCE: f64 = 4.0;
 /// Largest number of spells in a baseline.
 const MOST: usize = 3;
-/// Throws before an edge and after it whose means show it.
+/// Number of throws on each side of an edge whose mean values show the edge.
 const BESIDE: usize = 3;
-/// Number of the most prominent edges of each kind between which spells are compared: some for every spell.
+/// Number of the clearest edges of each kind, down and up, between which spells are searched: several for each spell.
 const EDGES: usize = 10;
 
 /// A wet spell.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct WetSpell {
-    /// Numbers of its first and last throw among those of the machine.
+    /// Number of its first throw, counted by the machine's monitor.
     first: u32,
+    /// Number of its last throw.
     last: u32,
     /// Change of ln a1.
     change: f64,
 }
 
 impl WetSpell {
-    /// Change of ln a1 in the throw with this number.
+    /// Change of ln a1 by this spell in the throw with the number `order`.
     pub(super) fn change_at(&self, order: u32) -> f64 {
         if (self.first..=self.last).contains(&order) { self.change } else { 0.0 }
     }
@@ -48,7 +50,7 @@ impl WetSpell {
 
 /// The wet spells in the throws of both directions.
 pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
-    /// Coefficient of the friction.
+    /// Index of ln a1 in the logarithms.
     const A1: usize = 1;
     let values = filling.values(A1, CHANGE.start.abs());
     if !values.windows(*LENGTH.start()).any(|few| few.iter().sum::<f64>() < CHANGE.end * few.len() as f64) {
@@ -69,9 +71,9 @@ pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
     spells.iter().enumerate().map(with_change).filter(|spell| CHANGE.contains(&spell.change)).collect()
 }
 
-/// The likeliest spells with one common change; none without enough evidence. All spells that fit are equally probable
-/// before. The search starts with the likeliest single spell between two prominent edges, and makes the throws between two
-/// edges wet or dry as long as the evidence grows.
+/// The likeliest spells, for a common change of ln a1 in all of them; none without enough evidence. All spells that fit
+/// have the same prior probability. The search starts with the likeliest single spell between two clear edges. Then it
+/// makes the throws between two edges wet or dry as long as this increases the evidence.
 fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     let throws = values.len();
     let Some(latest) = throws.checked_sub(DRY) else { return Vec::new() };
@@ -120,7 +122,7 @@ fn runs(throws: usize, is_wet: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
     runs
 }
 
-/// 1 in the throws of the spells, 0 in the others.
+/// The regressor of the spells: 1 in their throws, 0 in the others.
 fn column(spells: &[Range<usize>], throws: usize) -> Vec<f64> {
     (0..throws).map(|at| f64::from(u8::from(spells.iter().any(|spell| spell.contains(&at))))).collect()
 }

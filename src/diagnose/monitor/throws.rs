@@ -1,5 +1,5 @@
-//! The effects of a throw on the monitor of its machine: with an estimate on baseline and drift alarms, without one on
-//! gauges and features, always on the operational alarms.
+//! Effects of a throw on the monitor of its machine. A throw with an estimate changes baseline and drift alarms, a
+//! throw without one changes gauges and features. Both change the operational alarms.
 
 use std::mem;
 
@@ -34,20 +34,20 @@ impl MachineMonitor {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
-    /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
+    /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
         let features = &observation.features;
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
-        // Not even the direction is known.
+        // The position is wrong, so neither the estimate nor the direction is known.
         let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
         let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
-        // Taken out of the monitor, whose other parts change beside them.
+        // Taken out of the monitor: the step borrows both while the rest of the monitor changes.
         let (name, mut alarms) = (mem::take(&mut self.name), mem::take(&mut self.alarms));
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         let temperature = self.thermometer.read(observation.temperature_c, at);
-        // Without its toe sensor a machine is not what its baseline describes.
+        // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_position && observation.is_without_position();
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         self.learn_neutral(observation);
@@ -88,7 +88,7 @@ impl MachineMonitor {
             if !observation.features_only {
                 return Some(self.baseline_progress(direction, settings));
             }
-            // A machine with a current sensor only learns its features.
+            // A machine that has only a current sensor learns its features.
             (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
         });
         verdict.present = self.present();
@@ -97,7 +97,8 @@ impl MachineMonitor {
         verdict
     }
 
-    /// Learns from the first throws whether the spring is unstressed elsewhere than configured. They are then no part of a baseline.
+    /// Learns from the first throws whether the neutral position differs from the configured one. When it has learned
+    /// that, the throws before it leave the baseline.
     fn learn_neutral(&mut self, observation: &Observation) {
         if self.tracks.any_baseline() {
             self.neutral.settle();
@@ -106,7 +107,7 @@ impl MachineMonitor {
         }
     }
 
-    /// Returns the baselines that became usable or complete.
+    /// Applies a throw outside maintenance. Returns the baselines that became usable or complete.
     fn observe_in_service(
         &mut self,
         observation: &Observation,
@@ -129,7 +130,7 @@ impl MachineMonitor {
         for sensor in [Offset::Current, Offset::Position] {
             self.instruments.judge_offset(sensor, step);
         }
-        // Ratios show fewer faults than coefficients, so machines with ratios keep the feature rule.
+        // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, step);
         found::withdraw_explained(step);
@@ -145,8 +146,8 @@ impl MachineMonitor {
         baselines_taken
     }
 
-    /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
-    /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
+    /// Adds a throw without an estimate to the gauges. A rejected throw adds only the gauges that need no model. In a
+    /// direction without a baseline they count as normal too, so that a change after many rejected throws is noticed.
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
         let Observation { features: all, incomplete, faulty, .. } = observation;
         let features_only = observation.is_without_position();
@@ -172,10 +173,10 @@ impl MachineMonitor {
         self.instruments.judge_supply(None, circuit, step);
     }
 
-    /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
-    /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
+    /// Watches the features of a throw whose coefficients cannot be judged: it has no estimate, or there is no baseline
+    /// yet, as on a machine whose every throw is rough. Returns whether the throw counts as monitored.
     fn watch_features(&mut self, observation: &Observation, is_judged: bool, step: &mut Step) -> bool {
-        // An alarm about the features ends by them: the drift rule may need a far larger change while a baseline is new.
+        // The rule that raised an alarm also clears it: with a new baseline, the drift rule needs a far larger change.
         if is_judged && step.alarms.owned_by(Rule::Features).is_none() {
             self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
@@ -185,13 +186,14 @@ impl MachineMonitor {
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
         found.apply(Rule::Features, step);
-        // A slow recording may give an estimate by chance.
+        // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_too_slow() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
         is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
+    /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
         let settings = step.settings;
         let suspicious = self.drift.is_suspicious(step.alarms);
@@ -211,13 +213,13 @@ impl MachineMonitor {
         let testimony = drift.as_ref().map(|drift| drift.testimony);
         let excused = testimony.is_some_and(Testimony::excuses);
         let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
-        // A sensor counts as an explanation of a changed resistance only if the drift that it may explain is above its limit.
+        // A sensor explains a changed resistance only if the drift that it may explain is above its limit.
         let may_be_sensor = |drift: &&Drift| matches!(drift.testimony, Testimony::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
         let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |window| window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
-        // The inrush, which accelerates the machine, depends on the supply.
+        // The supply changes the inrush current, which accelerates the machine.
         let excused_start = excused || step.alarms.is_active(Cause::Supply);
         self.start.judge(&self.instruments.gauges, excused_start, step).apply(Rule::Start, step);
         if let Some(departure) = departure {
