@@ -426,25 +426,28 @@ impl Streaks {
     }
 }
 
-/// The part with the best fit to drift and gauges, and the misfit.
+/// The part that fits drift and gauges best, alone or with a second part, and the misfit.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
-    let (m, v) = (&window.mean, &window.covariance);
-    let scored = |cause: Cause, motor: Option<f64>, score: f64| {
-        let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor.unwrap_or_default());
-        (cause, score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
-    };
     let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
-    let (parts, count) = (&parts, parts.len());
-    let singles = parts.iter().map(|&cause| {
-        let found = fit(PLAIN_LEAKS, [cause], m, v, settings);
-        scored(cause, (cause == Cause::Kt).then_some(found.parts[0].size), found.score)
-    });
+    let singles = parts.iter().map(|&cause| scored([cause], window, levels, settings));
     let pairs =
-        (0..count).flat_map(|first| (first + 1..count).map(move |second| [parts[first], parts[second]])).map(|pair| {
-            let found = fit(PLAIN_LEAKS, pair, m, v, settings);
-            scored(pair[0], (pair[0] == Cause::Kt).then_some(found.parts[0].size), found.score)
-        });
+        parts.iter().enumerate().flat_map(|(at, &first)| parts[at + 1..].iter().map(move |&second| [first, second]));
+    let pairs = pairs.map(|pair| scored(pair, window, levels, settings));
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
+}
+
+/// The first of `parts`, and the misfit of all of them to drift and gauges.
+fn scored<const K: usize>(
+    parts: [Cause; K],
+    window: &Window,
+    levels: &[Option<Level>; 4],
+    settings: &Settings,
+) -> (Cause, f64) {
+    let found = fit(PLAIN_LEAKS, parts, &window.mean, &window.covariance, settings);
+    // A weaker motor loses torque alone, or its magnets weaken: then back-EMF and duration change too.
+    let motor = if parts[0] == Cause::Kt { found.parts[0].size } else { 0.0 };
+    let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor);
+    (parts[0], found.score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
 }
 
 /// Weighted mean of a size and of the sizes that the gauges show, which a fault of size 1 changes by `effects`; with

@@ -63,12 +63,13 @@ const GAUSSIAN_KURTOSIS: f64 = 3.0;
 /// independent throws.
 const GAUSSIAN_WEIGHT: f64 = 60.0;
 
-/// Uncertainty of the covariance of a mean of throws.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Doubt {
-    /// Possible ratios of the true covariance to the assumed one, each with its probability and the degrees of freedom
-    /// of the variance of one throw.
-    pub(super) factors: Vec<(f64, f64, f64)>,
+/// A possible ratio of the true covariance of a mean of throws to the assumed covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Factor {
+    pub(super) ratio: f64,
+    pub(super) probability: f64,
+    /// Degrees of freedom of the variance of one throw.
+    pub(super) freedom: f64,
 }
 
 /// Noise of a series of throws along one direction of the logarithms.
@@ -286,12 +287,12 @@ impl Scatter {
         inflation_of(self.lag1[i], self.slow[i], w)
     }
 
-    /// Uncertainty of [`Self::of_mean`] of `w` throws: variance and lag-1 correlation both come from a finite number of
-    /// throws. For a lag-1 correlation phi from n throws, atanh phi is nearly normal with the variance 1 / (n (1 -
+    /// Possible factors on [`Self::of_mean`] of `w` throws: variance and lag-1 correlation are uncertain, as they come
+    /// from a finite number of throws. For a lag-1 correlation phi from n throws, atanh phi is nearly normal with the variance 1 / (n (1 -
     /// phi^2)), as that of phi is (1 - phi^2) / n (Bartlett). The measured variance is that of the innovations, so a
     /// larger phi also means a larger variance of one throw. Each coefficient has a third of the probability. Few
     /// throws need another method: see [`super::persistence`].
-    pub(super) fn doubt(&self, w: usize) -> Doubt {
+    pub(super) fn factors(&self, w: usize) -> Vec<Factor> {
         /// Nodes on each side of the estimated value, and their distance in standard deviations.
         const NODES: (i32, f64) = (6, 0.8);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
@@ -304,11 +305,11 @@ impl Scatter {
                 let i = at / nodes;
                 let fixed = sensor[(i, i)] * (1.0 / w + 1.0 / self.throws);
                 let natural_of_mean = f64::from(possible.variance) * of(phi_of(at % nodes));
-                let factor =
+                let ratio =
                     (natural_of_mean + fixed) / (natural[(i, i)] * of(self.lag1[i]) + fixed).max(f64::MIN_POSITIVE);
-                (factor, possible.weight.into(), possible.freedom.into())
+                Factor { ratio, probability: possible.weight.into(), freedom: possible.freedom.into() }
             };
-            return Doubt { factors: self.possible.iter().enumerate().map(factor).collect() };
+            return self.possible.iter().enumerate().map(factor).collect();
         }
         let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
         let freedom = independent * self.tail_worth + self.leaning;
@@ -322,15 +323,15 @@ impl Scatter {
                 let z = f64::from(node) * NODES.1;
                 let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
                 let natural = assumed * of_natural(other) / of_natural(phi);
-                let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
-                (factor, (-0.5 * z * z).exp(), freedom)
+                let ratio = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
+                Factor { ratio, probability: (-0.5 * z * z).exp(), freedom }
             }));
         }
-        let total: f64 = factors.iter().map(|(_, weight, _)| weight).sum();
-        for (_, weight, _) in &mut factors {
-            *weight /= total;
+        let total: f64 = factors.iter().map(|factor| factor.probability).sum();
+        for factor in &mut factors {
+            factor.probability /= total;
         }
-        Doubt { factors }
+        factors
     }
 }
 

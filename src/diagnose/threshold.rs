@@ -12,7 +12,7 @@
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
 
-use super::scatter::{Doubt, Scatter};
+use super::scatter::{Factor, Scatter};
 
 /// Window lengths \[throws\].
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
@@ -34,7 +34,7 @@ impl Thresholds {
     /// Computes the limits for `budget` false alarms per throw of a stream; its windows share them.
     pub(super) fn compute(scatter: &Scatter, budget: f64) -> Self {
         let share = CROSSINGS_PER_ALARM * budget / WINDOWS.len() as f64;
-        Self { budget, limits: WINDOWS.map(|w| limit(share, &scatter.doubt(w))) }
+        Self { budget, limits: WINDOWS.map(|w| limit(share, &scatter.factors(w))) }
     }
 
     /// Whether the limits were computed for this budget.
@@ -49,8 +49,8 @@ impl Thresholds {
     }
 }
 
-/// The value that T exceeds with probability `alpha`, for a covariance with the uncertainty `doubt`.
-fn limit(alpha: f64, doubt: &Doubt) -> f64 {
+/// The value that T exceeds with probability `alpha`; `factors`: possible factors on the covariance V.
+fn limit(alpha: f64, factors: &[Factor]) -> f64 {
     /// Logarithm of the largest limit.
     const MOST_LOG: f64 = 12.0;
     /// Accepted relative error of the probability.
@@ -64,7 +64,7 @@ fn limit(alpha: f64, doubt: &Doubt) -> f64 {
         checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, second / (second + DIMENSIONS * f)).unwrap_or(0.0)
     };
     let exceeds = |t: f64| -> f64 {
-        doubt.factors.iter().map(|(factor, share, freedom)| share * hotelling(t / factor, *freedom)).sum()
+        factors.iter().map(|factor| factor.probability * hotelling(t / factor.ratio, factor.freedom)).sum()
     };
     let above = |log: f64| (exceeds(log.exp()).max(f64::MIN_POSITIVE) / alpha).ln();
     let (mut low, mut at_low) = (0.0, above(0.0));
@@ -103,27 +103,31 @@ fn limit(alpha: f64, doubt: &Doubt) -> f64 {
 mod tests {
     use super::*;
 
+    /// Of a covariance whose serial correlation is known.
+    fn known(freedom: f64) -> [Factor; 1] {
+        [Factor { ratio: 1.0, probability: 1.0, freedom }]
+    }
+
     #[test]
     fn with_many_degrees_of_freedom_the_limit_is_that_of_chi_square() {
         // Chi-square with three degrees of freedom, upper tails from a table.
         for (alpha, expected) in [(0.05, 7.815), (0.001, 16.266)] {
-            let limit = limit(alpha, &Doubt { factors: vec![(1.0, 1.0, 1e7)] });
+            let limit = limit(alpha, &known(1e7));
             assert!((limit - expected).abs() < 2e-3, "{limit}");
         }
     }
 
     #[test]
     fn an_impossible_budget_has_the_nearest_limit() {
-        let doubt = Doubt { factors: vec![(1.0, 1.0, 12.0)] };
         for (alpha, expected) in [(2.0, 0.0), (1e-300, 12.0)] {
-            assert!((limit(alpha, &doubt).ln() - expected).abs() < 1e-9, "{alpha}");
+            assert!((limit(alpha, &known(12.0)).ln() - expected).abs() < 1e-9, "{alpha}");
         }
     }
 
     #[test]
     fn with_few_degrees_of_freedom_the_limit_is_that_of_f() {
         // F(3, 10), upper 1 %: 6.552 in the tables.
-        let limit = limit(0.01, &Doubt { factors: vec![(1.0, 1.0, 12.0)] });
+        let limit = limit(0.01, &known(12.0));
         assert!((limit - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
     }
 }

@@ -205,10 +205,14 @@ impl MachineMonitor {
 
     /// Clears the alarms whose latest event satisfies `which`.
     fn clear_all(&mut self, which: impl Fn(&AlarmEvent) -> bool, text: &str, now: Timestamp) {
-        let causes: Vec<Cause> = self.alarms.events().filter(|event| which(event)).map(|event| event.cause).collect();
-        for cause in causes {
+        for cause in self.causes(which) {
             self.alarms.clear(cause, text.to_owned(), now);
         }
+    }
+
+    /// Causes of the open alarms whose latest event satisfies `which`.
+    fn causes(&self, which: impl Fn(&AlarmEvent) -> bool) -> Vec<Cause> {
+        self.alarms.events().filter(|event| which(event)).map(|event| event.cause).collect()
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
@@ -250,8 +254,7 @@ impl MachineMonitor {
             Command::Retire { by, why } => {
                 // Maintenance would show the ended alarms as out of service.
                 self.alarms.out_of_service = false;
-                let open: Vec<Cause> = self.alarms.events().map(|event| event.cause).collect();
-                for cause in open {
+                for cause in self.causes(|_| true) {
                     self.alarms.close(cause, text::retired(&self.name, by, why), actor, now);
                 }
             }
@@ -282,9 +285,7 @@ impl MachineMonitor {
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
-        let drifts: Vec<Cause> =
-            self.alarms.events().filter(|event| event.cause.is_drift()).map(|event| event.cause).collect();
-        for cause in drifts {
+        for cause in self.causes(|event| event.cause.is_drift()) {
             self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
         }
     }

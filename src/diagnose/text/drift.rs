@@ -103,7 +103,8 @@ pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
         Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
         _ => look_at(explanation.cause, explanation.size),
     };
-    format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
+    let change = change_of(&explanation.cause.to_string(), explanation);
+    format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The other throws are normal. {advice}")
 }
 
 /// Text of a drift that has ended; `at_once`: within a few throws.
@@ -165,10 +166,6 @@ pub(crate) fn site(name: &str, cause: Cause, pct: f64) -> String {
 
 pub(crate) fn site_over(name: &str, cause: Cause) -> String {
     format!("{name}: {cause} is no longer changed on most of them together.")
-}
-
-fn change(e: &Explanation) -> String {
-    change_of(&e.cause.to_string(), e)
 }
 
 fn change_of(name: &str, e: &Explanation) -> String {
