@@ -32,21 +32,21 @@ use super::{
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
     found::count_over,
     gauges::{Circuit, Gauge, Gauges, Level, Offset},
+    origin::{Awaited, Origin, SensorFault},
     rule::Rule,
     settings::Settings,
     step::Step,
-    testimony::{Awaited, Fault, Testimony},
     text,
     threshold::WINDOWS,
     window::Window,
 };
 
 /// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
-const DECIDES: f64 = 10.0;
+const LEAD_OF_SENSOR: f64 = 10.0;
 /// Lead of the machine over a sensor that excludes the sensor: odds of 20 to 1, as twice the logarithm.
-const EXCLUDES: f64 = 6.0;
+const LEAD_OF_MACHINE: f64 = 6.0;
 /// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
-const MOST: f64 = 40.0;
+const MAX_MISFIT: f64 = 40.0;
 /// Least significance of a change of the supply \[standard deviations\].
 const SUPPLY_SD: f64 = 4.0;
 /// Least relevant change of the supply, as a logarithm.
@@ -54,9 +54,9 @@ const SUPPLY_CHANGE: f64 = 0.05;
 /// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
 /// Range of the increase in duration as part of the loss of supply voltage, both as logarithms.
-const LONGER: std::ops::Range<f64> = 0.6..1.7;
+const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
 /// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
-const DRIER: f64 = 1.3;
+const MAX_FRICTION_PER_LOSS: f64 = 1.3;
 /// Least change of the inrush current as part of the gain error of the current sensor.
 const INRUSH_OF_GAIN: f64 = 0.5;
 /// Slack of this limit in standard deviations of the inrush current. It is small, as both errors are possible: a gain
@@ -124,13 +124,13 @@ const SUSPECTS: [Suspect; 3] = [
 const DISTINGUISHING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
 
 impl Instruments {
-    /// Verdict of the gauges on a drift.
-    pub(super) fn testimony(&self, drift: &Drift, settings: &Settings) -> Testimony {
+    /// The origin of a drift, by the gauges.
+    pub(super) fn origin(&self, drift: &Drift, settings: &Settings) -> Origin {
         let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
-            return Testimony::Machine;
+            return Origin::Machine;
         };
         if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
-            return Testimony::Supply;
+            return Origin::Supply;
         }
         let levels = self.levels(window.throws);
         let (part, score) = best_part(window, &levels, settings);
@@ -154,24 +154,27 @@ impl Instruments {
         });
         let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((lead, channel, true, size, size_sd)) if lead >= DECIDES => {
-                Testimony::Sensor(Fault { channel, size, size_sd, runner_up: RunnerUp { cause: part, margin: lead } })
-            }
-            Some((lead, channel, is_known, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
+            Some((lead, channel, true, size, size_sd)) if lead >= LEAD_OF_SENSOR => Origin::Sensor(SensorFault {
+                channel,
+                size,
+                size_sd,
+                runner_up: RunnerUp { cause: part, margin: lead },
+            }),
+            Some((lead, channel, is_known, ..)) if lead > -LEAD_OF_MACHINE && !self.sensor.lingers => {
                 let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
                     _ if is_known => Awaited::Throws,
                     Some(_) => Awaited::Resistance,
                     None => Awaited::Voltage,
                 };
-                Testimony::Either { channel, waits }
+                Origin::Either { channel, waits }
             }
             _ if self.sensor.lingers || self.supply.lingers && self.supply.unseen > 0 => {
                 let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, f64, f64)| {
-                    lead > -EXCLUDES && self.channel == Some(channel)
+                    lead > -LEAD_OF_MACHINE && self.channel == Some(channel)
                 };
-                Testimony::Lingers { is_alike: best.is_some_and(is_alike) }
+                Origin::Past { is_alike: best.is_some_and(is_alike) }
             }
-            _ => Testimony::Machine,
+            _ => Origin::Machine,
         }
     }
 
@@ -250,7 +253,7 @@ impl Instruments {
                 }
                 _ => false,
             };
-        is_of_friction && (-slack..DRIER + slack).contains(&share)
+        is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
             || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
     }
 
@@ -259,7 +262,7 @@ impl Instruments {
         let lost = self.supply_change(throws)?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
         let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
-        (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
+        (changed && DURATION_PER_LOSS.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
     /// Loss of supply voltage as a logarithm: from the published voltage corrected by its error, else from the inrush
@@ -298,21 +301,21 @@ impl Instruments {
     /// Updates the alarm about a sensor after a throw with this drift.
     pub(super) fn judge(&mut self, drift: &Drift, step: &mut Step) {
         let settings = step.settings;
-        let of_drift = if let Testimony::Sensor(fault) = drift.testimony { Some(fault) } else { None };
+        let of_drift = if let Origin::Sensor(fault) = drift.origin { Some(fault) } else { None };
         let of_voltage = || {
             let Level { value, sd } = self.gauges.voltage_error()?;
-            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MOST) };
-            Some(Fault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
+            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MAX_MISFIT) };
+            Some(SensorFault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
         };
         let fault = of_drift.or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
         if fault.is_some() && !same {
             self.sensor.named = 0;
         }
-        if let Some(Fault { channel, size, .. }) = fault {
+        if let Some(SensorFault { channel, size, .. }) = fault {
             (self.channel, self.size) = (Some(channel), size);
         }
-        let is_alike = drift.testimony == Testimony::Lingers { is_alike: true };
+        let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
@@ -466,6 +469,6 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
 
 /// Misfit of the gauges to their expected values, as a sum of squares in variances.
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
-    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MOST));
+    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MAX_MISFIT));
     levels.iter().zip(expected).map(of).sum()
 }

@@ -179,7 +179,7 @@ impl Intermittent {
     }
 
     /// Whether the scatter of the machine has heavy tails.
-    pub(super) fn is_wild(&self) -> bool {
+    pub(super) fn has_heavy_tails(&self) -> bool {
         let (far, throws) = self.tail;
         (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }

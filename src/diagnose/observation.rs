@@ -212,7 +212,7 @@ pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f6
 /// configured. The spring force differs by a0 dx from the assumed one, where dx is the distance of the two neutral
 /// positions. In a steady movement at the speed v (equation 12 without acceleration) this looks like a change of a1 by
 /// a0 dx / v.
-pub(super) fn seeming_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
+pub(super) fn apparent_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
     direction.sign() * shift * duration_s * a0
 }
 
@@ -261,11 +261,11 @@ impl Evaluated {
 
     /// The throw without the effect of a neutral position that is `shift` times the travel nearer to reverse than
     /// configured, or of a position sensor whose value at the normal end is shifted by as much. See
-    /// [`seeming_friction`].
+    /// [`apparent_friction`].
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
-        let seeming = seeming_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
-        let corrected = (a1.exp() + seeming).ln();
+        let apparent = apparent_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
+        let corrected = (a1.exp() + apparent).ln();
         if !corrected.is_finite() {
             return self;
         }

@@ -13,7 +13,7 @@ use super::{
     settings::Settings,
     step::Step,
     text,
-    thermometer::Disbelief,
+    thermometer::Implausible,
     verdict::Blindness,
 };
 use crate::{
@@ -24,7 +24,7 @@ use crate::{
 /// Consecutive slow throws that raise the alarm: one may be an animal between the rails or a dip of the supply.
 const SLOW_IN_A_ROW: u32 = 3;
 /// Consecutive rejected temperatures or voltages that raise the alarm: one is a disturbance.
-const DISBELIEVED_IN_A_ROW: u32 = 3;
+const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
 /// Evaluated throws among the last eight of a direction that end the alarm: an accepted one now and then does not
@@ -338,18 +338,19 @@ impl Operation {
     }
 
     /// Applies an implausible temperature or supply voltage of a throw; `None` if both are plausible.
-    pub(super) fn on_sensors(&mut self, disbelief: Option<Disbelief>, step: &mut Step) {
-        streak(&mut self.disbelieved, disbelief.is_some());
-        streak(&mut self.believed, disbelief.is_none());
-        if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
-            let channel = match disbelief {
-                Disbelief::Supply(_) => SensorChannel::Supply,
-                Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) | Disbelief::Stuck(..) => {
-                    SensorChannel::Temperature
-                }
+    pub(super) fn on_sensors(&mut self, implausible: Option<Implausible>, step: &mut Step) {
+        streak(&mut self.disbelieved, implausible.is_some());
+        streak(&mut self.believed, implausible.is_none());
+        if let Some(implausible) = implausible.filter(|_| self.disbelieved >= IMPLAUSIBLE_IN_A_ROW) {
+            let channel = match implausible {
+                Implausible::Supply(_) => SensorChannel::Supply,
+                Implausible::Impossible(_)
+                | Implausible::Jump(..)
+                | Implausible::Missing(_)
+                | Implausible::Stuck(..) => SensorChannel::Temperature,
             };
-            let event = step.sensor(channel, text::sensor_implausible(step.name, disbelief));
-            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == DISBELIEVED_IN_A_ROW);
+            let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
+            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == IMPLAUSIBLE_IN_A_ROW);
         } else if self.believed >= step.settings.off_delay_throws
             && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
             && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))

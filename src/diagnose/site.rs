@@ -24,10 +24,10 @@ const KEPT: usize = 4;
 /// Largest age \[h\] of the latest departure of another machine: weather changes within half a day.
 const HOURS: i64 = 12;
 /// Least number of other machines for a common change.
-const WITNESSES: usize = 3;
+const LEAST_OTHERS: usize = 3;
 /// Largest number of other machines in the comparison, the first ones of the site by name. A bound, so that the cost of
 /// a throw does not grow with the site.
-const MOST_WITNESSES: usize = 32;
+const MOST_OTHERS: usize = 32;
 /// Part of the other machines that have the common change at least.
 const AGREE: f64 = 0.75;
 /// Part of a common change that counts as chance, in standard deviations of the mean of the other machines.
@@ -85,9 +85,9 @@ impl Trail {
 
 /// Common change at `at` of the machines with these trails.
 pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp) -> Common {
-    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).take(MOST_WITNESSES).collect();
+    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).take(MOST_OTHERS).collect();
     let count = latest.len() as f64;
-    if latest.len() < WITNESSES {
+    if latest.len() < LEAST_OTHERS {
         return Common::default();
     }
     let change = Vector3::from_fn(|i, _| {
@@ -104,7 +104,7 @@ pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp)
 }
 
 /// The part of a departure that the common change explains.
-pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
+pub(super) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
     departure.zip_map(
         &common.change,
         |own, common| {

@@ -82,14 +82,14 @@ impl Change {
 }
 
 impl StartWatch {
-    /// Applies a throw with an estimate, which the `gauges` contain already. `excused`: a sensor or the supply explains
+    /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply explains
     /// the drift. A changed start alone names no part, as faults of parts change it too, such as stiffness in an
     /// elastic drive.
-    pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, step: &Step) -> Found {
+    pub(super) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> Found {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
-        streak(&mut self.named, is_changed && !excused);
+        streak(&mut self.named, is_changed && !explained);
         count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {

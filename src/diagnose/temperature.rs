@@ -279,7 +279,7 @@ impl Temperature {
 }
 
 /// Covariance of a mean of throws by the temperature, from the standard deviation of its effect.
-pub(super) fn doubt(sd: Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
 }
 

@@ -27,7 +27,7 @@ const SETTLED_READINGS: u32 = 6;
 
 /// An implausible temperature or supply voltage.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Disbelief {
+pub(super) enum Implausible {
     /// Outside of the possible range \[°C\].
     Impossible(f64),
     /// A jump from the first to the second value \[°C\].
@@ -47,7 +47,7 @@ pub(super) struct Reading {
     /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` before the first.
     pub(super) celsius: Option<f64>,
     /// Why the temperature of the throw is implausible; `None` if it is plausible.
-    pub(super) disbelief: Option<Disbelief>,
+    pub(super) implausible: Option<Implausible>,
 }
 
 /// State of the temperature sensor of a machine.
@@ -59,8 +59,8 @@ pub(super) struct Thermometer {
     #[serde(default)]
     accepted: u32,
     /// The rejected readings since the last accepted one. Boxed, as few machines have any.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    doubt: Option<Box<Doubt>>,
+    #[serde(rename = "doubt", skip_serializing_if = "Option::is_none")]
+    rejected: Option<Box<Rejected>>,
     #[serde(default)]
     run: Run,
 }
@@ -90,7 +90,7 @@ impl Run {
 
 /// Consecutive rejected readings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Doubt {
+struct Rejected {
     /// Time of the first of them.
     since: Timestamp,
     /// The last of them \[°C\], and the number of consecutive readings like it; `None` in snapshots of an earlier
@@ -104,35 +104,35 @@ impl Thermometer {
         let before = self.believed.map(|(celsius, _)| celsius);
         let Some(celsius) = celsius else {
             let missing = self.believed.filter(|(_, then)| at.duration_since(*then).abs() > HOLDS);
-            return Reading { celsius: before, disbelief: missing.map(|(_, then)| Disbelief::Missing(then)) };
+            return Reading { celsius: before, implausible: missing.map(|(_, then)| Implausible::Missing(then)) };
         };
         if !POSSIBLE_C.contains(&celsius) {
             // Says nothing about the weather: the next possible reading is compared with the last accepted one.
-            self.doubt = None;
-            return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
+            self.rejected = None;
+            return Reading { celsius: before, implausible: Some(Implausible::Impossible(celsius)) };
         }
         if let Some((last, then)) = self.believed {
-            let since = self.doubt.as_ref().map_or(at, |doubt| doubt.since);
+            let since = self.rejected.as_ref().map_or(at, |rejected| rejected.since);
             let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
             let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
-            let doubted = self.doubt.as_ref().and_then(|doubt| doubt.last);
+            let rejected = self.rejected.as_ref().and_then(|rejected| rejected.last);
             // A sensor in another unit has plausible readings now and then; they are close to the rejected ones.
-            let is_like_doubted =
-                doubted.is_some_and(|(doubted, _)| (celsius - doubted).abs() < (celsius - last).abs());
-            if (celsius - last).abs() > weather_k || is_like_doubted {
-                let like = doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= AT_ONCE_K);
+            let is_like_rejected =
+                rejected.is_some_and(|(rejected, _)| (celsius - rejected).abs() < (celsius - last).abs());
+            if (celsius - last).abs() > weather_k || is_like_rejected {
+                let like = rejected.filter(|(rejected, _)| (celsius - rejected).abs() <= AT_ONCE_K);
                 let count = like.map_or(1, |(_, count)| count.saturating_add(1));
                 if count < SETTLED_READINGS || self.accepted > SETTLED_READINGS {
-                    self.doubt = Some(Box::new(Doubt { since, last: Some((celsius, count)) }));
-                    return Reading { celsius: before, disbelief: Some(Disbelief::Jump(last, celsius)) };
+                    self.rejected = Some(Box::new(Rejected { since, last: Some((celsius, count)) }));
+                    return Reading { celsius: before, implausible: Some(Implausible::Jump(last, celsius)) };
                 }
             }
         }
         self.accepted = (self.accepted + 1).min(SETTLED_READINGS + 1);
-        self.doubt = None;
+        self.rejected = None;
         self.believed = Some((celsius, at));
         let stuck = self.run.follow(before == Some(celsius), at);
-        Reading { celsius: Some(celsius), disbelief: stuck.map(|since| Disbelief::Stuck(celsius, since)) }
+        Reading { celsius: Some(celsius), implausible: stuck.map(|since| Implausible::Stuck(celsius, since)) }
     }
 }
 
@@ -145,10 +145,10 @@ mod tests {
         let mut thermometer = Thermometer::default();
         let start = Timestamp::UNIX_EPOCH;
         let later = |hours| start + SignedDuration::from_hours(hours);
-        assert_eq!(thermometer.read(None, start), Reading { celsius: None, disbelief: None });
+        assert_eq!(thermometer.read(None, start), Reading { celsius: None, implausible: None });
         assert_eq!(thermometer.read(Some(-10.0), start).celsius, Some(-10.0));
-        assert_eq!(thermometer.read(None, later(20)), Reading { celsius: Some(-10.0), disbelief: None });
-        let missing = Reading { celsius: Some(-10.0), disbelief: Some(Disbelief::Missing(start)) };
+        assert_eq!(thermometer.read(None, later(20)), Reading { celsius: Some(-10.0), implausible: None });
+        let missing = Reading { celsius: Some(-10.0), implausible: Some(Implausible::Missing(start)) };
         assert_eq!(thermometer.read(None, later(25)), missing);
         assert_eq!(thermometer.read(Some(-8.0), later(26)).celsius, Some(-8.0));
     }
@@ -162,10 +162,10 @@ mod tests {
         let cellar: Sensor = |_| 12.0;
         for (celsius, is_found) in [(outdoors, true), (renewed_daily, true), (cellar, false)] {
             let mut thermometer = Thermometer::default();
-            let mut read = |hour, celsius| thermometer.read(Some(celsius), later(hour)).disbelief;
+            let mut read = |hour, celsius| thermometer.read(Some(celsius), later(hour)).implausible;
             assert!((0..400).all(|hour| read(hour, celsius(hour)).is_none()));
             let stuck = (400..700).find_map(|hour| read(hour, 12.0));
-            assert_eq!(stuck, is_found.then(|| Disbelief::Stuck(12.0, later(400))));
+            assert_eq!(stuck, is_found.then(|| Implausible::Stuck(12.0, later(400))));
             assert_eq!(read(701, 12.5), None);
         }
     }
@@ -176,14 +176,14 @@ mod tests {
         let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
         let celsius = |hour: i64| 4.0 + 5.0 * (hour as f64 / 24.0 * std::f64::consts::TAU).sin();
         for hour in 0..200 {
-            assert_eq!(thermometer.read(Some(celsius(hour)), later(hour)).disbelief, None);
+            assert_eq!(thermometer.read(Some(celsius(hour)), later(hour)).implausible, None);
         }
         let fahrenheit = |hour: i64| 32.0 + 1.8 * (celsius(hour) - (hour - 200) as f64 / 100.0);
         for hour in 200..800 {
             let reading = thermometer.read(Some(fahrenheit(hour)), later(hour));
-            assert!(matches!(reading.disbelief, Some(Disbelief::Jump(..))), "{hour}: {reading:?}");
+            assert!(matches!(reading.implausible, Some(Implausible::Jump(..))), "{hour}: {reading:?}");
         }
-        assert_eq!(thermometer.read(Some(-6.0), later(801)).disbelief, None, "mended");
+        assert_eq!(thermometer.read(Some(-6.0), later(801)).implausible, None, "mended");
     }
 
     #[test]
@@ -191,12 +191,12 @@ mod tests {
         let mut thermometer = Thermometer::default();
         let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
         for hour in 0..200 {
-            assert_eq!(thermometer.read(Some(-5.0), later(hour)).disbelief, None);
+            assert_eq!(thermometer.read(Some(-5.0), later(hour)).implausible, None);
         }
         for hour in 200..2400 {
-            let impossible = Reading { celsius: Some(-5.0), disbelief: Some(Disbelief::Impossible(-200.0)) };
+            let impossible = Reading { celsius: Some(-5.0), implausible: Some(Implausible::Impossible(-200.0)) };
             assert_eq!(thermometer.read(Some(-200.0), later(hour)), impossible);
         }
-        assert_eq!(thermometer.read(Some(21.0), later(2400)), Reading { celsius: Some(21.0), disbelief: None });
+        assert_eq!(thermometer.read(Some(21.0), later(2400)), Reading { celsius: Some(21.0), implausible: None });
     }
 }

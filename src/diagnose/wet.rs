@@ -16,15 +16,15 @@ use super::{regression::Series, trend::Filling};
 /// sharp.
 const CHANGE: Range<f64> = -0.34..-0.07;
 /// Number of throws in a spell.
-const LENGTH: RangeInclusive<usize> = 6..=LONGEST;
+const LENGTH: RangeInclusive<usize> = 6..=LONGEST_SPELL;
 /// Largest number of throws in a spell.
-pub(super) const LONGEST: usize = 48;
+pub(super) const LONGEST_SPELL: usize = 48;
 /// Least number of dry throws before a spell and after it; without them, a change is a step and not rain.
-const DRY: usize = 6;
+const DRY_THROWS: usize = 6;
 /// Least logarithm of the Bayes factor of a model with spells against one without.
 const EVIDENCE: f64 = 4.0;
 /// Largest number of spells in a baseline.
-const MOST: usize = 3;
+const MAX_SPELLS: usize = 3;
 /// Number of throws on each side of an edge whose mean values show the edge.
 const BESIDE: usize = 3;
 /// Number of the clearest edges of each kind, down and up, between which spells are searched: several for each spell.
@@ -76,9 +76,10 @@ pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
 /// makes the throws between two edges wet or dry as long as this increases the evidence.
 fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     let throws = values.len();
-    let Some(latest) = throws.checked_sub(DRY) else { return Vec::new() };
-    let fits = |spell: &Range<usize>| DRY <= spell.start && spell.end <= latest && LENGTH.contains(&spell.len());
-    let possible = (DRY..=latest).flat_map(|start| (start..=latest).map(move |end| start..end)).filter(fits).count();
+    let Some(latest) = throws.checked_sub(DRY_THROWS) else { return Vec::new() };
+    let fits = |spell: &Range<usize>| DRY_THROWS <= spell.start && spell.end <= latest && LENGTH.contains(&spell.len());
+    let possible =
+        (DRY_THROWS..=latest).flat_map(|start| (start..=latest).map(move |end| start..end)).filter(fits).count();
     let (without, of_chance) = (series.evidence(), (possible as f64).ln());
     let gain = |spells: &[Range<usize>]| -> f64 {
         series.with(&column(spells, throws)).evidence - without - spells.len() as f64 * of_chance
@@ -86,7 +87,7 @@ fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     let rise = |at: usize| -> f64 {
         values[at..at + BESIDE].iter().sum::<f64>() - values[at - BESIDE..at].iter().sum::<f64>()
     };
-    let mut edges: Vec<usize> = (DRY..=latest).collect();
+    let mut edges: Vec<usize> = (DRY_THROWS..=latest).collect();
     edges.sort_by(|a, b| rise(*a).total_cmp(&rise(*b)));
     let falls = edges.iter().take(EDGES);
     let rises = edges.iter().rev().take(EDGES);
@@ -101,7 +102,7 @@ fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
             };
             runs(throws, is_wet)
         });
-        let allowed = changed.filter(|spells| (1..=MOST).contains(&spells.len()) && spells.iter().all(fits));
+        let allowed = changed.filter(|spells| (1..=MAX_SPELLS).contains(&spells.len()) && spells.iter().all(fits));
         let next = allowed.map(|spells| (gain(&spells), spells)).max_by(|a, b| a.0.total_cmp(&b.0));
         match next {
             Some((more, next)) if more > best => (best, spells) = (more, next),

@@ -157,7 +157,7 @@ impl MachineMonitor {
     }
 
     /// Whether the machine has a departure from a baseline; [`Self::common`] needs such machines only.
-    pub fn is_witness(&self) -> bool {
+    pub fn has_departures(&self) -> bool {
         !self.trail.is_empty()
     }
 

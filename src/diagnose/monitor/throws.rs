@@ -15,12 +15,12 @@ use super::{
         gauges::Offset,
         latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
+        origin::Origin,
         rule::Rule,
         settings::Settings,
         site::{self, Common},
         step::Step,
-        testimony::Testimony,
-        thermometer::Disbelief,
+        thermometer::Implausible,
         track::Tracks,
         verdict::Verdict,
     },
@@ -65,7 +65,7 @@ impl MachineMonitor {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
                 self.trail.push(at, residual, &of_one_throw);
             }
-            let shared = site::excused(residual, common);
+            let shared = site::shared_part(residual, common);
             self.drift.share(&shared, settings);
             throw.log = (Vector3::from(throw.log) - shared).into();
         }
@@ -73,8 +73,8 @@ impl MachineMonitor {
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
-            let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
-            self.operation.on_sensors(disbelief, step);
+            let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
+            self.operation.on_sensors(implausible, step);
             let unusable = observation.faulty.map(Unusable::Values);
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
@@ -201,29 +201,29 @@ impl MachineMonitor {
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let drift = residual.map(|residual| {
             let known = self.drift.known(step.alarms, &self.instruments.gauges);
-            let wild = self.drift.intermittent.is_wild();
-            let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
-            drift.testimony = self.instruments.testimony(&drift, settings);
+            let heavy_tails = self.drift.intermittent.has_heavy_tails();
+            let mut drift = self.tracks.drift(throw.direction, heavy_tails, &known, settings);
+            drift.origin = self.instruments.origin(&drift, settings);
             let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
             let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks, gauges, settings };
             self.drift.judge(latest, &residual, step);
             self.instruments.judge(&drift, step);
             drift
         });
-        let testimony = drift.as_ref().map(|drift| drift.testimony);
-        let excused = testimony.is_some_and(Testimony::excuses);
-        let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
+        let origin = drift.as_ref().map(|drift| drift.origin);
+        let is_instrument = origin.is_some_and(Origin::is_instrument);
+        let explained = drift.as_ref().filter(|drift| drift.origin == Origin::Supply).map(Drift::matters);
         // A sensor explains a changed resistance only if the drift that it may explain is above its limit.
-        let may_be_sensor = |drift: &&Drift| matches!(drift.testimony, Testimony::Either { .. }) && drift.matters();
+        let may_be_sensor = |drift: &&Drift| matches!(drift.origin, Origin::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
         let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |window| window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
         // The supply changes the inrush current, which accelerates the machine.
-        let excused_start = excused || step.alarms.is_active(Cause::Supply);
-        self.start.judge(&self.instruments.gauges, excused_start, step).apply(Rule::Start, step);
+        let start_explained = is_instrument || step.alarms.is_active(Cause::Supply);
+        self.start.judge(&self.instruments.gauges, start_explained, step).apply(Rule::Start, step);
         if let Some(departure) = departure {
-            self.drift.judge_departure(departure, excused, step);
+            self.drift.judge_departure(departure, is_instrument, step);
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));

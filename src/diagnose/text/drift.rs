@@ -8,7 +8,7 @@ use crate::diagnose::{
     explain::{Explanation, percent},
     gauges::Level,
     intermittent::Departures,
-    testimony::Awaited,
+    origin::Awaited,
 };
 use crate::throw::counted;
 

@@ -7,14 +7,14 @@ use crate::{
         explain::percent,
         gauges::{Level, Offset},
         observation::Unusable,
-        testimony::Fault,
-        thermometer::Disbelief,
+        origin::SensorFault,
+        thermometer::Implausible,
     },
     throw::{POSSIBLE_C, brief, utc},
 };
 
 /// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
-pub(crate) fn sensor(name: &str, fault: &Fault) -> String {
+pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
     let pct = percent(fault.size);
     let (what, why) = match fault.channel {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
@@ -117,9 +117,9 @@ pub(crate) fn inrush(name: &str, level: &Level) -> String {
 /// 0 °C \[K\].
 const ZERO_C_IN_K: f64 = 273.15;
 
-pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
-    let what = match disbelief {
-        Disbelief::Impossible(celsius) => {
+pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String {
+    let what = match implausible {
+        Implausible::Impossible(celsius) => {
             let kelvin = celsius - ZERO_C_IN_K;
             let unit = if POSSIBLE_C.contains(&kelvin) {
                 format!(" (as kelvin it would be {kelvin:.1} °C)")
@@ -131,28 +131,28 @@ pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
                  used, if there is one"
             )
         }
-        Disbelief::Jump(from, to) => format!(
+        Implausible::Jump(from, to) => format!(
             "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather: another unit, or a \
              broken or moved sensor. The last good temperature is used"
         ),
-        Disbelief::Missing(since) => format!(
+        Implausible::Missing(since) => format!(
             "temperature is missing since {}. The last one is used, so weather can look like a fault",
             utc(&since)
         ),
-        Disbelief::Stuck(celsius, since) => format!(
+        Implausible::Stuck(celsius, since) => format!(
             "temperature sensor has read exactly {celsius:.1} °C since {}: it is stuck, or the logger repeats a \
              value. It is used all the same, so weather can look like a fault",
             utc(&since)
         ),
-        Disbelief::Supply(volts) => {
+        Implausible::Supply(volts) => {
             let volts = brief(volts);
             format!(
                 "sensor of the supply voltage reads {volts} V, which is impossible. Checks with the voltage are omitted"
             )
         }
     };
-    let moved = match disbelief {
-        Disbelief::Jump(..) => " If it is right now, take a new baseline (rebaseline).",
+    let moved = match implausible {
+        Implausible::Jump(..) => " If it is right now, take a new baseline (rebaseline).",
         _ => "",
     };
     format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")

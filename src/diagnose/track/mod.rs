@@ -18,7 +18,7 @@ use super::{
     scatter::Scatter,
     settings::Settings,
     sym3::Sym3,
-    temperature::doubt,
+    temperature::covariance_of_effect,
     threshold::{Thresholds, WINDOWS},
     verdict::{Blindness, HidingTemperature},
     wet::{self, WetSpell},
@@ -251,7 +251,7 @@ impl Tracks {
     /// Whether a baseline may contain rain that began before it or lasted until its end. Such a spell cannot be taken
     /// out, as its throws do not distinguish it from a fault. Within the longest spell, the rails are dry again.
     pub(super) fn may_have_learned_rain(&self) -> bool {
-        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST as u64)
+        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST_SPELL as u64)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
@@ -277,8 +277,8 @@ impl Tracks {
         }
     }
 
-    /// The drift in the last throws; the latest of them is in `direction`. `wild`: the scatter has heavy tails.
-    pub(super) fn drift(&self, direction: Direction, wild: bool, known: &Known, settings: &Settings) -> Drift {
+    /// The drift in the last throws; the latest of them is in `direction`. `heavy_tails`: the scatter has heavy tails.
+    pub(super) fn drift(&self, direction: Direction, heavy_tails: bool, known: &Known, settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = self.baselines();
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
@@ -291,7 +291,7 @@ impl Tracks {
         // The strongest window, its scatter, and its side; `None` for the mixed stream.
         let mut best: Option<(Window, &Scatter, Option<usize>)> = None;
         for (side, tail, scatter, thresholds) in own.chain(mixed) {
-            if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
+            if let Some(window) = tail.strongest(heavy_tails, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, ..)| window.excess > best.excess)
             {
                 best = Some((window, scatter, side));
@@ -329,7 +329,7 @@ impl Tracks {
         let over_limit = |cause: Cause| {
             let limit_pct = settings.limit_pct(cause)?;
             let visible = visible_pct(cause, window.tested(limit), limit)?;
-            let otherwise = visible_pct(cause, window.covariance - doubt(window.temperature_sd), limit)?;
+            let otherwise = visible_pct(cause, window.covariance - covariance_of_effect(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
         let (cause, below_pct, _) =

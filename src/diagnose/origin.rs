@@ -1,22 +1,22 @@
-//! Verdict of the gauges on a drift: a part, a sensor or the clock, or the supply causes it.
+//! Origin of a drift, by the gauges: a part, a sensor or the clock, or the supply.
 
 use super::event::{RunnerUp, SensorChannel};
 
-/// Verdict of the gauges on a drift.
+/// Origin of a drift, by the gauges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) enum Testimony {
+pub(super) enum Origin {
     /// A part of the machine causes the drift.
     #[default]
     Machine,
     /// A part and a sensor explain the drift about equally well; `waits`: evidence that would decide.
     Either { channel: SensorChannel, waits: Awaited },
     /// A sensor, or the clock, causes the drift.
-    Sensor(Fault),
+    Sensor(SensorFault),
     /// The supply causes the drift.
     Supply,
     /// A past fault of a sensor or the supply causes the drift: its throws are still in the windows. `is_alike`: the
     /// sensor may also have its fault again.
-    Lingers { is_alike: bool },
+    Past { is_alike: bool },
 }
 
 /// Evidence that would decide between a part and a sensor.
@@ -32,7 +32,7 @@ pub(super) enum Awaited {
 
 /// A fault of a sensor or of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fault {
+pub(super) struct SensorFault {
     pub(super) channel: SensorChannel,
     /// Logarithm of the gain, or of the rate of the clock.
     pub(super) size: f64,
@@ -42,9 +42,9 @@ pub(super) struct Fault {
     pub(super) runner_up: RunnerUp,
 }
 
-impl Testimony {
-    /// Whether the drift is no evidence of a faulty part.
-    pub(super) fn excuses(self) -> bool {
-        matches!(self, Self::Sensor(_) | Self::Supply | Self::Lingers { .. })
+impl Origin {
+    /// Whether a sensor, the clock or the supply causes the drift, so that it is no evidence of a faulty part.
+    pub(super) fn is_instrument(self) -> bool {
+        matches!(self, Self::Sensor(_) | Self::Supply | Self::Past { .. })
     }
 }
