@@ -3,7 +3,8 @@
 //! A drift is a vector in (ln b0, ln a1, ln a0). A gain error of the position sensor changes it as a fault of the motor
 //! does, and a gain error of the current sensor in the opposite sense. A clock that stretches time by the factor s
 //! changes it by (-2, -1, -2) ln s, by the derivatives in equation (12). The coefficients alone thus cannot name the
-//! faulty device. The gauges can; the table has the change of the logarithm of each gauge, for a fault of size 1:
+//! faulty device. The gauges can: the table gives the change of the logarithm of each gauge for a fault of size 1. The
+//! supply voltage is V, the current i and the speed of the motor ω.
 //!
 //! | fault | travel | back-EMF (V - R i)/ω | resistance R | duration |
 //! |---|---|---|---|---|
@@ -59,12 +60,12 @@ const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
 const MAX_FRICTION_PER_LOSS: f64 = 1.3;
 /// Least change of the inrush current as part of the gain error of the current sensor.
 const INRUSH_OF_GAIN: f64 = 0.5;
-/// Slack of this limit in standard deviations of the inrush current. It is small, as both errors are possible: a gain
-/// error that the uncertain inrush hides is named as the motor's, and a chair that dries on a soft drive changes the
-/// resistance as a gain error of 10 to 15 % does.
+/// Slack of this limit in standard deviations of the inrush current. With less slack, a gain error beside an uncertain
+/// inrush is named as a fault of the motor. With more, a slide chair that dries on a soft drive is named as a gain
+/// error, as it changes the resistance like a gain error of 10 to 15 %.
 const INRUSH_SLACK_SD: f64 = 1.0;
 /// Largest apparent change of the motor, as part of the change of the logarithm of the resistance between supply and
-/// motor. Measured on an independent drive at 250 Hz: 0.08, with twice the resistance.
+/// motor. Measured on an independent drive at 250 Hz: a change by 0.08 with twice the resistance.
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
 /// Throws for which a past fault of a sensor or the supply can still explain a drift: a longest window of each
@@ -77,7 +78,7 @@ const LINGERS: u32 = 48;
 struct Streaks {
     /// Consecutive throws with the fault above its limit.
     named: u32,
-    /// Consecutive throws since the measured quantity returned to its limit.
+    /// Consecutive throws with the measured quantity far below its limit.
     over: u32,
     /// Consecutive throws without the fault.
     unseen: u32,
@@ -209,7 +210,8 @@ impl Instruments {
     fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
         let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
         let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
-        // Dry friction takes a larger part of a smaller inrush: at most the running current as part of the inrush.
+        // With a smaller inrush, dry friction takes a larger part of the torque: at most the ratio of the running
+        // current to the inrush current.
         let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
         let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
@@ -257,7 +259,7 @@ impl Instruments {
             || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
     }
 
-    /// Loss of supply voltage as a logarithm; `None` unless it is significant and the duration agrees.
+    /// Loss of supply voltage as a logarithm; `None` unless the loss is significant and the duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
         let lost = self.supply_change(throws)?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
@@ -294,7 +296,7 @@ impl Instruments {
         let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
         let levels = DISTINGUISHING
             .map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
-        // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
+        // With a supply voltage, the back-EMF replaces the duration, as the duration has the scatter of the supply.
         if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
     }
 
@@ -337,8 +339,8 @@ impl Instruments {
         }
     }
 
-    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an offset of
-    /// the current changes neither coefficients nor features, and explains no other alarm.
+    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an
+    /// offset of the current changes neither coefficients nor features, and explains no other alarm.
     pub(super) fn judge_offset(&mut self, sensor: Offset, step: &mut Step) {
         let Some((level, size)) = self.gauges.offset(sensor) else { return };
         let (streaks, channel) = match sensor {
@@ -358,8 +360,8 @@ impl Instruments {
     }
 
     /// Updates the alarm about the supply after a throw. `explained`: `None` if the supply explains no drift, else
-    /// whether this drift is above its limit. `circuit`: the resistance between supply and motor; a part of the supply,
-    /// as the voltage is measured before it.
+    /// whether this drift is above its limit. `circuit`: the resistance between supply and motor, which counts as a
+    /// part of the supply, as the voltage is measured before it.
     pub(super) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
@@ -453,8 +455,8 @@ fn scored<const K: usize>(
     (parts[0], found.score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
 }
 
-/// Weighted mean of a size and of the sizes that the gauges show, which a fault of size 1 changes by `effects`; with
-/// its standard deviation.
+/// Weighted mean, with its standard deviation, of a size and of the sizes that the gauges show. `effects`: change of
+/// the gauges by a fault of size 1.
 fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
     let own = size_sd.powi(-2);
     let (mut sum, mut weight) = (own * size, own);
@@ -467,7 +469,8 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
     (sum / weight, weight.sqrt().recip())
 }
 
-/// Misfit of the gauges to their expected values, as a sum of squares in variances.
+/// Misfit of the gauges to their expected values: sum of the squared differences in variances, each at most
+/// [`MAX_MISFIT`].
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
     let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MAX_MISFIT));
     levels.iter().zip(expected).map(of).sum()

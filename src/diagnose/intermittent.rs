@@ -23,7 +23,7 @@ use super::{
 
 /// Lengths of the two windows of departures \[throws\].
 const COUNTED: [u32; 2] = [50, 100];
-/// Departures of at least some size.
+/// A least size of departures, with the prior of their rate.
 #[derive(Debug, Clone, Copy)]
 struct Size {
     /// Least squared distance from the median, in variances of one throw.
@@ -44,7 +44,8 @@ const LONGEST_RUN: u32 = 2;
 const FAR_OUT: f64 = 20.0;
 /// Rate of throws far out from which the scatter has heavy tails: between the two rates at [`FAR_OUT`].
 const HEAVY_FROM: f64 = 0.006;
-/// Throws until a throw far out counts for the tails of the scatter: a fault that began with it shows by then.
+/// Throws until a throw far out counts for the tails of the scatter. If a fault began with this throw, the fault shows
+/// by then.
 const DECIDED_AFTER: usize = 24;
 /// Number of throws far out in the prior of their rate.
 const TAIL_PRIOR: f64 = 0.5;
@@ -70,8 +71,8 @@ pub(super) struct Intermittent {
     past_large: f64,
     /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
     tail: (f64, f64),
-    /// Whether each of the last throws was far out. They count for the tails later, so that the throws of a fault do
-    /// not.
+    /// Whether each of the last throws was far out. A throw counts for `tail` when it leaves this list, unless a drift
+    /// is suspected then.
     undecided: Last<bool, DECIDED_AFTER>,
 }
 
@@ -178,7 +179,6 @@ impl Intermittent {
         Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
     }
 
-    /// Whether the scatter of the machine has heavy tails.
     pub(super) fn has_heavy_tails(&self) -> bool {
         let (far, throws) = self.tail;
         (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
@@ -214,7 +214,8 @@ impl Intermittent {
         let p = throws / (throws + exposure);
         let k = count as f64;
         let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
-        // The tail is summed directly, as 1 minus the head would lose its digits. Each term follows from the term before.
+        // The tail is summed directly, as 1 minus the head would lose its digits. Each term follows from the term
+        // before.
         let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
         iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
     }
@@ -222,7 +223,7 @@ impl Intermittent {
 
 /// Lead that decides between two causes: odds of 20 to 1, as twice the logarithm.
 const CLEAR: f64 = 6.0;
-/// Probability of the present number of departures, at the healthy rate, from which the fault has ended.
+/// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.
 const OVER_FROM: f64 = 0.05;
 /// Probability of the present number of departures below which the rate may be rising. Much larger than that of a false
 /// alarm, and still rare.

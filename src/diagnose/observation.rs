@@ -17,8 +17,8 @@ pub struct Observation {
     pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
-    /// Time of reception; `None` in a simulation. A throw that was received before its
-    /// logger was lost is no sign of life, also if it is judged after the loss.
+    /// Time of reception; `None` in a simulation. A throw that was received before the loss of its logger is no sign of
+    /// life, even if it is judged after the loss.
     pub received_at: Option<Timestamp>,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,

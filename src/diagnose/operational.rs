@@ -432,7 +432,7 @@ impl Operation {
         }
     }
 
-    /// Whether the logger has declared a token; also while the token is gone.
+    /// Whether the logger has declared a token, even if the token is gone now.
     pub(super) fn is_announced(&self) -> bool {
         self.logger != Logger::Unannounced
     }
@@ -457,7 +457,7 @@ impl Operation {
         }
     }
 
-    /// Applies a gap.
+    /// Applies a gap. The alarm states the sum of the gaps since its raise.
     pub(super) fn on_gap(&mut self, missing: Missing, step: &mut Step) {
         if missing.throws == 0 {
             return;
@@ -477,7 +477,6 @@ impl Operation {
         }
     }
 
-    /// Applies an irregularity of the logger.
     pub(super) fn on_irregularity(&mut self, irregularity: Irregularity, step: &mut Step) {
         self.since_gap = 0;
         let text = match irregularity {

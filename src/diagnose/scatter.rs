@@ -23,8 +23,8 @@ use super::{
     sym3::{self, Sym3},
 };
 
-/// Throws of a direction from which covariance and lag-1 correlation come from the baseline (the correlation nearly
-/// so). With fewer, both are weighted means with typical values, as a dozen correlated throws hardly determine them.
+/// Throws of a direction from which the covariance comes from the baseline alone, and the lag-1 correlation nearly so.
+/// With fewer throws, both are weighted means with typical values, as a dozen correlated throws hardly determine them.
 const ENOUGH_THROWS: f64 = 50.0;
 /// Typical lag-1 correlation, as (weight in throws, value): with few, and with enough throws.
 const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
@@ -32,8 +32,8 @@ const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
 /// Prior odds that a machine is typical.
 const LIKE_MOST: f64 = 50.0;
-/// Standard deviation of atanh of the lag-1 correlation. For typical machines it follows from the weight in
-/// [`USUAL_LAG1`]; of other machines, one in seven has a correlation above 0.8.
+/// Standard deviation of atanh of the lag-1 correlation, for typical machines and for others. The first follows from
+/// the weight in [`USUAL_LAG1`]; with the second, one machine in seven has a correlation above 0.8.
 const LAG1_SD: (f64, f64) = (0.22, 0.7);
 /// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine; and
 /// relative to the largest of the three. It keeps covariances positive definite in single precision, also if all throws
@@ -224,7 +224,8 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// Lag-1 correlations of throws, with the errors of their estimates; `sensor`: covariance of these.
+    /// Lag-1 correlations of the logarithms of throws, which the errors of the estimates reduce. `sensor`: covariance
+    /// of these errors.
     pub(super) fn lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
         let natural = Matrix3::from(self.natural).diagonal();
         let share = natural.component_div(&(natural + sensor.diagonal()).map(|v| v.max(1e-12)));
@@ -288,10 +289,10 @@ impl Scatter {
     }
 
     /// Possible factors on [`Self::of_mean`] of `w` throws: variance and lag-1 correlation are uncertain, as they come
-    /// from a finite number of throws. For a lag-1 correlation phi from n throws, atanh phi is nearly normal with the variance 1 / (n (1 -
-    /// phi^2)), as that of phi is (1 - phi^2) / n (Bartlett). The measured variance is that of the innovations, so a
-    /// larger phi also means a larger variance of one throw. Each coefficient has a third of the probability. Few
-    /// throws need another method: see [`super::persistence`].
+    /// from a finite number of throws. For a lag-1 correlation phi from n throws, atanh phi is nearly normal with the
+    /// variance 1 / (n (1 - phi^2)), as that of phi is (1 - phi^2) / n (Bartlett). The measured variance is that of the
+    /// innovations, so a larger phi also means a larger variance of one throw. Each coefficient has a third of the
+    /// probability. Few throws need another method: see [`super::persistence`].
     pub(super) fn factors(&self, w: usize) -> Vec<Factor> {
         /// Nodes on each side of the estimated value, and their distance in standard deviations.
         const NODES: (i32, f64) = (6, 0.8);
@@ -447,8 +448,8 @@ mod tests {
 
     use super::*;
 
-    /// Scatter learned from many baselines of 100 throws, whose residuals are the sum of autoregressions of first order with
-    /// these lag-1 correlations and shares of the variance.
+    /// Scatter learned from many baselines of 100 throws, whose residuals are the sum of autoregressions of first order
+    /// with these lag-1 correlations and shares of the variance.
     fn learned(parts: &[(f64, f64)]) -> Vec<Scatter> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;

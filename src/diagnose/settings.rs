@@ -58,8 +58,8 @@ settings! {
         pub not_monitored_throws: u32 = 20, Within(1.0, 10_000.0, "");
         /// Time without a throw until a machine is not monitored. 0.1 to 100,000 h.
         pub not_monitored_hours: f64 = 168.0, Within(0.1, 100_000.0, "");
-        /// Time without the logger's token until a machine is not monitored. Longer than a short link failure or a
-        /// restart of the logger. 0.01 to 100,000 min.
+        /// Time without the logger's token until a machine is not monitored. It should be longer than a short link
+        /// failure or a restart of the logger. 0.01 to 100,000 min.
         pub logger_gone_minutes: f64 = 10.0, Within(0.01, 100_000.0, "");
     }
 }

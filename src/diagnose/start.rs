@@ -82,9 +82,9 @@ impl Change {
 }
 
 impl StartWatch {
-    /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply explains
-    /// the drift. A changed start alone names no part, as faults of parts change it too, such as stiffness in an
-    /// elastic drive.
+    /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
+    /// explains the drift. A changed start alone names no part, as faults of parts change it too, such as stiffness in
+    /// an elastic drive.
     pub(super) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> Found {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());

@@ -61,11 +61,11 @@ struct Anchor {
     distance: f64,
     /// Mean residual of these throws.
     residual: [f64; 3],
-    /// Number of later throws, with old ones weighted less. Two sums over these follow.
+    /// Number of later throws, with old ones weighted less.
     later: f64,
-    /// Sum of the distances from the point \[K\].
+    /// Sum of the distances of the later throws from the point \[K\].
     distances: f64,
-    /// Sum of the residuals from the point.
+    /// Sum of their residuals, less that of the point.
     residuals: [f64; 3],
 }
 

@@ -103,7 +103,7 @@ fn limit(alpha: f64, factors: &[Factor]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Of a covariance whose serial correlation is known.
+    /// The only factor on a covariance whose serial correlation is known.
     fn known(freedom: f64) -> [Factor; 1] {
         [Factor { ratio: 1.0, probability: 1.0, freedom }]
     }

@@ -51,7 +51,7 @@ impl DriftAlarms {
     }
 
     /// Whether the season may have caused a change of `cause`: the machine has no temperature, the change is below the
-    /// critical limit, and a part of it existed a week ago. `weights`: those that give `size` from the logarithms.
+    /// critical limit, and a part of it existed a week ago. `size` is the sum of the logarithms with these `weights`.
     fn may_be_season(&self, cause: Cause, size: f64, weights: &Vector3<f64>, latest: LatestThrow) -> bool {
         let LatestThrow { tracks, at, settings, .. } = latest;
         let is_critical = relevance(cause, size, settings) > settings.critical_factor;

@@ -30,7 +30,7 @@ const BESIDE: usize = 3;
 /// Number of the clearest edges of each kind, down and up, between which spells are searched: several for each spell.
 const EDGES: usize = 10;
 
-/// A wet spell.
+/// A wet spell among the throws of a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct WetSpell {
     /// Number of its first throw, counted by the machine's monitor.

@@ -63,7 +63,8 @@ impl Amount {
 const HEALTHY_LIFE: usize = 10_000;
 /// Monitored throws of a healthy life at trace depth, where a throw needs more computing time.
 const HEALTHY_TRACE_LIFE: usize = 500;
-/// Monitored throws of a life in a fleet: 200 days, in which the season alone changes the temperature by more than 20 K.
+/// Monitored throws of a life in a fleet: 200 days, in which the season alone changes the temperature by more than 20
+/// K.
 const FLEET_LIFE: usize = 4_000;
 
 /// Serial correlations of the scatter in the budget section.

@@ -24,12 +24,12 @@ impl MachineMonitor {
         self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step)).pop()
     }
 
-    /// Whether the logger has declared a token; also while the token is gone.
+    /// Whether the logger has declared a token, even if the token is gone now.
     pub fn is_announced(&self) -> bool {
         self.operation.is_announced()
     }
 
-    /// Whether neither a throw nor a token of a logger was ever received. True for the monitor of a daemon.
+    /// Whether neither a throw nor a token of a logger was ever received, as for the monitor of a daemon.
     pub fn has_no_logger(&self) -> bool {
         self.order == 0 && !self.is_announced()
     }

@@ -97,8 +97,8 @@ impl MachineMonitor {
         verdict
     }
 
-    /// Learns from the first throws whether the neutral position differs from the configured one. When it has learned
-    /// that, the throws before it leave the baseline.
+    /// Learns from the first throws whether the neutral position differs from the configured one. If it does, the
+    /// baseline begins again after these throws.
     fn learn_neutral(&mut self, observation: &Observation) {
         if self.tracks.any_baseline() {
             self.neutral.settle();
@@ -147,7 +147,8 @@ impl MachineMonitor {
     }
 
     /// Adds a throw without an estimate to the gauges. A rejected throw adds only the gauges that need no model. In a
-    /// direction without a baseline they count as normal too, so that a change after many rejected throws is noticed.
+    /// direction without a baseline, the normal values are learned from these throws too. If they were not, a change
+    /// during a long row of rejected throws would become normal unseen.
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
         let Observation { features: all, incomplete, faulty, .. } = observation;
         let features_only = observation.is_without_position();

@@ -53,7 +53,7 @@ struct Track {
     rough: RoughErrors,
 }
 
-/// Throws of a direction before its first baseline, from which it is decided whether to compare ratios only.
+/// Throws of a direction before its first baseline. They decide whether the direction compares ratios only.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Undecided {
     /// The ratios of these throws.
