@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
 use super::{
+    cause::CLOSE,
     event::Cause,
     explain::{Explanation, single},
     last::Last,
@@ -175,7 +176,7 @@ impl Intermittent {
         };
         parts.sort_by(|(a, _), (b, _)| misfit(a).total_cmp(&misfit(b)));
         let (best, named) = parts[0];
-        let clear = misfit(&parts[1].0) - misfit(&best) > CLEAR;
+        let clear = misfit(&parts[1].0) - misfit(&best) > CLOSE;
         Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
     }
 
@@ -221,8 +222,6 @@ impl Intermittent {
     }
 }
 
-/// Lead that decides between two causes: odds of 20 to 1, as twice the logarithm.
-const CLEAR: f64 = 6.0;
 /// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.
 const OVER_FROM: f64 = 0.05;
 /// Probability of the present number of departures below which the rate may be rising. Much larger than that of a false

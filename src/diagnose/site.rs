@@ -2,9 +2,10 @@
 //!
 //! Every monitor stores its last departures from the baseline. The common change is the part of these departures that
 //! three quarters of the other machines have at least, beyond chance; at least three machines must have had throws in
-//! the last hours. It is subtracted from a throw before the throw is judged. So defined, the common change has no steps
-//! when one of the machines steps; steps would look like an intermittent fault. The subtraction only reduces a
-//! departure: it never increases one or changes its sign, and a machine without the common change is judged without it.
+//! the last hours. It is subtracted from a throw before the throw is judged. So defined, the common change has no step
+//! when a single machine changes; a step would look like an intermittent fault of the others. The subtraction only
+//! reduces a departure: it never increases one or changes its sign, and a machine without the common change is judged
+//! without it.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -28,7 +29,7 @@ const LEAST_OTHERS: usize = 3;
 /// Largest number of other machines in the comparison, the first ones of the site by name. A bound, so that the cost of
 /// a throw does not grow with the site.
 const MOST_OTHERS: usize = 32;
-/// Part of the other machines that have the common change at least.
+/// Part of the other machines whose departures are at least as large as the common change.
 const AGREE: f64 = 0.75;
 /// Part of a common change that counts as chance, in standard deviations of the mean of the other machines.
 const BEYOND_CHANCE: f64 = 2.0;

@@ -40,7 +40,6 @@ impl Baseline {
         self.normal
     }
 
-    /// The throws of the baseline.
     pub(super) fn throws(&self) -> &[Vector3<f64>] {
         &self.throws
     }

@@ -15,13 +15,12 @@ use nalgebra::Vector3;
 use super::{
     comparator::{Baseline, Normal, Rule},
     scenario::Limits,
+    table1::CORRELATION_LIMIT,
 };
 use crate::diagnose::Cause;
 
 /// Number of tests in the paper's rule.
 const TESTS: usize = 6;
-/// Least pairwise correlation of the three inertia estimates for the cause inertia.
-const CORRELATED: f64 = 0.8;
 
 /// The paper's rule for one direction of a machine.
 #[derive(Debug, Clone)]
@@ -76,7 +75,7 @@ fn correlated(tests: &[Vector3<f64>]) -> bool {
     let covariance = inertia().map(|j| j.component_div(&mean).add_scalar(-1.0)).map(|d| d * d.transpose());
     let covariance = covariance.sum::<nalgebra::Matrix3<f64>>();
     let correlation = |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    correlation(0, 1) >= CORRELATED && correlation(0, 2) >= CORRELATED && correlation(1, 2) >= CORRELATED
+    [(0, 1), (0, 2), (1, 2)].into_iter().all(|(i, j)| correlation(i, j) >= CORRELATION_LIMIT)
 }
 
 #[cfg(test)]

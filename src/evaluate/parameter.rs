@@ -40,7 +40,7 @@ pub(super) struct ParameterMachine {
     /// Logarithms of the nominal coefficients in each direction.
     nominal: [Vector3<f64>; 2],
     /// Natural scatter of the last throw.
-    weather: Vector3<f64>,
+    last_scatter: Vector3<f64>,
     scatter: Scatter,
     /// Covariance of the estimator's errors of the logarithms.
     estimator_covariance: Matrix3<f64>,
@@ -56,19 +56,19 @@ impl ParameterMachine {
             let between_directions = draw(&mut random).map(|x| x * SPREAD_SD[1]);
             Vector3::from(NOMINAL).map(f64::ln) + between_machines + between_directions
         });
-        let weather = draw(&mut random).component_mul(&Vector3::from(scatter.sd));
+        let last_scatter = draw(&mut random).component_mul(&Vector3::from(scatter.sd));
         let sd = estimator_sd(noise);
         let estimator_covariance = Matrix3::from_fn(|i, j| sd[i] * sd[j] * ESTIMATOR_CORRELATION[i][j]);
         // The constants are positive definite. If they were not, the test below would find the missing errors.
         let estimator_factor = estimator_covariance.cholesky().map_or_else(Matrix3::zeros, |factor| factor.l());
-        Self { random, nominal, weather, scatter, estimator_covariance, estimator_factor }
+        Self { random, nominal, last_scatter, scatter, estimator_covariance, estimator_factor }
     }
 
     /// Estimates (b0, a1, a0) of the next throw, with their covariance. `drift`: change of the true logarithms.
     pub(super) fn throw(&mut self, direction: usize, drift: Vector3<f64>) -> ([f64; 3], Matrix3<f64>) {
-        self.weather = self.scatter.next(self.weather, || self.random.sample(StandardNormal));
+        self.last_scatter = self.scatter.next(self.last_scatter, || self.random.sample(StandardNormal));
         let error = self.estimator_factor * draw(&mut self.random);
-        let theta = (self.nominal[direction] + drift + self.weather + error).map(f64::exp);
+        let theta = (self.nominal[direction] + drift + self.last_scatter + error).map(f64::exp);
         let scale = Matrix3::from_diagonal(&theta);
         (theta.into(), scale * self.estimator_covariance * scale)
     }

@@ -334,8 +334,8 @@ impl CaseResult {
             return "inertia";
         }
         let most = |at: usize| self.tests.iter().map(|test| test.change_pct[at].abs()).fold(0.0, f64::max);
-        let causes = ["kt", "friction", "stiffness"];
         let largest = (0..3).filter(|&at| moved[at]).max_by(|&a, &b| most(a).total_cmp(&most(b)));
-        largest.map_or("none", |at| causes[at])
+        // The parameters of the first three cases belong to b0, a1 and a0.
+        largest.map_or("none", |at| CASES[at].cause)
     }
 }

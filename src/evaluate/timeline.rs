@@ -50,15 +50,13 @@ impl Fault {
 /// Timeline of a life: faults, weather and length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
-    /// All faults of the life.
     pub(super) faults: Vec<Fault>,
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
-    /// Throws of the life.
+    /// Number of throws.
     pub(super) throws: usize,
     /// Temperature; `None` if it has no effect.
     pub(super) climate: Option<Climate>,
-    /// Wet spells.
     pub(super) wet: WetSpells,
     /// Change of ln b0 and ln a0, as part of a rise of ln friction. See [`LEAKAGE`].
     leakage: f64,

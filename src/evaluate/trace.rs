@@ -33,7 +33,7 @@ pub(super) struct TraceMachine {
     volts: bool,
     /// The faulty instrument, the factor on its values, and the first throw with the fault; `None` without such a
     /// fault.
-    errs: Option<(Instrument, f64, usize)>,
+    faulty: Option<(Instrument, f64, usize)>,
 }
 
 impl TraceMachine {
@@ -45,9 +45,9 @@ impl TraceMachine {
         }
         let parts = life.faults.iter().filter(|fault| Cause::PHYSICAL.contains(&fault.part));
         fleet.faults = parts.map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
-        let (mut volts, mut errs) = (true, None);
+        let (mut volts, mut faulty) = (true, None);
         if let (Situation::Instrument { which, volts: published }, Some(fault)) = (situation, life.faults.first()) {
-            (volts, errs) = (published, Some((which, 1.0 + fault.size, fault.onset)));
+            (volts, faulty) = (published, Some((which, 1.0 + fault.size, fault.onset)));
             if which == Instrument::Supply {
                 let kind = IncidentKind::WeakSupply { loss_pct: -100.0 * fault.size };
                 fleet.incidents = vec![Incident { machine: 0, kind, from_throw: fault.onset as u64, throws: u64::MAX }];
@@ -55,7 +55,7 @@ impl TraceMachine {
         }
         let settings = Settings { lead_mm: fleet.machine.lead_mm, ..Settings::default() };
         let machine = Fleet::new(&fleet, random.random()).ok().and_then(|fleet| fleet.into_machines().pop());
-        Self { machine, identifier: Identifier::default(), settings, volts, errs }
+        Self { machine, identifier: Identifier::default(), settings, volts, faulty }
     }
 
     /// The observation of throw `at`; without an estimate if the simulation fails.
@@ -76,7 +76,7 @@ impl TraceMachine {
 
     /// The trace as the faulty instrument records it.
     fn recorded(&self, at: usize, trace: Trace) -> Trace {
-        let Some((which, ratio, _)) = self.errs.filter(|(.., onset)| at >= *onset) else { return trace };
+        let Some((which, ratio, _)) = self.faulty.filter(|(.., onset)| at >= *onset) else { return trace };
         let [mut rate_hz, mut current, mut position] = [trace.sample_rate_hz(), 1.0, 1.0];
         match which {
             Instrument::Current => current = ratio,
