@@ -15,8 +15,7 @@
 //! | clock | 0 | 1 | 0 | 1 |
 //!
 //! More dry friction lowers b0 too, as it takes a part of the torque at the start of the throw: b0 and a1 alone cannot
-//! distinguish motor and friction. The back-EMF shows whether the motor changed; without a supply voltage, the no-load
-//! speed does.
+//! distinguish motor and friction. The back-EMF shows a change of the motor; without a voltage, the no-load speed does.
 //!
 //! Without a supply voltage, a fault of the motor and one of the current sensor look the same, and the alarm names
 //! both. A weak supply hardly changes the coefficients. Dry friction is the exception: the model has viscous friction
@@ -68,8 +67,7 @@ const INRUSH_SLACK_SD: f64 = 1.0;
 /// motor. Measured on an independent drive at 250 Hz: a change by 0.08 with twice the resistance.
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
-/// Throws for which a past fault of a sensor or the supply can still explain a drift: a longest window of each
-/// direction.
+/// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
 const LINGERS: u32 = 48;
 
 /// Counts of throws with and without a fault of a sensor or the supply.
@@ -180,11 +178,9 @@ impl Instruments {
     }
 
     /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a
-    /// wrong clock cannot be distinguished from friction. A wrong clock does not change the running current; friction
-    /// does.
+    /// wrong clock cannot be distinguished from friction. Friction changes the running current; a wrong clock does not.
     fn may_be_clock(&self, size: f64, window: &Window) -> bool {
-        /// Change of the running current, less its standard deviation, from which the clock is excluded; as part of
-        /// `size`.
+        /// Change of the running current, less its standard deviation, that excludes the clock; as part of `size`.
         const PART: f64 = 0.5;
         let running = self.gauges.level(Gauge::Running, window.throws);
         let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
@@ -193,8 +189,7 @@ impl Instruments {
 
     /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
     /// at least half of the error, beyond the changes by the supply voltage and by the temperature of the winding. The
-    /// resistance is no evidence here: if the toe moves differently from the motor, the resistance computed from its
-    /// speed is wrong.
+    /// resistance is no evidence here: it is wrong if the toe moves differently from the motor.
     fn may_be_current(&self, gain: f64, window: &Window) -> bool {
         let level = |gauge| self.gauges.level(gauge, window.throws);
         let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
@@ -267,8 +262,7 @@ impl Instruments {
         (changed && DURATION_PER_LOSS.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
-    /// Loss of supply voltage as a logarithm: from the published voltage corrected by its error, else from the inrush
-    /// current.
+    /// Loss of supply voltage as a logarithm: from the published voltage less its error, else from the inrush current.
     fn supply_change(&self, throws: usize) -> Option<Level> {
         let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
         let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
@@ -469,8 +463,7 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
     (sum / weight, weight.sqrt().recip())
 }
 
-/// Misfit of the gauges to their expected values: sum of the squared differences in variances, each at most
-/// [`MAX_MISFIT`].
+/// Misfit of the gauges to their expected values: sum of squares in variances, each at most [`MAX_MISFIT`].
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
     let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MAX_MISFIT));
     levels.iter().zip(expected).map(of).sum()

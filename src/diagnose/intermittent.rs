@@ -35,8 +35,7 @@ struct Size {
 
 /// Every departure: 1 in 1,000 throws of a usual machine.
 const ANY: Size = Size { far: 16.0, prior: (0.5, 50.0) };
-/// Large departures, of which fewer are enough: 2 in 1,000 throws if the scatter is Student's t with three degrees of
-/// freedom.
+/// Large departures, of which fewer are enough: 2 in 1,000 throws of Student's t with three degrees of freedom.
 const LARGE: Size = Size { far: 100.0, prior: (0.5, 300.0) };
 /// Most consecutive throws of a direction in a departure; more are a step.
 const LONGEST_RUN: u32 = 2;
@@ -45,8 +44,7 @@ const LONGEST_RUN: u32 = 2;
 const FAR_OUT: f64 = 20.0;
 /// Rate of throws far out from which the scatter has heavy tails: between the two rates at [`FAR_OUT`].
 const HEAVY_FROM: f64 = 0.006;
-/// Throws until a throw far out counts for the tails of the scatter. If a fault began with this throw, the fault shows
-/// by then.
+/// Throws until a throw far out counts for the tails of the scatter: by then, a fault that began with it shows.
 const DECIDED_AFTER: usize = 24;
 /// Number of throws far out in the prior of their rate.
 const TAIL_PRIOR: f64 = 0.5;
@@ -72,8 +70,7 @@ pub(super) struct Intermittent {
     past_large: f64,
     /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
     tail: (f64, f64),
-    /// Whether each of the last throws was far out. A throw counts for `tail` when it leaves this list, unless a drift
-    /// is suspected then.
+    /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
     undecided: Last<bool, DECIDED_AFTER>,
 }
 
@@ -215,8 +212,7 @@ impl Intermittent {
         let p = throws / (throws + exposure);
         let k = count as f64;
         let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
-        // The tail is summed directly, as 1 minus the head would lose its digits. Each term follows from the term
-        // before.
+        // The tail is summed directly, as 1 minus the head would lose its digits; each term follows from the last one.
         let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
         iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
     }
@@ -224,8 +220,7 @@ impl Intermittent {
 
 /// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.
 const OVER_FROM: f64 = 0.05;
-/// Probability of the present number of departures below which the rate may be rising. Much larger than that of a false
-/// alarm, and still rare.
+/// Probability of the present number of departures below which the rate may be rising: far above a false alarm's.
 const RISING_FROM: f64 = 0.001;
 /// Terms of the sum for the tail of the distribution.
 const TAIL_TERMS: usize = 60;

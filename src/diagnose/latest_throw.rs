@@ -46,8 +46,7 @@ impl LatestThrow<'_> {
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
     }
 
-    /// The drift's single named part with its size at this throw, and its course. `None` if two parts are named, or no
-    /// part.
+    /// The drift's single named part with its size at this throw, and its course; `None` unless exactly one is named.
     pub(super) fn named_part(
         self,
         direction: Option<Direction>,

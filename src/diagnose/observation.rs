@@ -22,8 +22,7 @@ pub struct Observation {
     pub received_at: Option<Timestamp>,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
-    /// Whether the measured movement contradicts the direction that the logger names; `None` if no direction was
-    /// measured.
+    /// Whether the measured movement contradicts the direction that the logger names; `None` if it was not measured.
     pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
@@ -92,8 +91,7 @@ impl Observation {
         cut_off.iter().any(|reason| self.rejected == Some(reason.code()))
     }
 
-    /// Whether the sampling rate is too low for an estimate. As this is a property of the logger, all its throws have
-    /// features only.
+    /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
     pub(super) fn is_too_slow(&self) -> bool {
         self.rejected == Some(Rejection::Undersampled { interval_s: 0.0, rise_samples: 0 }.code())
     }
@@ -184,8 +182,7 @@ impl Parameters {
     }
 }
 
-/// Variance given to the unknown common scale of ratios, so that their covariance can be inverted: of the size of the
-/// usual scatter.
+/// Variance given to the unknown common scale of ratios, so that their covariance can be inverted: as usual scatter.
 pub(super) const SCALE_VARIANCE: f64 = 1e-4;
 
 /// A throw with a direction and a usable estimate, in logarithms.
@@ -210,8 +207,7 @@ pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f6
 
 /// Apparent loss of a1 \[1/s\] by a spring whose neutral position is `shift` times the travel nearer to reverse than
 /// configured. The spring force differs by a0 dx from the assumed one, where dx is the distance of the two neutral
-/// positions. In a steady movement at the speed v (equation 12 without acceleration) this looks like a change of a1 by
-/// a0 dx / v.
+/// positions. In a steady movement at speed v (equation 12 without acceleration) this looks like a0 dx / v in a1.
 pub(super) fn apparent_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
     direction.sign() * shift * duration_s * a0
 }
@@ -260,8 +256,7 @@ impl Evaluated {
     }
 
     /// The throw without the effect of a neutral position that is `shift` times the travel nearer to reverse than
-    /// configured, or of a position sensor whose value at the normal end is shifted by as much. See
-    /// [`apparent_friction`].
+    /// configured, or of a position sensor whose normal end is shifted by as much. See [`apparent_friction`].
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
         let apparent = apparent_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());

@@ -27,32 +27,26 @@ const SLOW_IN_A_ROW: u32 = 3;
 const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
-/// Evaluated throws among the last eight of a direction that end the alarm: an accepted one now and then does not
-/// monitor the machine.
+/// Evaluated throws among the last eight of a direction that end the alarm: one now and then is no monitoring.
 const EVALUATED_OF_EIGHT: u32 = 4;
-/// Longest time between two ticks that counts as silence \[s\]; a longer time is a jump of the clock or a stop of the
-/// daemon.
+/// Longest time between two ticks that counts as silence \[s\]; a longer one is a jump of the clock or a restart.
 const LONGEST_TICK_S: f64 = 3600.0;
 /// Longest time between two ticks that counts for delays of minutes \[s\]. After a start of the daemon, loggers thus
 /// have the whole delay to connect again.
 const USUAL_TICK_S: f64 = 60.0;
-/// Time without failures of the daemon after which its alarm clears \[s\], so that a disk at its limit does not raise
-/// and clear it in turn.
+/// Time without failures of the daemon after which its alarm clears \[s\]: a disk at its limit must not let it flap.
 const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the direction named by the logger until a caveat says so.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
-/// Largest distance between the end of a throw and the start of the next one, as part of the travel: the rails spring
-/// back.
+/// Largest distance from the end of a throw to the start of the next, as part of the travel: the rails spring back.
 const LARGEST_SHIFT: f64 = 0.1;
 /// Consecutive throws with unused fields until a caveat says so.
 const UNUSED_IN_A_ROW: u32 = 5;
-/// Rejected throws among the last 32 of a direction until a caveat says so: a quarter, which delays the detection of a
-/// fault.
+/// Rejected throws among the last 32 of a direction until a caveat says so: a quarter, which delays a detection.
 const OFTEN_REJECTED: u32 = 8;
 /// Consecutive throws with a too short travel until a caveat says so.
 const SHORT_IN_A_ROW: u32 = 5;
-/// Consecutive throws without coefficients, on a machine with a current sensor only that had them, until a caveat says
-/// so.
+/// Consecutive throws without coefficients, on a machine without toe sensor that had them, until a caveat says so.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
 /// Liveliness of the logger.
@@ -106,8 +100,7 @@ pub(super) struct Operation {
     /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
     agreed: u32,
-    /// Whether the movement contradicted the named direction in the first throws; then it counts as usual. `None` until
-    /// known.
+    /// Whether the movement usually contradicts the named direction, by the first throws; `None` until known.
     #[serde(skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
     /// Position at the end of the last throw \[mm\].
@@ -116,8 +109,7 @@ pub(super) struct Operation {
     /// The sentence about the unused fields of the last throw, and the number of throws with unused fields.
     #[serde(skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
-    /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short, and the number of such
-    /// throws.
+    /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
     /// Throws with features of the current only.
@@ -125,8 +117,7 @@ pub(super) struct Operation {
     /// Throws with an implausible temperature or voltage, and throws without.
     disbelieved: u32,
     believed: u32,
-    /// The sensor with unusable values, and its last eight throws as bits, 1 for unusable; `usable`: throws without
-    /// such values.
+    /// The sensor with unusable values, and its last eight throws as bits, 1 for unusable.
     unusable: Option<(SensorChannel, u8)>,
     usable: u32,
     /// Throws received since the last gap or irregularity.
@@ -263,8 +254,7 @@ impl Operation {
         }
         let is_seen = self.sides.iter().all(|side| (side.lost | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
-        // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while those of the other are
-        // evaluated.
+        // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
@@ -318,8 +308,7 @@ impl Operation {
     }
 
     /// Sentences about frequent rejections, about lost coefficients of a machine that `had_coefficients`, and about
-    /// unused fields and a short travel. The last two are left out with `of_sensor`, as an alarm about a sensor reports
-    /// them already.
+    /// unused fields and a short travel. With `of_sensor`, an alarm about a sensor reports the last two already.
     pub(super) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
@@ -413,8 +402,7 @@ impl Operation {
         self.silence_s >= 3600.0 * settings.not_monitored_hours
     }
 
-    /// Applies the liveliness of the logger, `there`: whether its token exists. A logger that never declared a token
-    /// raises no alarm.
+    /// Applies the liveliness of the logger, `there`: whether its token exists. No alarm without an earlier token.
     pub(super) fn on_liveliness(&mut self, there: bool, step: &mut Step) {
         let before = self.logger;
         self.logger = match before {
@@ -471,8 +459,7 @@ impl Operation {
         if !step.alarms.is_active(Cause::DataLoss) {
             step.raise(step.warning(Cause::DataLoss, text));
         } else if before == 0 || before.ilog2() != self.lost.ilog2() {
-            // A link that fails again and again must not make an event of each gap: the sum is reported at each power
-            // of two.
+            // A flapping link must not make an event of each gap: the sum is reported at each power of two.
             step.remark(Cause::DataLoss, text);
         }
     }
@@ -508,8 +495,7 @@ impl Operation {
     }
 }
 
-/// Applies a change of the watched daemons; `away`: a text about those that are not reachable, `None` if all are
-/// reachable.
+/// Applies a change of the watched daemons; `away`: a text about unreachable ones, `None` without any.
 pub(super) fn on_peers(away: Option<String>, step: &mut Step) {
     let cause = Cause::NotMonitored;
     match away {

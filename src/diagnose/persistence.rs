@@ -22,8 +22,7 @@ use statrs::function::gamma::ln_gamma;
 
 use super::autoregression::{Autoregression, dot, ln_sum};
 
-/// Grid of phi: number of nodes; atanh phi of the first node; distance of the nodes in atanh phi. So phi is from -0.3
-/// to 0.97.
+/// Grid of phi, from -0.3 to 0.97: number of nodes, atanh phi of the first node, distance of the nodes in atanh phi.
 const NODES: (usize, f64, f64) = (9, -0.3, 0.3);
 /// atanh phi of the typical phi, 0.35.
 const USUAL_PHI: f64 = 0.365;

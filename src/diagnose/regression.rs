@@ -1,5 +1,4 @@
-//! Regression of a series of throws whose scatter is an autoregression of unknown variance and unknown lag-1
-//! correlation.
+//! Regression of a series of throws whose scatter is an autoregression of unknown variance and lag-1 correlation.
 //!
 //! A series has levels (its mean values, such as one for each direction) and a regressor, such as the temperature. The
 //! evidence for a regressor is integrated over its coefficient, the levels, the variance and the lag-1 correlation phi.
@@ -39,8 +38,7 @@ pub(super) struct Regression {
 }
 
 impl Series {
-    /// A series with its levels, one column each. `error_part`: part of the estimates' errors in the variance of a
-    /// throw.
+    /// A series with its levels, one column each. `error_part`: part of the estimates' errors in the variance.
     pub(super) fn new(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let phis = (0..PHIS).map(|step| (f64::from(step) + 0.5) / f64::from(PHIS));
         let noise = |phi: f64| Autoregression { phi, natural: 1.0 - error_part, error: error_part };

@@ -13,8 +13,7 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 }
 
 /// Mean of `values` clipped at three standard deviations `sd` around their median. Nearly as precise as the mean for
-/// Gaussian scatter; a single outlier of three values changes it by one `sd` at most. Sorts `values`, which must not be
-/// empty.
+/// Gaussian scatter; one outlier of three changes it by one `sd` at most. Sorts `values`, which must not be empty.
 pub(super) fn clipped_mean(values: &mut [f64], sd: f64) -> f64 {
     let centre = median(values);
     let reach = CLIP_SD * sd;
@@ -33,8 +32,7 @@ pub(super) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
 }
 
 /// Standard deviation of a sample whose scatter may be skewed: from the deviation from `centre` that five in six values
-/// do not exceed. The median deviation would be 0 if half of the values are equal, however far the others are. `values`
-/// must not be empty.
+/// do not exceed. The median deviation is 0 if half of the values are equal. `values` must not be empty.
 pub(super) fn skewed_sd(values: &[f64], centre: f64) -> f64 {
     /// Deviation that five in six values of a standard normal variable do not exceed.
     const FIVE_IN_SIX: f64 = 1.383;

@@ -36,8 +36,8 @@ const LIKE_MOST: f64 = 50.0;
 /// the weight in [`USUAL_LAG1`]; with the second, one machine in seven has a correlation above 0.8.
 const LAG1_SD: (f64, f64) = (0.22, 0.7);
 /// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine; and
-/// relative to the largest of the three. It keeps covariances positive definite in single precision, also if all throws
-/// are equal.
+/// relative to the largest of the three. Keeps covariances positive definite in single precision, also for equal
+/// throws.
 const LEAST_SD: (f64, f64) = (2e-4, 1e-3);
 /// Typical standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
@@ -50,8 +50,7 @@ const MOST_LAG1: f64 = 0.98;
 pub(super) const SLOW_LAG1: f64 = 0.9;
 /// Lags whose correlations show the slow part; the rest of the scatter has hardly any correlation at these lags.
 const SLOW_LAGS: std::ops::Range<usize> = 5..16;
-/// Least number of throws that can show a slow part: five times as long as it lasts. In 50 throws the result is
-/// anything from 0 to 1.
+/// Least number of throws that can show a slow part: five times as long as it lasts. 50 throws may show any part.
 const LEAST_FOR_SLOW: f64 = 80.0;
 /// Standard deviations subtracted from an estimated slow part, so that scatter without one hardly ever gets one.
 const DISCOUNT_SD: f64 = 0.5;
@@ -59,8 +58,7 @@ const DISCOUNT_SD: f64 = 0.5;
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
 const GAUSSIAN_KURTOSIS: f64 = 3.0;
-/// Prior weight of Gaussian scatter against the measured kurtosis of a baseline: the values (three a throw) of 20
-/// independent throws.
+/// Prior weight of Gaussian scatter against the measured kurtosis: three values each of 20 independent throws.
 const GAUSSIAN_WEIGHT: f64 = 60.0;
 
 /// A possible ratio of the true covariance of a mean of throws to the assumed covariance.
@@ -104,8 +102,7 @@ pub(super) struct Scatter {
     /// Degrees of freedom of one throw for a variance; 1 for Gaussian scatter, less with heavy tails.
     #[serde(default = "gaussian")]
     tail_worth: f64,
-    /// Possible lag-1 correlations of each coefficient, coefficient by coefficient; empty for a baseline of enough
-    /// throws.
+    /// Possible lag-1 correlations, coefficient by coefficient; empty for a baseline of enough throws.
     #[serde(default)]
     possible: Box<[Possible]>,
 }
@@ -224,16 +221,14 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// Lag-1 correlations of the logarithms of throws, which the errors of the estimates reduce. `sensor`: covariance
-    /// of these errors.
+    /// Lag-1 correlations of the logarithms of throws; errors of the estimates, with covariance `sensor`, reduce them.
     pub(super) fn lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
         let natural = Matrix3::from(self.natural).diagonal();
         let share = natural.component_div(&(natural + sensor.diagonal()).map(|v| v.max(1e-12)));
         share.component_mul(&Vector3::from(self.lag1))
     }
 
-    /// The largest plausible lag-1 correlations of the natural scatter: two standard deviations above the estimated
-    /// ones.
+    /// The largest plausible lag-1 correlations of the natural scatter: estimate plus two standard deviations.
     pub(super) fn highest_lag1(&self) -> Vector3<f64> {
         Vector3::from_fn(|i, _| (self.lag1[i].atanh() + 2.0 * self.lag1_sd(i)).tanh().min(LAG1_RANGE.1))
     }
@@ -343,8 +338,7 @@ fn gaussian() -> f64 {
 /// Degrees of freedom of one residual for a variance, 1 for Gaussian scatter: 2 / (kurtosis - 1), squared. The square
 /// is needed as residuals are clipped in proportion to their own spread, which varies with the tails too. Example
 /// (simulated): 50 throws of Student's t with three degrees of freedom have a kurtosis of 3.9 after clipping, and
-/// determine the variance as 21 Gaussian throws do. Few independent throws say little about their tails; the scatter
-/// counts as Gaussian then.
+/// determine the variance as 21 Gaussian throws do. Few independent throws show no tails and count as Gaussian.
 fn tail_worth(residuals: &[Vector3<f64>], independent: f64) -> f64 {
     let moment =
         |i: usize, power: i32| residuals.iter().map(|r| r[i].powi(power)).sum::<f64>() / residuals.len() as f64;
@@ -378,8 +372,7 @@ fn effective(throws: f64, phi: f64) -> f64 {
     throws * (1.0 - phi * phi) / (1.0 + phi * phi)
 }
 
-/// `g_w(phi)`: ratio of the variance of a mean of `w` throws to that of a mean of independent ones. `w` may be
-/// infinite.
+/// `g_w(phi)`: variance of a mean of `w` throws relative to that of independent ones. `w` may be infinite.
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
     if w.is_infinite() {
@@ -402,8 +395,7 @@ fn lag1_of_rest(lag1: f64, slow: f64) -> f64 {
     ((lag1 - SLOW_LAG1 * slow) / (1.0 - slow)).clamp(LAG1_RANGE.0, LAG1_RANGE.1)
 }
 
-/// Slow part of the scatter of `throws` residuals with the lag-1 correlation `lag1`, from their correlations at
-/// [`SLOW_LAGS`].
+/// Slow part of the scatter of `throws` residuals, from the lag-1 correlation and those at [`SLOW_LAGS`].
 fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 {
     if throws < LEAST_FOR_SLOW {
         return 0.0;

@@ -4,8 +4,7 @@
 //! three quarters of the other machines have at least, beyond chance; at least three machines must have had throws in
 //! the last hours. It is subtracted from a throw before the throw is judged. So defined, the common change has no step
 //! when a single machine changes; a step would look like an intermittent fault of the others. The subtraction only
-//! reduces a departure: it never increases one or changes its sign, and a machine without the common change is judged
-//! without it.
+//! reduces a departure: it never increases one or changes its sign. A machine without the change is judged as it is.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -114,8 +113,7 @@ pub(super) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<
     )
 }
 
-/// Raises and clears the alarm about all machines of a site. While the common change is unknown, as in a night without
-/// throws, the alarm stays.
+/// Raises and clears the alarm about all machines of a site; it stays while the common change is unknown.
 pub(super) fn judge(common: &Common, step: &mut Step) {
     for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
         let size = relevance(cause, *log, step.settings);

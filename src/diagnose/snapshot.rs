@@ -68,8 +68,8 @@ impl From<Board> for Alarms {
 }
 
 impl From<AlarmOne> for Alarm {
-    /// Version 1 stored the time of an acknowledgement and the operator of a shelving in events only, so both come from
-    /// the latest event.
+    /// Version 1 stored the time of an acknowledgement and the operator of a shelving in events; both come from the
+    /// latest.
     fn from(alarm: AlarmOne) -> Self {
         let last = alarm.last;
         let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });

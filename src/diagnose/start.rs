@@ -1,7 +1,6 @@
 //! A changed start of the movement: the toe moves later after the current, or accelerates less, than the running
 //! current explains. The reason is a late brake, play, lost motion or a delayed position. Friction, motor and stiffness
-//! of the running machine stay as they were. The throws are rough then, so only their ratios are compared, and these
-//! look healthy.
+//! of the running machine stay as they were. The throws are rough, so only ratios are compared, and these look healthy.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,20 +19,17 @@ const DELAY_MS: f64 = 1.0;
 /// Largest change of the delay by friction \[ms\], for a change of 1 in the logarithm of the running current: dry
 /// friction winds up an elastic drive before the toe moves. For drives of 1.5e7 N/m it is 10 to 26 ms.
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
-/// Change of the delay with the duration, both relative to normal: the time of an unlocking stroke follows the speed of
-/// the motor.
+/// Change of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
 const DELAY_OF_DURATION: f64 = 1.5;
 /// Change of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
 /// has moved visibly after a time that goes with the square root of the acceleration. A hot winding or a bad contact
 /// lowers the inrush; a late brake does not.
 const DELAY_OF_INRUSH: f64 = 0.5;
-/// Change of the logarithm of the acceleration that matters, beyond the change of the running current: a fault of the
-/// motor changes both equally.
+/// Change of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
 const GAIN: f64 = 0.1;
 /// Least significance of a change, in standard deviations of a level.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Consecutive throws with the change until the alarm. A fault of a part shows in the coefficients earlier, and is
-/// named there.
+/// Consecutive throws with the change until the alarm. A fault of a part is named earlier, by the coefficients.
 const NAMED_THROWS: u32 = 8;
 
 /// Watches for a changed start.
@@ -71,8 +67,7 @@ impl Change {
         Some(Self { delay, gain, running: level(Gauge::Running)?, of_motor_ms, lost_inrush })
     }
 
-    /// Size relative to the change that matters and that the motor and the running current do not explain; above 1 it
-    /// matters.
+    /// Size relative to the largest change that does not matter, or that motor and running current explain.
     fn size(&self) -> f64 {
         let running = self.running.value.abs();
         let of = |level: Level, least: f64| level.value.abs() / least.max(SIGNIFICANT_SD * level.sd);
@@ -83,8 +78,7 @@ impl Change {
 
 impl StartWatch {
     /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
-    /// explains the drift. A changed start alone names no part, as faults of parts change it too, such as stiffness in
-    /// an elastic drive.
+    /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
     pub(super) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> Found {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());

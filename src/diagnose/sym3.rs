@@ -23,8 +23,7 @@ impl From<Sym3> for Matrix3<f64> {
     }
 }
 
-/// Inverse of a covariance. `None` if it is not positive definite, as rounding beside a far larger variance can make
-/// it.
+/// Inverse of a covariance; `None` if it is not positive definite, as after rounding beside a far larger variance.
 pub(super) fn inverse(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     Some(covariance.cholesky()?.inverse())
 }

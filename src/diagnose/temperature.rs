@@ -1,5 +1,4 @@
-//! The effect of temperature on the coefficients of a machine and direction, learned from the baseline and from later
-//! throws.
+//! The effect of temperature on the coefficients of a direction, learned from the baseline and from later throws.
 //!
 //! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines the slope k.
 //! Later throws improve k when they leave the longest window. The centre does not change, so at the reference
@@ -8,8 +7,7 @@
 //! uncertainty of k, times the distance from the reference.
 //!
 //! A fault changes a coefficient for good and must not count as an effect of the temperature. So the model contains a
-//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or the first throws of a suspected
-//! drift.
+//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or throws of a suspected drift.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -33,13 +31,11 @@ pub enum TemperatureSource {
     Fitted,
 }
 
-/// Slopes of ln b0, ln a1, ln a0 over the temperature \[per K\]: standard deviation between machines, by magnets,
-/// grease and rails.
+/// Slopes of ln b0, ln a1, ln a0 by magnets, grease and rails \[per K\]: standard deviation between machines.
 const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
 /// Largest physically possible slopes \[per K\]: magnets lose 0.2 %/K, grease becomes three times as thick over 40 K.
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
-/// Throws of a direction after which an old throw has lost its weight: about a month of a usual machine, which is less
-/// than a season.
+/// Throws of a direction after which an old throw has lost its weight: about a month, which is less than a season.
 const MEMORY: f64 = 250.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
@@ -240,8 +236,7 @@ impl Temperature {
         (self.information - mean * distances, std::array::from_fn(|i| self.product[i] - mean * residuals[i]))
     }
 
-    /// Slopes and their variances, with a prior around zero. `noise`: variance of one throw, increased for serial
-    /// correlation.
+    /// Slopes and their variances, with a prior around zero. `noise`: variance of one throw with serial correlation.
     fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
         let (information, product) = self.sums();
         // The sum is 0 for b0 of ratios, which has no noise, at a constant temperature.

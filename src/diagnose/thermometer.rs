@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::throw::POSSIBLE_C;
 
-/// Largest change by weather, sun and a warm motor \[K\]: at once; more for each hour, up to a total; more for each
-/// day.
+/// Largest change by weather, sun and a warm motor \[K\]: at once; for each hour, up to a total; for each day.
 const AT_ONCE_K: f64 = 20.0;
 const PER_HOUR_K: f64 = 2.0;
 const WITHIN_HOURS_K: f64 = 10.0;
@@ -14,8 +13,7 @@ const PER_DAY_K: f64 = 1.0;
 /// Time after which a missing temperature is a fault of the sensor. The last temperature stays in use: without it, the
 /// whole effect of the temperature would appear at once, as a fault of the machine.
 const HOLDS: SignedDuration = SignedDuration::from_hours(24);
-/// Least time and least number of equal readings of a stuck sensor. Within days, the weather changes by more than the 1
-/// K of a coarse sensor.
+/// Least time and number of equal readings of a stuck sensor: weather changes even a coarse one, of 1 K, within days.
 const STUCK: (SignedDuration, u32) = (SignedDuration::from_hours(120), 24);
 /// Least length of the run of a stuck sensor, as multiple of the longest run before. In a tunnel, or with a logger that
 /// renews the value seldom, healthy runs are long.
@@ -34,8 +32,7 @@ pub(super) enum Implausible {
     Jump(f64, f64),
     /// Missing since this time; earlier throws had a temperature.
     Missing(Timestamp),
-    /// The same value \[°C\] since this time; it had changed before. This value is still used, as there is no better
-    /// one.
+    /// The same value \[°C\] since this time, after earlier changes. Still used, as there is no better value.
     Stuck(f64, Timestamp),
     /// A supply voltage out of the possible range \[V\].
     Supply(f64),
@@ -93,8 +90,7 @@ impl Run {
 struct Rejected {
     /// Time of the first of them.
     since: Timestamp,
-    /// The last of them \[°C\], and the number of consecutive readings like it; `None` in snapshots of an earlier
-    /// program.
+    /// The last of them \[°C\], and the number of consecutive ones like it; `None` in snapshots of an earlier program.
     last: Option<(f64, u32)>,
 }
 

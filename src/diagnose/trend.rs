@@ -26,8 +26,7 @@ pub(super) const WHILE_FILLING: Bound = Bound { evidence: 1.0, part_of_limit: 0.
 pub(super) const AT_THE_END: Bound = Bound { evidence: 2.7, part_of_limit: 1.0 / 3.0 };
 /// Number of equal parts of the series; a step may be between any two of them.
 const STEPS: usize = 12;
-/// Logarithm of the Bayes factor of slope against step, above which the series has a slope. A step is detected as a
-/// drift.
+/// Least logarithm of the Bayes factor of slope against step. A step is left to the drift rule.
 const STEP_BOUND: f64 = 1.0;
 /// Largest residual in robust standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.5;

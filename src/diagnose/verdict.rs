@@ -108,8 +108,7 @@ pub struct Present {
 pub struct Verdict {
     /// The machine after this throw.
     pub present: Present,
-    /// Blindness: temperature hides a change at the warning limit, or scatter one at the critical limit. `None`
-    /// without.
+    /// Blindness, if temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,
     /// Whether an incomplete baseline has a trend.
     pub has_trend: bool,

@@ -21,8 +21,7 @@ use super::{
 const RAIN_HOURS: i64 = 72;
 /// Throws of the machine after which the last few throws of each direction all show a fall.
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
-/// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs make only a part of
-/// the friction of a machine.
+/// Losses of friction by rain \[%\]: water halves the friction of steel on steel, a part of the machine's friction.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Part of a slow change that existed a week ago: a season takes months.
 pub(super) const SLOW_FROM: f64 = 1.0 / 3.0;

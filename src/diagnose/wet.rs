@@ -3,8 +3,7 @@
 //! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline, a wet spell would
 //! hide wear for ever. So a spell that begins and ends within the throws is taken out. The evidence compares two models
 //! of the friction's logarithm: levels, effect of the temperature and slope; and the same with a spell, at any place
-//! that fits. It is the evidence of [`super::regression`]: it finds no spells in a machine whose throws only change
-//! slowly by chance.
+//! that fits. It is the evidence of [`super::regression`], which needs no spells for slow random changes.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -12,8 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{regression::Series, trend::Filling};
 
-/// Change of ln a1 in a spell: 10 to 25 % by rain, and some per cent less and more, as the edges of a spell are not
-/// sharp.
+/// Change of ln a1 in a spell: 10 to 25 % by rain, and some per cent less and more, as its edges are not sharp.
 const CHANGE: Range<f64> = -0.34..-0.07;
 /// Number of throws in a spell.
 const LENGTH: RangeInclusive<usize> = 6..=LONGEST_SPELL;

@@ -14,8 +14,7 @@ const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
 
-/// Rows with a faulty instrument: the instrument, whether the supply voltage is published, the correct cause, and the
-/// size as a fraction.
+/// Rows with a faulty instrument: instrument, whether the voltage is published, correct cause, size as a fraction.
 const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
     (Instrument::Current, true, Cause::Sensor, 0.08),
     (Instrument::Current, false, Cause::Sensor, 0.08),

@@ -72,8 +72,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
         1 => (all_named, unattributed),
         _ => (all_named.into_iter().chain(unattributed).min(), None),
     };
-    // For wear from the first throw, an early statement about the baseline counts as a name, and a late name does not
-    // count.
+    // For wear from the first throw, an early statement about the baseline is a name, and a late name does not count.
     let right = match life.deadline() {
         Some(deadline) => right.into_iter().chain(trend).min().filter(|at| *at < deadline),
         None => right,

@@ -63,8 +63,7 @@ pub(super) struct Calls {
 }
 
 impl Calls {
-    /// Numbers of alarms: of the monitor; of the monitor that the machine is not monitored; of the paper's rule; of the
-    /// CUSUM.
+    /// Numbers of alarms: `raised` and `not_monitored` of the monitor, then of the paper's rule, then of the CUSUM.
     pub(super) fn alarms(&self) -> [usize; 4] {
         [self.raised, self.not_monitored, self.paper.len(), self.cusum.len()]
     }

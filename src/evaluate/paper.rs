@@ -7,8 +7,7 @@
 //! the baseline. If all pairs are correlated by at least 0.8, the cause is inertia. Else, if one coefficient alone
 //! moved, the cause is that of this coefficient. Else there is no name.
 //!
-//! The baseline throws are necessary, as six throws after a step differ by noise only. A step shows best with as many
-//! throws before it as after it.
+//! The baseline throws are necessary, as six throws after a step differ by noise only; equal halves show a step best.
 
 use nalgebra::Vector3;
 

@@ -20,8 +20,7 @@ const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
 /// Standard deviations of the nominal logarithms between machines, and between the directions of one machine.
 const SPREAD_SD: [f64; 2] = [0.05, 0.02];
 
-/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0, measured at a current noise of 0.005, 0.02 and
-/// 0.05 A.
+/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0, measured at each noise of the current.
 const fn estimator_sd(noise: Noise) -> [f64; 3] {
     match noise {
         Noise::Low => [0.0013, 0.0015, 0.0013],

@@ -25,8 +25,7 @@ const RIGHT: [Curve; 3] = [
 ];
 
 /// A grid of charts. It has a column for each cause, and rows for delay and share named right, for steps and for ramps.
-/// The charts contain the rows at parameter depth with default noise and plain conditions. Delays are medians; pointsd
-/// also has the 95th percentile.
+/// The charts have the rows at parameter depth with default noise and plain conditions. Delays are medians.
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);
     let mut sheet = Sheet::new(title).columns(Cause::PHYSICAL.len()).panel_size(460.0, 300.0);

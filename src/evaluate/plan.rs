@@ -63,8 +63,7 @@ impl Amount {
 const HEALTHY_LIFE: usize = 10_000;
 /// Monitored throws of a healthy life at trace depth, where a throw needs more computing time.
 const HEALTHY_TRACE_LIFE: usize = 500;
-/// Monitored throws of a life in a fleet: 200 days, in which the season alone changes the temperature by more than 20
-/// K.
+/// Monitored throws of a life in a fleet: 200 days, in which the season changes the temperature by more than 20 K.
 const FLEET_LIFE: usize = 4_000;
 
 /// Serial correlations of the scatter in the budget section.
@@ -76,8 +75,7 @@ const BUDGET_LIFE: usize = 5_000;
 /// The smallest warning limit that the settings allow \[%\]: in effect no limit.
 const NO_LIMIT_PCT: f64 = 0.001;
 
-/// A life to simulate. `machine` is its number, which determines the random stream; `row`, `fleet` and `phi` are
-/// indices.
+/// A life to simulate; `machine` is its number, which selects the random stream, and the others are indices.
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Healthy { depth: Depth, machine: usize, throws: usize },
@@ -205,8 +203,8 @@ impl Plan {
         Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
     }
 
-    /// Simulates a healthy life until its first alarm. The warning limits are so small that only the budget of the
-    /// drift rule prevents alarms.
+    /// Simulates a healthy life until its first alarm, with limits so small that only the false-alarm budget prevents
+    /// one.
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
         let scatter = Scatter { phi: BUDGET_PHI[phi], ..Scatter::USUAL };
@@ -216,8 +214,7 @@ impl Plan {
         for at in 0..life.throws {
             let estimate = source.throw(at % 2, life.displacement(at));
             let observation = observation(at, Some(estimate), None);
-            // With such limits any scatter hides critical changes and raises `not_monitored`, so only drift alarms
-            // count.
+            // With such limits any scatter raises `not_monitored`, so only drift alarms count.
             let events = monitor.observe(&observation, &self.budget_settings).events;
             let alarmed = events.iter().any(|event| event.cause.is_drift());
             if alarmed {

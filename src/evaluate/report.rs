@@ -89,8 +89,7 @@ pub struct Row {
     pub wrong_critical: usize,
     /// Share of the monitor's 95 % intervals of the size that contain the true size; `None` without an interval.
     pub size_coverage: Option<f64>,
-    /// Share of the monitor's forecasts that contain the true number of throws to the critical limit; `None` without a
-    /// forecast.
+    /// Share of the monitor's forecasts that contain the true throws to the critical limit; `None` without a forecast.
     pub forecast_coverage: Option<f64>,
     /// Results of the paper's rule on the same throws.
     #[serde(serialize_with = "without_names")]

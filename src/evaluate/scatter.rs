@@ -18,8 +18,7 @@ impl Scatter {
     /// The calibrated scatter of a usual machine.
     pub const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
 
-    /// The scatter of the next throw. `last`: scatter of the throw before; `normal`: a source of standard normal
-    /// numbers.
+    /// The scatter of the next throw. `last`: that of the throw before; `normal`: a source of standard normal numbers.
     pub fn next(&self, last: Vector3<f64>, mut normal: impl FnMut() -> f64) -> Vector3<f64> {
         let innovation = (1.0 - self.phi * self.phi).sqrt();
         let fresh = Vector3::from_fn(|_, _| self.draw(&mut normal)).component_mul(&Vector3::from(self.sd));

@@ -22,8 +22,7 @@ use crate::throw::{Direction, OutOfRange, Throw, Trace};
 pub const CORRELATION_LIMIT: f64 = 0.8;
 /// Least significant change of a coefficient \[standard deviations\].
 const MOVED_SIGMAS: f64 = 4.0;
-/// Scatter of the coefficients between throws of a healthy machine in service, as a fraction: running currents repeat
-/// within 0.3 to 2 %.
+/// Scatter of the coefficients between healthy throws, as a fraction: running currents repeat within 0.3 to 2 %.
 const SERVICE_SCATTER: f64 = 0.01;
 /// Direction of all throws of the study.
 const DIRECTION: Direction = Direction::NormalToReverse;
@@ -251,8 +250,7 @@ fn run_case(
     })
 }
 
-/// Correlations of the inertia estimates nominal/estimate over the tests: (b0, a1), (b0, a0), (a1, a0). `scatter`: see
-/// [`correlation`].
+/// Correlations of the inertia estimates nominal/estimate over the tests: (b0, a1), (b0, a0), (a1, a0).
 fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
     let inertia = |at: usize| -> Vec<f64> { tests.iter().map(|test| tests[0][at] / test[at]).collect() };
     let (b0, a1, a0) = (inertia(0), inertia(1), inertia(2));
@@ -287,8 +285,7 @@ fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|at| (is[at] / was[at] - 1.0) * 100.0)
 }
 
-/// Pearson's correlation of two series with an added uncorrelated scatter of this standard deviation; 0 if a series is
-/// constant.
+/// Pearson's correlation of two series, each with an added uncorrelated scatter; 0 if a series is constant.
 fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));

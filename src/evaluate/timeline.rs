@@ -67,8 +67,7 @@ pub(super) struct Timeline {
 const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
 impl Timeline {
-    /// Whether the fault exists from the first throw, so that the baseline contains it. Then every alarm comes from
-    /// scatter.
+    /// Whether the fault exists from the first throw. The baseline contains it, and every alarm comes from scatter.
     pub(super) fn is_learned(&self) -> bool {
         self.onset == 0 && self.deadline().is_none()
     }

@@ -31,8 +31,7 @@ pub(super) struct TraceMachine {
     settings: Settings,
     /// Whether the supply voltage is published.
     volts: bool,
-    /// The faulty instrument, the factor on its values, and the first throw with the fault; `None` without such a
-    /// fault.
+    /// The faulty instrument, the factor on its values, and the first throw with the fault; `None` without one.
     faulty: Option<(Instrument, f64, usize)>,
 }
 

@@ -1,5 +1,4 @@
-//! The monitor of a machine, with the effects of commands and ticks. The effects of throws are in [`throws`], those of
-//! loggers in [`loggers`].
+//! The monitor of a machine, with the effects of commands and ticks. The others are in [`throws`] and [`loggers`].
 
 mod loggers;
 mod throws;
@@ -33,8 +32,7 @@ use super::{
 };
 use crate::throw::{Direction, MachineId, ThrowRef};
 
-/// The monitor of a machine: baselines, last throws, alarms. Its snapshot has all of this, so a restart changes
-/// nothing.
+/// The monitor of a machine: baselines, last throws, alarms. The snapshot has them all, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MachineMonitor {
     version: Version,
@@ -141,8 +139,7 @@ impl MachineMonitor {
     }
 
     /// Advances the time: ends shelvings and maintenance windows, detects silence. Call it at least once a minute.
-    /// Silence is the sum of the times between calls, each counted as an hour at most, so that a jump of the clock is
-    /// not silence.
+    /// Silence is the sum of the times between calls, each at most an hour, so that a jump of the clock is not silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
         self.alarms.unshelve_due(now);
@@ -171,8 +168,7 @@ impl MachineMonitor {
         self.step(now, None, settings, |_, step| site::judge(common, step))
     }
 
-    /// Takes over an open alarm of the database that no monitor has, as after the loss of a snapshot, so that an
-    /// operator can acknowledge it.
+    /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
     pub fn adopt(&mut self, last: AlarmEvent, now: Timestamp) -> Vec<AlarmEvent> {
         let text = text::orphaned(&self.name);
         self.alarms.adopt(last, text, to_micros(now));
@@ -190,8 +186,7 @@ impl MachineMonitor {
         self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step)).pop()
     }
 
-    /// Updates the alarm about watched daemons that are not reachable. Only the monitor of the daemon itself has this
-    /// alarm.
+    /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
         self.step(now, None, settings, |_, step| operational::on_peers(text, step)).pop()

@@ -169,8 +169,7 @@ fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
     )
 }
 
-/// Text for a machine whose throws changed steadily while its baseline was taken. `slopes`: of the logarithms, per
-/// throw.
+/// Text for a machine whose throws changed steadily while its baseline was taken, by `slopes` per throw.
 pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
     let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
     let names = if of_ratios {

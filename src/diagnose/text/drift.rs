@@ -12,8 +12,7 @@ use crate::diagnose::{
 };
 use crate::throw::counted;
 
-/// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the friction of the
-/// baseline.
+/// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
 
 /// Name for the cause of a loss of torque without a change of the back-EMF.

@@ -15,8 +15,7 @@ pub(crate) fn invalid(name: &str, count: u32, reason: &str) -> String {
     )
 }
 
-/// Text for a logger whose clock is wrong. `started_at`: time of a throw by that clock; `received_at`: by the clock of
-/// this computer.
+/// Text for a logger whose clock is wrong: `started_at` by this clock, `received_at` by that of this computer.
 pub(crate) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timestamp) -> String {
     format!(
         "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until \

@@ -24,8 +24,7 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     }
 }
 
-/// Half width of the 95 % interval of a change \[%\]; `size`: logarithm of the change, with the standard deviation
-/// `sd`.
+/// Half width of the 95 % interval of a change \[%\]; `size`: its logarithm, with the standard deviation `sd`.
 fn half_width_pct(size: f64, sd: f64) -> f64 {
     196.0 * sd * size.exp()
 }

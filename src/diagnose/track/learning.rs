@@ -136,8 +136,7 @@ impl Tracks {
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
-        // If the last throws end a trend, it was chance in the other baseline too, which would stay provisional
-        // otherwise.
+        // A trend that the last throws end was chance. It was chance in the other baseline too, which is taken again.
         let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];
@@ -173,23 +172,21 @@ impl Tracks {
     /// The throws of the baselines and those set aside; the effect of the spells `wet` is subtracted.
     fn filling(&self, wet: &[WetSpell]) -> Filling {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
-        // The errors of ratios are mostly equal in every throw, so differences between throws are scatter of the
-        // machine.
+        // Errors of ratios are mostly equal in every throw; differences are scatter of the machine.
         let differing = |track: &Track| if track.of_ratios { Matrix3::zeros() } else { Matrix3::from(track.sensor) };
         let sensor = self.sides.each_ref().map(differing);
         filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
-    /// Slopes of ln b0, ln a1, ln a0 over the throws of incomplete baselines, per throw of the machine; `None` without
-    /// a trend.
+    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without
+    /// trend.
     pub(in crate::diagnose) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete =
             self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(|baseline| baseline.complete));
         self.slopes.filter(|_| incomplete)
     }
 
-    /// Computes the scatter of the throws of incomplete baselines and of the throws set aside, each around its own
-    /// level.
+    /// Computes the scatter of the throws of incomplete baselines and of those set aside, each around its own level.
     fn learn_scatter_around_levels(&mut self, settings: &Settings) {
         let (mut all, mut sensor, mut centres, mut sides) = (Vec::new(), Matrix3::zeros(), 0, 0);
         for track in &mut self.sides {

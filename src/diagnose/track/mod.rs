@@ -32,8 +32,7 @@ const HIDES_FROM: f64 = 1.5;
 /// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
-    /// Throws of the baseline; kept until both directions are complete. A boxed slice without spare memory, as a whole
-    /// fleet may learn at once.
+    /// Throws of the baseline, until both directions are complete. No spare memory, as a whole fleet may learn at once.
     learned: Box<[BaselineThrow]>,
     /// Throws set aside while a drift is suspected.
     aside: Vec<BaselineThrow>,
@@ -65,13 +64,11 @@ struct Undecided {
 }
 
 /// Size of the errors of rough throws, whose ratios are compared with a baseline of coefficients. The misfit of the
-/// model is much the same in each of them, so their stated variance is too large. Healthy throws show how much the
-/// ratios really change.
+/// model is much the same in each of them, so their stated variance is too large, as healthy throws show.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct RoughErrors {
     throws: u32,
-    /// Sum of their squared departures from the baseline, beyond the scatter of the machine, relative to the stated
-    /// variance.
+    /// Sum of their squared departures from the baseline beyond the machine's scatter, in stated variances.
     squares: f32,
 }
 
@@ -145,8 +142,7 @@ impl Tracks {
     }
 
     /// Adds a throw to the last throws of its direction; the throw that leaves them updates the temperature
-    /// compensation. Returns the residual, `None` without a baseline. A throw of ratios gets the common scale of the
-    /// last throw that has one.
+    /// compensation. Returns the residual (of ratios: with the last known common scale); `None` without a baseline.
     pub(super) fn push(
         &mut self,
         throw: &Evaluated,
@@ -376,11 +372,9 @@ impl Tracks {
         self.sides.iter().flat_map(|track| &track.baseline).all(|baseline| baseline.temperature.reference_c.is_none())
     }
 
-    /// Whether the last throws of the machine show only the ratios of the coefficients. A change of the inertia does
-    /// not show then.
+    /// Whether the last throws of the machine show only ratios of coefficients; they do not show a change of inertia.
     pub(super) fn lacks_scale(&self) -> bool {
-        /// Number of consecutive throws of the machine without a scale that decide this. A machine with both kinds of
-        /// throws has shorter runs.
+        /// Consecutive throws without a scale that decide this: a machine with both kinds of throws has shorter runs.
         const LAST: usize = WINDOWS[2];
         let [normal, reverse] = &self.sides;
         let recent = Stream::all([&normal.recent, &reverse.recent]);

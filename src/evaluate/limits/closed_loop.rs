@@ -140,7 +140,7 @@ struct Controller {
 }
 
 impl Controller {
-    /// The current \[A\] at the next sample, from the recorded position \[rad\]. The integral stops at the largest
+    /// The current \[A\] at the next sample, from the recorded position \[rad\]. Its integral stops at the largest
     /// current.
     fn current(&mut self, recorded: f64) -> f64 {
         self.speed += ((recorded - self.before) / INTERVAL_S - self.speed) * INTERVAL_S / SPEED_FILTER_S;

@@ -1,5 +1,4 @@
-//! A constant load torque: its effect on the three coefficients, and the attempt to estimate it as a fourth
-//! coefficient.
+//! A constant load torque: its effect on the three coefficients, and the load as a fourth coefficient.
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, Trial, fit, without_dry_friction};

@@ -44,8 +44,7 @@ impl Default for Trial {
     }
 }
 
-/// The default machine without dry friction. Equation (10) has no dry friction, so the true coefficients are known
-/// exactly.
+/// The default machine without dry friction, as in equation (10), so that its true coefficients are known exactly.
 pub(super) fn without_dry_friction() -> Parameters {
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() }
 }
@@ -82,8 +81,8 @@ impl Bench {
                 let quality = found.quality();
                 match found.outcome {
                     Ok(estimate) if estimate.grade == Grade::Good => {
-                        // The throws of a row differ by noise only, so the part of the covariance for the error of the
-                        // model is left out.
+                        // The throws differ by noise only, so the covariance without the error of the model is
+                        // compared.
                         let noise_sd = estimate.covariance.diagonal().map(f64::sqrt).into();
                         row.add(estimate.coefficients(), noise_sd, reference);
                     }
