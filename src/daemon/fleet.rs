@@ -250,7 +250,7 @@ impl Fleet {
         let first = MachineId { site: site.clone(), machine: Name::fixed(SMALLEST_NAME) };
         let of_site = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
         let others = of_site.filter(|(machine, _)| Some(*machine) != but).map(|(_, monitor)| &**monitor);
-        MachineMonitor::common(others.filter(|monitor| monitor.is_witness()), at)
+        MachineMonitor::common(others.filter(|monitor| monitor.has_departures()), at)
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].

@@ -7,10 +7,10 @@ use super::{
     condition::{Claim, Reading},
     event::Cause,
     explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
+    origin::{Awaited, Origin},
     scatter::Scatter,
     settings::Settings,
     sym3,
-    testimony::{Awaited, Testimony},
     verdict::Blindness,
     window::Window,
 };
@@ -66,8 +66,8 @@ pub(super) struct Drift {
     pub(super) attribution: Option<Attribution>,
     /// The window with the most significant drift.
     pub(super) strongest: Option<Window>,
-    /// Verdict of the gauges on the drift.
-    pub(super) testimony: Testimony,
+    /// Origin of the drift, by the gauges.
+    pub(super) origin: Origin,
     /// Relation of its name to the active alarms.
     relation: ToAlarms,
     /// Whether a direction has a baseline, but too few throws for a level.
@@ -106,13 +106,13 @@ impl Drift {
             Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
             _ => ToAlarms::New,
         };
-        let (strongest, testimony) = (strongest.map(|(window, ..)| window), Testimony::default());
+        let (strongest, origin) = (strongest.map(|(window, ..)| window), Origin::default());
         Self {
             excess,
             provisional,
             attribution,
             strongest,
-            testimony,
+            origin,
             relation,
             is_half_seen,
             levels,
@@ -144,7 +144,7 @@ impl Drift {
     /// The evidence about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
-        let excused = self.testimony.excuses();
+        let excused = self.origin.is_instrument();
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
         let other = excused && self.matters()
@@ -187,7 +187,7 @@ impl Drift {
                 Naming::One(_) => attribution.relevance.max(size),
                 _ => attribution.relevance,
             }),
-            patience: if matches!(self.testimony, Testimony::Either { waits: Awaited::Throws, .. }) {
+            patience: if matches!(self.origin, Origin::Either { waits: Awaited::Throws, .. }) {
                 TOO_CLOSE_PATIENCE
             } else {
                 0

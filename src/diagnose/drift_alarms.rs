@@ -19,10 +19,10 @@ use super::{
     history::History,
     intermittent::Intermittent,
     latest_throw::LatestThrow,
+    origin::Origin,
     rule::Rule,
     settings::Settings,
     step::Step,
-    testimony::Testimony,
     text,
     track::Suspicion,
     verdict::Drifting,
@@ -156,9 +156,9 @@ impl DriftAlarms {
                     step.remark(cause, text::maybe_repaired(name, cause));
                 }
                 (Transition::Withdraw, _) => {
-                    let other = match drift.testimony {
-                        Testimony::Sensor(_) => Cause::Sensor,
-                        Testimony::Supply => Cause::Supply,
+                    let other = match drift.origin {
+                        Origin::Sensor(_) => Cause::Sensor,
+                        Origin::Supply => Cause::Supply,
                         _ => drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
                     };
                     step.clear(cause, text::withdrawn(name, cause, other));
@@ -361,8 +361,8 @@ impl DriftAlarms {
             limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, settings));
             *main = now;
         }
-        let alike = match drift.testimony {
-            Testimony::Either { channel, waits } => Some((channel, waits)),
+        let alike = match drift.origin {
+            Origin::Either { channel, waits } => Some((channel, waits)),
             _ => None,
         };
         if let (Some(_), Naming::One(_)) = (alike, attribution.naming) {

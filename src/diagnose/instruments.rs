@@ -1,10 +1,12 @@
 //! Distinguishes a fault of a sensor, of the logger's clock or of the supply from a fault of a part.
 //!
-//! In (ln b0, ln a1, ln a0) a gain of the current sensor has the opposite direction of a motor fault, a gain of the
-//! position sensor has the same direction, and a clock that stretches time by s changes (-2, -1, -2) ln s by the
-//! derivatives in equation (12). The gauges distinguish them from a part:
+//! A drift is a vector in (ln b0, ln a1, ln a0). A gain error of the position sensor changes it as a fault of the motor
+//! does, and a gain error of the current sensor in the opposite sense. A clock that stretches time by the factor s
+//! changes it by (-2, -1, -2) ln s, by the derivatives in equation (12). The coefficients alone thus cannot name the
+//! faulty device. The gauges can: the table gives the change of the logarithm of each gauge for a fault of size 1. The
+//! supply voltage is V, the current i and the speed of the motor ω.
 //!
-//! | for 1 of its size | travel | back-EMF (V - R i)/ω | resistance | duration |
+//! | fault | travel | back-EMF (V - R i)/ω | resistance R | duration |
 //! |---|---|---|---|---|
 //! | motor: torque alone, or its magnets | 0 | 0, or 1 | 0 | 0, or 1 |
 //! | friction, stiffness, inertia | 0 | 0 | 0 | 0 |
@@ -12,12 +14,12 @@
 //! | position sensor | 1 | -1 | 0 | 0 |
 //! | clock | 0 | 1 | 0 | 1 |
 //!
-//! Dry friction lowers b0 too, as it takes its part of the torque when the machine starts; b0 and a1 alone show motor and
-//! friction together. The back-EMF, or without a supply voltage the no-load speed, shows whether the motor changed.
+//! More dry friction lowers b0 too, as it takes a part of the torque at the start of the throw: b0 and a1 alone cannot
+//! distinguish motor and friction. The back-EMF shows a change of the motor; without a voltage, the no-load speed does.
 //!
-//! Without a supply voltage, motor and current sensor look the same, and the alarm names both. A weak supply changes no
-//! coefficient of the model, except that the effect of dry friction, which is viscous in the model, increases at a
-//! lower speed, at most as much as the duration of the throw.
+//! Without a supply voltage, a fault of the motor and one of the current sensor look the same, and the alarm names
+//! both. A weak supply hardly changes the coefficients. Dry friction is the exception: the model has viscous friction
+//! only, so at a lower speed the same dry friction looks larger, at most in proportion to the duration of the throw.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -30,51 +32,55 @@ use super::{
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
     found::count_over,
     gauges::{Circuit, Gauge, Gauges, Level, Offset},
+    origin::{Awaited, Origin, SensorFault},
     rule::Rule,
     settings::Settings,
     step::Step,
-    testimony::{Awaited, Fault, Testimony},
     text,
     threshold::WINDOWS,
     window::Window,
 };
 
-/// Lead that decides between sensor and machine: odds of 150 to 1, as twice the logarithm.
-const DECIDES: f64 = 10.0;
-/// Lead of the machine that excludes a sensor: odds of 20 to 1.
-const EXCLUDES: f64 = 6.0;
-/// Bound of the score of one gauge, so that a gauge that changes for another reason cannot decide alone.
-const MOST: f64 = 40.0;
+/// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
+const LEAD_OF_SENSOR: f64 = 10.0;
+/// Lead of the machine over a sensor that excludes the sensor: odds of 20 to 1, as twice the logarithm.
+const LEAD_OF_MACHINE: f64 = 6.0;
+/// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
+const MAX_MISFIT: f64 = 40.0;
 /// Least significance of a change of the supply \[standard deviations\].
 const SUPPLY_SD: f64 = 4.0;
 /// Least relevant change of the supply, as a logarithm.
 const SUPPLY_CHANGE: f64 = 0.05;
-/// Change of the supply voltage that raises an alarm \[%\]: more than that of a battery or mains in service.
+/// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
-/// Range of the increase in duration, as share of the loss of supply voltage.
-const LONGER: std::ops::Range<f64> = 0.6..1.7;
-/// Largest increase of friction, as share of the loss of supply voltage; a decrease is only scatter.
-const DRIER: f64 = 1.3;
-/// Least change of the inrush with the gain of the current sensor, as part of it.
+/// Range of the increase in duration as part of the loss of supply voltage, both as logarithms.
+const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
+/// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
+const MAX_FRICTION_PER_LOSS: f64 = 1.3;
+/// Least change of the inrush current as part of the gain error of the current sensor.
 const INRUSH_OF_GAIN: f64 = 0.5;
-/// Standard deviations by which the inrush may have changed less: a gain that is not named, as its inrush is uncertain, is
-/// named as the motor's, and a chair that dries on a soft drive changes the resistance as a gain of 10 to 15 % does.
+/// Slack of this limit in standard deviations of the inrush current. With less slack, a gain error beside an uncertain
+/// inrush is named as a fault of the motor. With more, a slide chair that dries on a soft drive is named as a gain
+/// error, as it changes the resistance like a gain error of 10 to 15 %.
 const INRUSH_SLACK_SD: f64 = 1.0;
-/// Largest change of the motor's size with the logarithm of the resistance between supply and motor: twice the resistance
-/// changed it by 0.08 on an independent drive at 250 Hz.
+/// Largest apparent change of the motor, as part of the change of the logarithm of the resistance between supply and
+/// motor. Measured on an independent drive at 250 Hz: a change by 0.08 with twice the resistance.
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
-/// Throws for which a past sensor or supply fault can still explain a drift: a longest window of each direction.
+/// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
 const LINGERS: u32 = 48;
 
-/// Numbers of consecutive throws for an alarm and for its end, and whether it ended recently.
+/// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Streaks {
+    /// Consecutive throws with the fault above its limit.
     named: u32,
+    /// Consecutive throws with the measured quantity far below its limit.
     over: u32,
-    /// Throws since the fault was last seen.
+    /// Consecutive throws without the fault.
     unseen: u32,
+    /// Whether the fault still explains a drift: its throws may be in the windows.
     lingers: bool,
 }
 
@@ -83,25 +89,27 @@ struct Streaks {
 #[serde(default)]
 pub(super) struct Instruments {
     pub(super) gauges: Gauges,
-    /// The sensor that explains the drift of the last throw.
+    /// The sensor that was last named.
     channel: Option<SensorChannel>,
-    /// Its size.
+    /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f64,
     sensor: Streaks,
     supply: Streaks,
     circuit: Streaks,
-    /// Of an offset of the current sensor.
+    /// For an offset of the current sensor.
     rest: Streaks,
-    /// Of an offset of the position sensor.
+    /// For an offset of the position sensor.
     shift: Streaks,
 }
 
-/// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
+/// A sensor, or the clock, that may explain a drift.
 struct Suspect {
     channel: SensorChannel,
+    /// Change of (ln b0, ln a1, ln a0) by a fault of size 1.
     effect: [f64; 3],
+    /// Change of the gauges in [`DISTINGUISHING`] by a fault of size 1.
     gauges: [f64; 4],
-    /// Ratio of the gain to the size of the effect.
+    /// Logarithm of the gain, or of the rate of the clock, in a fault of size 1.
     gain: f64,
 }
 
@@ -115,13 +123,13 @@ const SUSPECTS: [Suspect; 3] = [
 const DISTINGUISHING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
 
 impl Instruments {
-    /// Verdict of the gauges on a drift.
-    pub(super) fn testimony(&self, drift: &Drift, settings: &Settings) -> Testimony {
+    /// The origin of a drift, by the gauges.
+    pub(super) fn origin(&self, drift: &Drift, settings: &Settings) -> Origin {
         let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
-            return Testimony::Machine;
+            return Origin::Machine;
         };
         if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
-            return Testimony::Supply;
+            return Origin::Supply;
         }
         let levels = self.levels(window.throws);
         let (part, score) = best_part(window, &levels, settings);
@@ -145,40 +153,43 @@ impl Instruments {
         });
         let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((lead, channel, true, size, size_sd)) if lead >= DECIDES => {
-                Testimony::Sensor(Fault { channel, size, size_sd, runner_up: RunnerUp { cause: part, margin: lead } })
-            }
-            Some((lead, channel, is_known, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
+            Some((lead, channel, true, size, size_sd)) if lead >= LEAD_OF_SENSOR => Origin::Sensor(SensorFault {
+                channel,
+                size,
+                size_sd,
+                runner_up: RunnerUp { cause: part, margin: lead },
+            }),
+            Some((lead, channel, is_known, ..)) if lead > -LEAD_OF_MACHINE && !self.sensor.lingers => {
                 let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
                     _ if is_known => Awaited::Throws,
                     Some(_) => Awaited::Resistance,
                     None => Awaited::Voltage,
                 };
-                Testimony::Either { channel, waits }
+                Origin::Either { channel, waits }
             }
             _ if self.sensor.lingers || self.supply.lingers && self.supply.unseen > 0 => {
                 let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, f64, f64)| {
-                    lead > -EXCLUDES && self.channel == Some(channel)
+                    lead > -LEAD_OF_MACHINE && self.channel == Some(channel)
                 };
-                Testimony::Lingers { is_alike: best.is_some_and(is_alike) }
+                Origin::Past { is_alike: best.is_some_and(is_alike) }
             }
-            _ => Testimony::Machine,
+            _ => Origin::Machine,
         }
     }
 
-    /// Whether a clock that is wrong by `size` may explain a drift: the coefficients distinguish it from friction, which
-    /// their ratios do not, and a wrong clock does not change the running current, which friction changes.
+    /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a
+    /// wrong clock cannot be distinguished from friction. Friction changes the running current; a wrong clock does not.
     fn may_be_clock(&self, size: f64, window: &Window) -> bool {
-        /// Least change of the running current beyond its standard deviation, as part of the size.
+        /// Change of the running current, less its standard deviation, that excludes the clock; as part of `size`.
         const PART: f64 = 0.5;
         let running = self.gauges.level(Gauge::Running, window.throws);
         let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
         window.shows(Cause::Inertia) && !has_changed
     }
 
-    /// Whether a wrong gain of the current sensor may explain a drift: the inrush has changed as well, by at least half of it,
-    /// beyond the changes by the supply voltage and by the temperature of the winding. The resistance is no such evidence, as
-    /// one computed from a toe that moves otherwise than the motor may be anything.
+    /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
+    /// at least half of the error, beyond the changes by the supply voltage and by the temperature of the winding. The
+    /// resistance is no evidence here: it is wrong if the toe moves differently from the motor.
     fn may_be_current(&self, gain: f64, window: &Window) -> bool {
         let level = |gauge| self.gauges.level(gauge, window.throws);
         let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
@@ -189,20 +200,21 @@ impl Instruments {
         shown > INRUSH_OF_GAIN * gain.abs()
     }
 
-    /// Whether a changed resistance between supply and motor explains a drift: it changes the inrush, which accelerates the
-    /// machine, and with it b0 a little, and the speed.
+    /// Whether a changed resistance between supply and motor explains a drift. The resistance changes the inrush
+    /// current and the speed. The inrush accelerates the machine, so b0 changes a little too.
     fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
         let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
         let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
-        // Of a smaller inrush a dry load takes a larger part, at most that of the running current.
+        // With a smaller inrush, dry friction takes a larger part of the torque: at most the ratio of the running
+        // current to the inrush current.
         let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
         let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
     }
 
-    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, beside a change `of_motor` of
-    /// b0. Dry friction F at the speed v is F/v in a1, and a speed that changes along the stroke looks like stiffness: both
-    /// grow at most as much as the duration, and in the ratios to b0 look like a weaker motor.
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where b0 may change by
+    /// `of_motor`. Dry friction F at the speed v adds F/v to a1, and a speed that changes along the stroke looks like
+    /// stiffness. Both grow at most as much as the duration. In the ratios to b0, they look like a weaker motor.
     fn speed_explains(&self, attribution: &Attribution, window: &Window, sense: f64, of_motor: f64) -> bool {
         let slower = self.gauges.level(Gauge::Duration, window.throws).map_or(0.0, |longer| longer.value);
         let slower = (slower * sense).max(0.0);
@@ -222,8 +234,8 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a change of friction, alone or with a small change of the motor beside it: the model has
-    /// no dry friction, whose effect on its coefficients depends on the speed.
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor. The model has no
+    /// dry friction, whose effect on the coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.supply_lost(window.throws) else { return false };
         let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
@@ -238,20 +250,19 @@ impl Instruments {
                 }
                 _ => false,
             };
-        is_of_friction && (-slack..DRIER + slack).contains(&share)
+        is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
             || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
     }
 
-    /// Loss of supply voltage, as a logarithm, from the voltage without its error, or the inrush; `None` unless it is
-    /// significant and the duration agrees.
+    /// Loss of supply voltage as a logarithm; `None` unless the loss is significant and the duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
         let lost = self.supply_change(throws)?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
         let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
-        (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
+        (changed && DURATION_PER_LOSS.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
-    /// The same without a condition; `None` if it is unknown.
+    /// Loss of supply voltage as a logarithm: from the published voltage less its error, else from the inrush current.
     fn supply_change(&self, throws: usize) -> Option<Level> {
         let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
         let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
@@ -259,8 +270,8 @@ impl Instruments {
         Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
     }
 
-    /// Remaining part of the fault of a sensor, by the gauges that it changes, as part of its size when it was named; `None` if
-    /// they are unknown, or another was named since.
+    /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
+    /// gauges are unknown, or another sensor was named since.
     fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
         if sensor == Some(SensorChannel::Supply) {
             return self.gauges.voltage_error_size();
@@ -279,28 +290,28 @@ impl Instruments {
         let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
         let levels = DISTINGUISHING
             .map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
-        // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
+        // With a supply voltage, the back-EMF replaces the duration, as the duration has the scatter of the supply.
         if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
     }
 
-    /// Updates the alarm about a sensor after a throw with this drift, and its testimony.
+    /// Updates the alarm about a sensor after a throw with this drift.
     pub(super) fn judge(&mut self, drift: &Drift, step: &mut Step) {
         let settings = step.settings;
-        let of_drift = if let Testimony::Sensor(fault) = drift.testimony { Some(fault) } else { None };
+        let of_drift = if let Origin::Sensor(fault) = drift.origin { Some(fault) } else { None };
         let of_voltage = || {
             let Level { value, sd } = self.gauges.voltage_error()?;
-            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MOST) };
-            Some(Fault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
+            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MAX_MISFIT) };
+            Some(SensorFault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
         };
         let fault = of_drift.or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
         if fault.is_some() && !same {
             self.sensor.named = 0;
         }
-        if let Some(Fault { channel, size, .. }) = fault {
+        if let Some(SensorFault { channel, size, .. }) = fault {
             (self.channel, self.size) = (Some(channel), size);
         }
-        let is_alike = drift.testimony == Testimony::Lingers { is_alike: true };
+        let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
@@ -322,8 +333,8 @@ impl Instruments {
         }
     }
 
-    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an offset of
-    /// the current changes neither coefficients nor features, and explains no other alarm.
+    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an
+    /// offset of the current changes neither coefficients nor features, and explains no other alarm.
     pub(super) fn judge_offset(&mut self, sensor: Offset, step: &mut Step) {
         let Some((level, size)) = self.gauges.offset(sensor) else { return };
         let (streaks, channel) = match sensor {
@@ -342,9 +353,9 @@ impl Instruments {
         }
     }
 
-    /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;
-    /// `circuit`: the resistance between supply and motor. The circuit is part of the supply, as the voltage is measured
-    /// before it.
+    /// Updates the alarm about the supply after a throw. `explained`: `None` if the supply explains no drift, else
+    /// whether this drift is above its limit. `circuit`: the resistance between supply and motor, which counts as a
+    /// part of the supply, as the voltage is measured before it.
     pub(super) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
@@ -358,7 +369,7 @@ impl Instruments {
             left,
             delay,
         );
-        // A wrong current changes the resistance too.
+        // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
@@ -394,7 +405,7 @@ impl Instruments {
         }
     }
 
-    /// Deletes the last throws, but not the normal values, after maintenance.
+    /// Forgets the last throws, as after maintenance; keeps the normal values.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
         *self = Self { gauges: std::mem::take(&mut self.gauges), ..Self::default() };
@@ -402,8 +413,9 @@ impl Instruments {
 }
 
 impl Streaks {
-    /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
-    /// limit; `delay`: throws after which a fault has an alarm, as one that is seen in fewer explains no later drift.
+    /// Counts a throw. `holds`: it shows the fault; `matters`: the fault is above its limit; `is_alike`: the throw may
+    /// show the fault; `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
+    /// alarm. A fault without an alarm explains no later drift.
     fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>, delay: u32) {
         streak(&mut self.named, holds && matters);
         streak(&mut self.unseen, !holds && !is_alike);
@@ -413,28 +425,32 @@ impl Streaks {
     }
 }
 
-/// The part with the best fit to drift and gauges, and its score.
+/// The part that fits drift and gauges best, alone or with a second part, and the misfit.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
-    let (m, v) = (&window.mean, &window.covariance);
-    let scored = |cause: Cause, motor: Option<f64>, score: f64| {
-        let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor.unwrap_or_default());
-        (cause, score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
-    };
     let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
-    let (parts, count) = (&parts, parts.len());
-    let singles = parts.iter().map(|&cause| {
-        let found = fit(PLAIN_LEAKS, [cause], m, v, settings);
-        scored(cause, (cause == Cause::Kt).then_some(found.parts[0].size), found.score)
-    });
+    let singles = parts.iter().map(|&cause| scored([cause], window, levels, settings));
     let pairs =
-        (0..count).flat_map(|first| (first + 1..count).map(move |second| [parts[first], parts[second]])).map(|pair| {
-            let found = fit(PLAIN_LEAKS, pair, m, v, settings);
-            scored(pair[0], (pair[0] == Cause::Kt).then_some(found.parts[0].size), found.score)
-        });
+        parts.iter().enumerate().flat_map(|(at, &first)| parts[at + 1..].iter().map(move |&second| [first, second]));
+    let pairs = pairs.map(|pair| scored(pair, window, levels, settings));
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
 
-/// Combines a size and its standard deviation with the gauges that it changes by `effects`.
+/// The first of `parts`, and the misfit of all of them to drift and gauges.
+fn scored<const K: usize>(
+    parts: [Cause; K],
+    window: &Window,
+    levels: &[Option<Level>; 4],
+    settings: &Settings,
+) -> (Cause, f64) {
+    let found = fit(PLAIN_LEAKS, parts, &window.mean, &window.covariance, settings);
+    // A weaker motor loses torque alone, or its magnets weaken: then back-EMF and duration change too.
+    let motor = if parts[0] == Cause::Kt { found.parts[0].size } else { 0.0 };
+    let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor);
+    (parts[0], found.score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
+}
+
+/// Weighted mean, with its standard deviation, of a size and of the sizes that the gauges show. `effects`: change of
+/// the gauges by a fault of size 1.
 fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
     let own = size_sd.powi(-2);
     let (mut sum, mut weight) = (own * size, own);
@@ -447,8 +463,8 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
     (sum / weight, weight.sqrt().recip())
 }
 
-/// Misfit of the gauges to their expected values.
+/// Misfit of the gauges to their expected values: sum of squares in variances, each at most [`MAX_MISFIT`].
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
-    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MOST));
+    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MAX_MISFIT));
     levels.iter().zip(expected).map(of).sum()
 }

@@ -1,10 +1,10 @@
-//! Intermittent faults, which show in some throws only: a loose contact, a stone in the ballast.
+//! Intermittent faults, which some throws show and others do not: a loose contact, a stone in the ballast.
 //!
-//! The mean over a window does not show a fault in every fifth throw. A throw departs if it is far from the median of
-//! the previous throws of its direction, beyond the scatter of the machine and beyond a warning limit. Consecutive
-//! departures count once: a step is one departure, and the windows detect it. The number of departures in the last
-//! throws is compared with the earlier rate of the machine; with a gamma prior on the rate it has a negative binomial
-//! distribution.
+//! The mean over a window does not show a fault in every fifth throw. So the rule counts single throws. A throw is a
+//! departure if it is far from the median of the previous throws of its direction: beyond the scatter of the machine,
+//! and beyond a warning limit. Consecutive throws count as one departure at most; a longer run is a step, which the
+//! windows detect. The number of departures in the last throws is compared with the earlier rate of the machine. With a
+//! gamma prior on this rate, the number has a negative binomial distribution.
 
 use std::iter;
 
@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
 use super::{
+    cause::CLOSE,
     event::Cause,
     explain::{Explanation, single},
     last::Last,
@@ -23,72 +24,71 @@ use super::{
 
 /// Lengths of the two windows of departures \[throws\].
 const COUNTED: [u32; 2] = [50, 100];
-/// Departures of a least size.
+/// A least size of departures, with the prior of their rate.
 #[derive(Debug, Clone, Copy)]
 struct Size {
-    /// Least squared distance, in variances.
+    /// Least squared distance from the median, in variances of one throw.
     far: f64,
-    /// Prior of their rate: departures, and throws.
+    /// Prior of the rate: number of departures, and number of throws.
     prior: (f64, f64),
 }
 
 /// Every departure: 1 in 1,000 throws of a usual machine.
 const ANY: Size = Size { far: 16.0, prior: (0.5, 50.0) };
-/// Large ones, of which fewer are enough: 2 in 1,000 throws with a scatter of Student's t with three degrees of freedom.
+/// Large departures, of which fewer are enough: 2 in 1,000 throws of Student's t with three degrees of freedom.
 const LARGE: Size = Size { far: 100.0, prior: (0.5, 300.0) };
-/// Largest length of a departure \[throws of a direction\].
+/// Most consecutive throws of a direction in a departure; more are a step.
 const LONGEST_RUN: u32 = 2;
-/// Least squared distance of a throw far out: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with
-/// three degrees of freedom.
+/// Least squared distance of a throw far out, in variances: 5 in 10,000 throws of Gaussian scatter, 2 in 100 throws of
+/// Student's t with three degrees of freedom.
 const FAR_OUT: f64 = 20.0;
-/// Rate of throws far out from which the tails are heavy: between the rates at [`FAR_OUT`].
+/// Rate of throws far out from which the scatter has heavy tails: between the two rates at [`FAR_OUT`].
 const HEAVY_FROM: f64 = 0.006;
-/// A throw far out counts as part of the tails of the scatter after this many further throws without a fault.
+/// Throws until a throw far out counts for the tails of the scatter: by then, a fault that began with it shows.
 const DECIDED_AFTER: usize = 24;
-/// Throws far out added as prior.
+/// Number of throws far out in the prior of their rate.
 const TAIL_PRIOR: f64 = 0.5;
-/// Number of all throws added as prior.
+/// Number of throws in this prior.
 const TAIL_PRIOR_THROWS: f64 = 100.0;
-/// Throws of a machine before its rate counts: a baseline of one direction.
+/// Throws of a machine from which its rate is known: a baseline of one direction.
 const KNOWN_FROM: f64 = 50.0;
-/// Counts of overlapping windows are nearly equal; this many consecutive ones count as one test.
+/// Consecutive throws whose tests count as one in the budget: their windows overlap, so their counts are nearly equal.
 const OVERLAP: f64 = 10.0;
 
-/// Departures of a machine.
+/// Departures of a machine, and their healthy rate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Intermittent {
-    /// The departures that each of the last throws ended.
+    /// The last throws; one that ended a departure has the departure as value, in (ln b0, ln a1, ln a0).
     recent: Rare,
-    /// The open departure of each direction, and its number of throws.
+    /// The unfinished departure of each direction: its first throw, and its number of throws.
     #[serde(default)]
     begun: [Option<([f32; 3], u32)>; 2],
-    /// Departures and throws of the healthy past, before the last throws.
+    /// Departures, and throws, of the healthy past before `recent`.
     past: (f64, f64),
-    /// Large departures among them.
+    /// Large departures in the healthy past.
     #[serde(default)]
     past_large: f64,
-    /// Throws far out, and all throws: shows how heavy the tails are.
+    /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
     tail: (f64, f64),
-    /// Whether each of the last throws was far out; newest last. They count later, so that a fault does not count as a
-    /// heavy tail.
+    /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
     undecided: Last<bool, DECIDED_AFTER>,
 }
 
-/// The departures in the last throws.
+/// Frequent departures, with their cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Departures {
     /// Throws per departure.
     pub(super) one_in: f64,
-    /// Their mean, explained by one cause.
+    /// Mean of the departures, explained by one cause.
     pub(super) explanation: Explanation,
-    /// The cause to name; [`Cause::Unattributed`] if two explain it.
+    /// The named cause; [`Cause::Unattributed`] if two causes explain the mean.
     pub(super) cause: Cause,
 }
 
 impl Intermittent {
-    /// Adds the departure of a throw from the previous ones of its side, with its covariance `of_one_throw`. Until the
-    /// baseline is `complete`, the throw belongs to the past; with a `suspicious` drift it does not count for the
-    /// tails. While its alarm `is_active` nothing is learned.
+    /// Adds a throw of the direction `side` with its `departure` from the median of the previous ones, and the
+    /// covariance of one throw. Until the baseline is `complete`, the throw belongs to the healthy past. While a drift
+    /// is `suspicious`, no throw counts for the tails. While the alarm `is_active`, the healthy rate stays as it is.
     pub(super) fn push(
         &mut self,
         side: usize,
@@ -131,7 +131,7 @@ impl Intermittent {
         }
     }
 
-    /// Departures beyond the rate of the machine, with less than `budget` false alarms per throw.
+    /// Departures more frequent than the healthy rate; `budget`: false alarms per throw.
     pub(super) fn found(&self, of_one_throw: &Matrix3<f64>, budget: f64, settings: &Settings) -> Option<Departures> {
         if self.past.1 < KNOWN_FROM {
             return None;
@@ -147,7 +147,7 @@ impl Intermittent {
             if !enough(all.len()) {
                 return None;
             }
-            // A fault gives departures of the same kind, heavy tails give all kinds.
+            // The departures of a fault are of one kind; those of heavy tails are of all kinds.
             let kind = |(cause, sign): (Cause, f64)| -> Vec<(f64, Vector3<f64>)> {
                 let is_of_kind = |(_, departure): &&(f64, Vector3<f64>)| {
                     let part = single(cause, departure, of_one_throw, settings);
@@ -158,7 +158,7 @@ impl Intermittent {
             let kinds = Cause::PHYSICAL.into_iter().flat_map(|cause| [(cause, 1.0), (cause, -1.0)]);
             let most = kinds.map(kind).max_by_key(Vec::len).filter(|most| enough(most.len()))?;
             let (count, (newest, _), (oldest, _)) = (most.len() as f64, most.first()?, most.last()?);
-            // The counted throws may have begun before the fault.
+            // Throws per departure, between the first and the last one: the window may have begun before the fault.
             let one_in = (oldest - newest) / (count - 1.0);
             Some((one_in, most.iter().map(|(_, departure)| departure).sum::<Vector3<f64>>() / count, count))
         };
@@ -173,58 +173,54 @@ impl Intermittent {
         };
         parts.sort_by(|(a, _), (b, _)| misfit(a).total_cmp(&misfit(b)));
         let (best, named) = parts[0];
-        let clear = misfit(&parts[1].0) - misfit(&best) > CLEAR;
+        let clear = misfit(&parts[1].0) - misfit(&best) > CLOSE;
         Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
     }
 
-    /// Whether the scatter of the machine has heavy tails.
-    pub(super) fn is_wild(&self) -> bool {
+    pub(super) fn has_heavy_tails(&self) -> bool {
         let (far, throws) = self.tail;
         (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }
 
-    /// Discards the departures of an alarm that ends.
+    /// Discards the departures when their alarm ends.
     pub(super) fn end(&mut self) {
         self.recent.forget_values();
     }
 
-    /// Whether departures are as rare as before.
+    /// Whether departures are as rare again as in the healthy past.
     pub(super) fn is_over(&self) -> bool {
         let count = self.recent.last(COUNTED[0]).count();
         count == 0 || self.chance(ANY, count, COUNTED[0].into()) > OVER_FROM
     }
 
-    /// Whether departures are so much more frequent than before that they may be a fault, which the rate of the machine
-    /// must not learn.
+    /// Whether departures are so frequent that they may come from a fault; the healthy rate must not include them.
     pub(super) fn is_rising(&self) -> bool {
         let throws = self.recent.throws();
         let count = self.recent.last(throws).count();
         count >= 3 && self.chance(ANY, count, throws.into()) < RISING_FROM
     }
 
-    /// Discards the last throws after a change of the machine.
+    /// Discards the last throws after a change of the machine; keeps the healthy rate.
     pub(super) fn reset(&mut self) {
         *self = Self { past: self.past, past_large: self.past_large, tail: self.tail, ..Self::default() };
     }
 
-    /// Probability of at least `count` departures of a size in `throws` with the rate of the machine.
+    /// Probability of at least `count` departures of this size in so many `throws`, with the healthy rate.
     fn chance(&self, size: Size, count: usize, throws: f64) -> f64 {
         let past = if size.far > ANY.far { self.past_large } else { self.past.0 };
         let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
         let p = throws / (throws + exposure);
         let k = count as f64;
         let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
-        // The tail is summed directly, as 1 minus the head would lose its digits. Each term follows from the term before.
+        // The tail is summed directly, as 1 minus the head would lose its digits; each term follows from the last one.
         let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
         iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
     }
 }
 
-/// Lead that decides between two causes: odds of 20 to 1, as twice the logarithm.
-const CLEAR: f64 = 6.0;
-/// Probability of the number of departures, with the rate of the machine, from which they have ended.
+/// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.
 const OVER_FROM: f64 = 0.05;
-/// Probability below which it may be rising: much larger than that of a false alarm, and rare.
+/// Probability of the present number of departures below which the rate may be rising: far above a false alarm's.
 const RISING_FROM: f64 = 0.001;
-/// Number of summed terms of the tail.
+/// Terms of the sum for the tail of the distribution.
 const TAIL_TERMS: usize = 60;

@@ -1,17 +1,17 @@
-//! The last values of a series, in memory for no more than these.
+//! The last values of a series, in a list that reserves no spare memory.
 
 use std::ops::{Deref, DerefMut};
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// The last `N` values of a series, the oldest first. It never reserves memory for more, as a `Vec` that grows by
-/// doubling would: such lists are most of the memory of a large fleet.
+/// The last `N` values of a series, the oldest first. A plain `Vec` doubles its memory as it grows; such lists would be
+/// most of the memory of a large fleet.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
 pub(super) struct Last<T, const N: usize>(Vec<T>);
 
 impl<T, const N: usize> Last<T, N> {
-    /// Adds a value; returns the oldest one if there were `N` before.
+    /// Adds a value. Returns the oldest one if the list was full.
     pub(super) fn push(&mut self, value: T) -> Option<T> {
         let oldest = if self.len() == N { self.pop_oldest() } else { None };
         self.0.reserve_exact(N - self.len());
@@ -19,7 +19,7 @@ impl<T, const N: usize> Last<T, N> {
         oldest
     }
 
-    /// Removes the oldest value; frees the memory with the last one.
+    /// Removes the oldest value. Frees the memory when the list becomes empty.
     pub(super) fn pop_oldest(&mut self) -> Option<T> {
         let oldest = (!self.is_empty()).then(|| self.0.remove(0));
         if self.is_empty() {

@@ -15,15 +15,15 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
-/// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
+/// Standard deviation of a size by the error of the model, as part of the size: where half of the friction is dry, the
+/// model overstates a loss of 10 to 20 % of the motor's torque by 1 to 2 % of the loss.
 const SIZE_SHARE: f64 = 0.01;
-/// Least part of nominal that a loss leaves, as its logarithm is needed.
+/// Lower bound of a coefficient as part of nominal, so that its logarithm is finite.
 const LEAST_LEFT: f64 = 0.01;
-/// Dry part of the friction of a machine, and its standard deviation: unknown, from 0 to 1. A constant torque cannot be
-/// distinguished from viscous friction in a throw, whose speed hardly changes.
+/// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
+/// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
 const DRY: (f64, f64) = (0.5, 0.29);
-/// Dry friction as part of the running load, and its standard deviation: the load contains the spring too.
+/// Dry friction as part of the running load: mean and standard deviation. The load contains the spring too.
 const DRY_LOAD: (f64, f64) = (0.3, 0.17);
 
 /// The latest throw of a machine.
@@ -31,7 +31,7 @@ const DRY_LOAD: (f64, f64) = (0.3, 0.17);
 pub(super) struct LatestThrow<'a> {
     /// The drift in the last throws.
     pub(super) drift: &'a Drift,
-    /// Number of the throw among those of the machine.
+    /// Number of the throw, counted by the machine's monitor.
     pub(super) order: u64,
     pub(super) at: Timestamp,
     pub(super) tracks: &'a Tracks,
@@ -40,13 +40,13 @@ pub(super) struct LatestThrow<'a> {
 }
 
 impl LatestThrow<'_> {
-    /// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.
+    /// The direction of the drift of `cause`; `None` if both directions have it, or while the direction is not known.
     pub(super) fn direction(self, cause: Cause) -> Option<Direction> {
         let weights = self.drift.weights(cause, self.settings)?;
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
     }
 
-    /// The single named part with its size at this throw, and its course.
+    /// The drift's single named part with its size at this throw, and its course; `None` unless exactly one is named.
     pub(super) fn named_part(
         self,
         direction: Option<Direction>,
@@ -60,7 +60,7 @@ impl LatestThrow<'_> {
         Some(self.size(&part, direction, history))
     }
 
-    /// The explanation with its size at this throw, and its course.
+    /// `part` with its size at this throw, and its course if there is one.
     pub(super) fn size(
         self,
         part: &Explanation,
@@ -78,13 +78,14 @@ impl LatestThrow<'_> {
         (self.without_dry_friction(now, direction), Some(course))
     }
 
-    /// The size without the error of a model whose friction is viscous.
+    /// `part` with its size corrected for dry friction, which the model treats as viscous.
     ///
-    /// Dry friction F at the speed v is F/v in a1. A rise slows the motor, so a1 rises by more than the friction: by the
-    /// duration of the throw, in the dry part of the friction.
+    /// Dry friction F at the speed v adds F/v to a1. More friction slows the motor, so the dry part of a1 rises by more
+    /// than the friction, namely also by the change in duration.
     ///
-    /// At the start, b0 is that of the torque less the dry friction: of a torque that changes by the factor r, (r - q)/(1 - q)
-    /// is left, where q is the dry friction as part of the torque of the inrush. The ratios do not depend on the start.
+    /// At the start of the throw, b0 comes from the torque less the dry friction. If the torque changes by the factor
+    /// r, b0 changes by (r - q)/(1 - q), where q is the dry friction as part of the torque at the inrush current. The
+    /// ratios of the coefficients do not depend on the start.
     fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
         match part.cause {
             Cause::Friction => {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     baseline::BaselineRecord,
-    observation::{Evaluated, Observation, seeming_friction},
+    observation::{Evaluated, Observation, apparent_friction},
     robust::median,
 };
 
@@ -84,7 +84,7 @@ impl Neutral {
     pub(super) fn as_estimated(&self, mut record: BaselineRecord) -> BaselineRecord {
         if let (Self::Elsewhere(share), Some(duration_s)) = (self, record.duration_s) {
             let [_, _, a0] = record.center;
-            record.center[1] -= seeming_friction((*share).into(), record.direction, a0, duration_s);
+            record.center[1] -= apparent_friction((*share).into(), record.direction, a0, duration_s);
         }
         record
     }

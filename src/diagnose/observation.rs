@@ -17,46 +17,47 @@ pub struct Observation {
     pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
-    /// When it was received: judged after the loss of its logger, a throw received earlier is no sign of life. `None` for a
-    /// throw without a logger.
+    /// Time of reception; `None` in a simulation. A throw that was received before the loss of its logger is no sign of
+    /// life, even if it is judged after the loss.
     pub received_at: Option<Timestamp>,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
-    /// Whether the movement contradicts the direction that the logger names; `None` if the movement has no direction.
+    /// Whether the measured movement contradicts the direction that the logger names; `None` if it was not measured.
     pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
     /// (b0, a1, a0) of an estimate that was rejected because one of them is not positive.
     pub not_positive: Option<[f64; 3]>,
-    /// Grade of the estimate; a rough one counts for drifts, not for baselines.
+    /// Grade of the estimate. A rough estimate counts for drifts, not for baselines.
     pub grade: Grade,
-    /// Whether only the ratios of the coefficients are known.
+    /// Whether only the ratios of the coefficients are known, not their common scale.
     pub ratios_only: bool,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
-    /// The sensor whose values are impossible, stuck or too noisy in this throw, or the clock of the recording.
+    /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the recording is too
+    /// slow.
     pub faulty: Option<SensorChannel>,
-    /// Whether the machine has a current sensor only, and its coefficients cannot be determined.
+    /// Whether the throw has no position and no estimate: the machine has a current sensor only.
     pub features_only: bool,
     /// Duration, currents and travel, measured without the model.
     pub features: Features,
     /// Temperature \[°C\]; `None` if not measured.
     pub temperature_c: Option<f64>,
-    /// Code of the reason why the estimate was rejected.
+    /// Code of the reason why the estimate was rejected; `None` if it was not.
     pub rejected: Option<&'static str>,
-    /// A sentence about the fields of the message whose values are not possible.
+    /// A sentence about fields of the message with impossible values, which are not used.
     pub unused_fields: Option<String>,
-    /// The configured stroke \[mm\], if the travel is too short for it although the throw ended as a complete one.
+    /// The configured stroke \[mm\] of a complete throw whose travel is too short for it; else `None`.
     pub short_of_stroke_mm: Option<f64>,
 }
 
 impl Observation {
-    /// An observation of which only identity and time are known.
+    /// An observation with identity and time only.
     pub fn without_trace(throw: ThrowRef, started_at: Timestamp) -> Self {
         Self { throw, started_at, ..Self::default() }
     }
 
-    /// The observation of a throw, with what the estimator found in it.
+    /// The observation of a throw, from the result of its identification.
     pub fn of(throw: &Throw, found: &Identification) -> Self {
         let (estimate, rejection) = (found.outcome.as_ref().ok(), found.outcome.as_ref().err());
         Self {
@@ -84,13 +85,13 @@ impl Observation {
         }
     }
 
-    /// Whether the recording begins or ends during the movement, so that its duration and charge are lower bounds.
+    /// Whether the recording begins or ends during the movement; its duration and charge are lower bounds then.
     pub(super) fn is_cut_off(&self) -> bool {
         let cut_off = [Rejection::StartMissing { current_a: 0.0 }, Rejection::EndMissing { travel_mm: 0.0 }];
         cut_off.iter().any(|reason| self.rejected == Some(reason.code()))
     }
 
-    /// Whether the recording is too slow for an estimate, which is a property of the logger: its throws have features only.
+    /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
     pub(super) fn is_too_slow(&self) -> bool {
         self.rejected == Some(Rejection::Undersampled { interval_s: 0.0, rise_samples: 0 }.code())
     }
@@ -104,16 +105,16 @@ impl Observation {
 /// Why the values of a channel cannot be used in a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unusable {
-    /// They are impossible, stuck or too noisy.
+    /// The values are impossible, stuck or too noisy.
     Values(SensorChannel),
-    /// The position is missing, on a machine with a toe sensor.
+    /// The position is missing, and the machine had one before.
     Missing,
-    /// The movement and the direction that the logger names contradict each other, unlike before.
+    /// Measured movement and named direction contradict each other, and did not before.
     Reversed,
 }
 
 impl Unusable {
-    /// The channel of the alarm.
+    /// The sensor that the alarm names.
     pub(super) fn channel(self) -> SensorChannel {
         match self {
             Self::Values(channel) => channel,
@@ -125,37 +126,37 @@ impl Unusable {
 /// An irregularity of a logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Irregularity<'a> {
-    /// The last messages of the logger are not valid throws.
+    /// The last messages of the logger were not valid throws.
     Invalid {
         /// Number of these messages.
         count: u32,
-        /// Reason of the last one.
+        /// Reason why the last of them is not valid.
         reason: &'a str,
     },
-    /// The logger sent the same recording before.
+    /// The logger sent this recording before, with another throw number.
     RepeatedTrace,
     /// The logger restarted its throw numbers with the same `boot_id`.
     RepeatedNumber,
 }
 
-/// Throws of a machine that are missing.
+/// A gap: throws of a machine that never arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Missing<'a> {
     /// Number of missing throws.
     pub throws: u64,
-    /// Of these, throws whose messages were refused.
+    /// Number of them that arrived in a message that was refused.
     pub refused: u64,
-    /// Reason of the last refusal; empty without one.
+    /// Reason of the last refusal; empty if none was refused.
     pub reason: &'a str,
 }
 
 impl Missing<'_> {
-    /// Largest number of missing throws that is counted: no logger makes as many, so its counter is wrong. The view `data_gaps`
-    /// has the same bound.
+    /// Largest counted number of missing throws. No machine makes as many, so a larger number is an error of the
+    /// logger's counter. The view `data_gaps` has the same bound.
     pub const MOST: u64 = 1 << 40;
 }
 
-/// The parameters of a machine that scale its coefficients.
+/// Parameters of a machine on which its coefficients depend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {
     /// Ball-screw lead \[mm per revolution\].
@@ -172,7 +173,7 @@ impl Parameters {
         Self { lead_mm: settings.lead_mm, neutral_mm: settings.neutral_mm, motor: settings.motor }
     }
 
-    /// The first parameter that differs, with its values; `None` without a difference.
+    /// The first parameter that differs, with both values; `None` without a difference.
     pub(super) fn changed(&self, to: &Self) -> Option<String> {
         let lengths = [("lead_mm", self.lead_mm, to.lead_mm), ("neutral_mm", self.neutral_mm, to.neutral_mm)];
         let mut changed = lengths.into_iter().filter(|(_, from, to)| from.total_cmp(to).is_ne());
@@ -181,8 +182,7 @@ impl Parameters {
     }
 }
 
-/// Variance of the common scale of ratios, which has no meaning: any of the size of the usual scatter, so that the covariance
-/// can be inverted.
+/// Variance given to the unknown common scale of ratios, so that their covariance can be inverted: as usual scatter.
 pub(super) const SCALE_VARIANCE: f64 = 1e-4;
 
 /// A throw with a direction and a usable estimate, in logarithms.
@@ -191,7 +191,7 @@ pub(super) struct Evaluated {
     pub(super) direction: Direction,
     /// ln b0, ln a1, ln a0.
     pub(super) log: [f64; 3],
-    /// The estimator's covariance of the logarithms.
+    /// The estimator's covariance of `log`.
     pub(super) sensor: Matrix3<f64>,
     pub(super) grade: Grade,
     pub(super) ratios_only: bool,
@@ -199,24 +199,24 @@ pub(super) struct Evaluated {
     pub(super) duration_s: Option<f64>,
 }
 
-/// The covariance of differences to the component `fixed`.
+/// Covariance of the differences of all components to the component `fixed`.
 pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f64> {
     let of_fixed = covariance.column(fixed).into_owned();
     Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
 }
 
-/// Apparent loss of a1 by a spring that is unstressed `shift` times the travel nearer to reverse than configured: it seems to be
-/// stressed by k dx less in a throw to reverse and more in one to normal, which in a steady movement (equation 12 without
-/// acceleration) is a0 dx / v.
-pub(super) fn seeming_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
+/// Apparent loss of a1 \[1/s\] by a spring whose neutral position is `shift` times the travel nearer to reverse than
+/// configured. The spring force differs by a0 dx from the assumed one, where dx is the distance of the two neutral
+/// positions. In a steady movement at speed v (equation 12 without acceleration) this looks like a0 dx / v in a1.
+pub(super) fn apparent_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
     direction.sign() * shift * duration_s * a0
 }
 
 impl Evaluated {
-    /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
+    /// `None` unless the direction is known, and the estimate is positive with a finite and positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
-        /// Largest relative standard deviation of a usable estimate, or ratio; above it the logarithm is not linear. A
-        /// change that doubles a1/b0 may double the error of a0/b0 too.
+        /// Largest relative standard deviation of a usable coefficient or ratio; a larger one makes the logarithm
+        /// nonlinear. It must not be small, as a change that doubles a1/b0 may double the error of a0/b0.
         const WORST_SD: f64 = 0.5;
         let (estimate, covariance) = observation.estimate.as_ref()?;
         let direction = observation.direction?;
@@ -225,7 +225,7 @@ impl Evaluated {
         }
         let scale = Matrix3::from_diagonal(&Vector3::from(*estimate).map(f64::recip));
         let sensor = scale * covariance * scale;
-        // Of ratios, the variance of the common scale is only a large number.
+        // For ratios, the variance of the common scale is an arbitrary large number, so the ratios to b0 are checked.
         let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
         let repeats = if observation.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
         let most = repeats * WORST_SD * WORST_SD;
@@ -243,8 +243,8 @@ impl Evaluated {
         })
     }
 
-    /// The ratios of the throw, for a baseline of ratios: the logarithms of b0/b0, a1/b0, a0/b0, so that friction, which varies
-    /// most, varies in one of them. Errors that are equal in every throw cancel in a comparison with such a baseline.
+    /// The throw for a comparison with a baseline of ratios: the logarithms of b0/b0, a1/b0 and a0/b0. Friction, which
+    /// varies most, varies in only one of them. An error that is equal in every throw cancels in this comparison.
     pub(super) fn ratios(self) -> Self {
         let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
         Self {
@@ -255,12 +255,12 @@ impl Evaluated {
         }
     }
 
-    /// The same throw without the effect of a spring that is unstressed `shift` times the travel nearer to reverse than configured,
-    /// or of a position sensor that reads the normal end shifted by this.
+    /// The throw without the effect of a neutral position that is `shift` times the travel nearer to reverse than
+    /// configured, or of a position sensor whose normal end is shifted by as much. See [`apparent_friction`].
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
-        let seeming = seeming_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
-        let corrected = (a1.exp() + seeming).ln();
+        let apparent = apparent_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
+        let corrected = (a1.exp() + apparent).ln();
         if !corrected.is_finite() {
             return self;
         }

@@ -13,7 +13,7 @@ use super::{
     settings::Settings,
     step::Step,
     text,
-    thermometer::Disbelief,
+    thermometer::Implausible,
     verdict::Blindness,
 };
 use crate::{
@@ -21,41 +21,39 @@ use crate::{
     throw::{Direction, without_digits},
 };
 
-/// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
-/// supply.
+/// Consecutive slow throws that raise the alarm: one may be an animal between the rails or a dip of the supply.
 const SLOW_IN_A_ROW: u32 = 3;
-/// Consecutive rejected temperatures that raise the alarm: a single one is a disturbance.
-const DISBELIEVED_IN_A_ROW: u32 = 3;
+/// Consecutive rejected temperatures or voltages that raise the alarm: one is a disturbance.
+const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
-/// Evaluated throws among the last eight of a direction that end the alarm: a single accepted one monitors nothing.
+/// Evaluated throws among the last eight of a direction that end the alarm: one now and then is no monitoring.
 const EVALUATED_OF_EIGHT: u32 = 4;
-/// Longest time between two ticks that counts as silence \[s\]: more is a jump of the clock or a stopped daemon.
+/// Longest time between two ticks that counts as silence \[s\]; a longer one is a jump of the clock or a restart.
 const LONGEST_TICK_S: f64 = 3600.0;
-/// Longest time between two ticks that counts for delays of minutes \[s\]: after a start of the daemon loggers have the
-/// whole delay to connect again.
+/// Longest time between two ticks that counts for delays of minutes \[s\]. After a start of the daemon, loggers thus
+/// have the whole delay to connect again.
 const USUAL_TICK_S: f64 = 60.0;
-/// Time without problems of the daemon after which its alarm clears \[s\], so that a disk at its limit does not
-/// alternate it.
+/// Time without failures of the daemon after which its alarm clears \[s\]: a disk at its limit must not let it flap.
 const CALM_S: f64 = 600.0;
-/// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
+/// Consecutive throws that contradict the direction named by the logger until a caveat says so.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
-/// Largest distance between the end of a throw and the start of the next one, as share of the travel: the rails spring back.
+/// Largest distance from the end of a throw to the start of the next, as part of the travel: the rails spring back.
 const LARGEST_SHIFT: f64 = 0.1;
-/// Consecutive throws with unused fields until this is stated; a field may be wrong for once.
+/// Consecutive throws with unused fields until a caveat says so.
 const UNUSED_IN_A_ROW: u32 = 5;
-/// Rejected throws among the last 32 of a direction until this is stated: a quarter, which delays the detection of a fault.
+/// Rejected throws among the last 32 of a direction until a caveat says so: a quarter, which delays a detection.
 const OFTEN_REJECTED: u32 = 8;
-/// Consecutive throws that end before the configured stroke until this is stated.
+/// Consecutive throws with a too short travel until a caveat says so.
 const SHORT_IN_A_ROW: u32 = 5;
-/// Consecutive throws without coefficients, of a machine without a toe position that had them, until this is stated.
+/// Consecutive throws without coefficients, on a machine without toe sensor that had them, until a caveat says so.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Logger {
-    /// It has never declared a token.
+    /// The logger has never declared a token, or its throws arrive without one.
     #[default]
     Unannounced,
     /// The token exists.
@@ -64,15 +62,15 @@ enum Logger {
     Gone {
         /// Time since the loss of the token \[s\].
         for_s: f64,
-        /// Whether this has raised an alarm.
+        /// Whether the loss has raised an alarm.
         alarmed: bool,
         /// Time of the loss.
         since: Option<Timestamp>,
     },
 }
 
-/// Consecutive throws of one direction: points move to and fro, so a trouble of one direction never has consecutive
-/// throws of the machine.
+/// Counts of consecutive throws of one direction. The directions alternate, so a fault that concerns one direction
+/// never shows in consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Streaks {
@@ -80,16 +78,16 @@ struct Streaks {
     slow: u32,
     very_slow: u32,
     unevaluated: u32,
-    /// Throws at a temperature that hides faults at their warning limit.
+    /// Throws while the temperature hides faults at their warning limit.
     blind: u32,
-    /// The last 32 throws as bits: 1 if it was not evaluated.
+    /// The last 32 throws as bits, 1 for a throw that was not evaluated.
     lost: u32,
     /// Code of the reason for the last rejection.
     #[serde(skip_serializing_if = "Option::is_none")]
     rejected: Option<String>,
 }
 
-/// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
+/// Counters of the operational alarms; without another unit, they count consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(super) struct Operation {
@@ -99,42 +97,42 @@ pub(super) struct Operation {
     fast_enough: u32,
     unevaluated: u32,
     blind: u32,
-    /// Throws whose movement contradicts the direction that the logger names, and those whose movement does not.
+    /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
     agreed: u32,
-    /// Whether the first throws contradicted the direction, so that this is usual; `None` until it is known.
+    /// Whether the movement usually contradicts the named direction, by the first throws; `None` until known.
     #[serde(skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
     /// Position at the end of the last throw \[mm\].
     #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
-    /// The sentence about the unused fields of the last throw, and the number of throws with any.
+    /// The sentence about the unused fields of the last throw, and the number of throws with unused fields.
     #[serde(skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
-    /// Travel and configured stroke of the last throw that ended before it \[mm\], and the number of such throws.
+    /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
-    /// Throws of which only the features of the current are known.
+    /// Throws with features of the current only.
     without_coefficients: u32,
-    /// Throws with a rejected, and with an accepted temperature.
+    /// Throws with an implausible temperature or voltage, and throws without.
     disbelieved: u32,
     believed: u32,
-    /// The sensor with unusable values, its throws among the last eight as bits, and throws without such values.
+    /// The sensor with unusable values, and its last eight throws as bits, 1 for unusable.
     unusable: Option<(SensorChannel, u8)>,
     usable: u32,
-    /// Throws without a gap or another irregularity, received since the last one was known.
+    /// Throws received since the last gap or irregularity.
     since_gap: u32,
-    /// Time from which it is known \[s since 1970\]. Throws received earlier may stand before the gap.
+    /// Time when the last gap was noticed \[s since 1970\]. A throw received before may have been made before the gap.
     gap_at_s: u32,
-    /// Throws in gaps, since the alarm was raised.
+    /// Missing throws since the alarm was raised.
     lost: u64,
-    /// Of these, throws whose messages were refused.
+    /// Number of them whose messages were refused.
     #[serde(skip_serializing_if = "is_zero")]
     refused: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
     logger: Logger,
-    /// Time without problems of the daemon \[s\].
+    /// Time without failures of the daemon \[s\].
     calm_s: f64,
 }
 
@@ -143,13 +141,13 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// A time in seconds since 1970: half the memory of a monitor's field.
+/// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
 }
 
 impl Operation {
-    /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
+    /// Applies a throw, complete or not. A throw shows that the logger is alive, unless it was received before the loss
     /// of the logger. `is_usual_current`: the current is that of a complete throw.
     pub(super) fn on_throw(&mut self, observation: &Observation, is_usual_current: bool, step: &mut Step) {
         let &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. } = observation;
@@ -157,7 +155,7 @@ impl Operation {
         self.silence_s = 0.0;
         self.logger = match self.logger {
             gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
-            // Throws without a token: from now on only silence shows that the logger is gone.
+            // The logger publishes without a token: from now on, only silence shows its loss.
             Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
             Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, alarmed: false, since },
             as_before => as_before,
@@ -203,8 +201,8 @@ impl Operation {
         }
     }
 
-    /// Applies the duration of a completed throw, `longer_pct` above the baseline. With an active drift alarm
-    /// (`explained`), which names the reason, only a critical duration raises an alarm.
+    /// Applies the duration of a completed throw, `longer_pct` above the baseline. `explained`: an active alarm already
+    /// names the reason; then only a critical duration raises an alarm.
     pub(super) fn on_duration(&mut self, longer_pct: f64, direction: Direction, explained: bool, step: &mut Step) {
         let settings = step.settings;
         let own = &mut self.sides[direction.side()];
@@ -229,7 +227,7 @@ impl Operation {
         }
     }
 
-    /// Applies whether a throw was evaluated, and whether it was blind to faults at its temperature.
+    /// Applies whether a throw was evaluated, and which faults it cannot show (`blind`).
     pub(super) fn on_evaluation(
         &mut self,
         evaluated: bool,
@@ -256,7 +254,7 @@ impl Operation {
         }
         let is_seen = self.sides.iter().all(|side| (side.lost | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
-        // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
+        // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
@@ -279,9 +277,9 @@ impl Operation {
         self.unevaluated > 0
     }
 
-    /// Applies whether the movement of a throw contradicts the logger's direction. Returns whether the axis of the position may
-    /// be reversed: this is unusual, and the first such throw did not begin where the last one ended. If it did, the logger has
-    /// only changed the names.
+    /// Applies whether the movement of a throw contradicts the direction that the logger names. Returns whether the
+    /// axis of the position may be reversed: the contradiction is unusual, and the first throw with it did not begin
+    /// where the last throw ended. If it did begin there, only the names of the directions were exchanged.
     pub(super) fn on_direction(&mut self, contradicted: bool, features: &Features) -> bool {
         streak(&mut self.contradicted, contradicted);
         streak(&mut self.agreed, !contradicted);
@@ -293,7 +291,7 @@ impl Operation {
         #[expect(clippy::cast_possible_truncation, reason = "a position needs no more digits")]
         let before = mem::replace(&mut self.ended_mm, end.map(|end| end as f32));
         let is_unusual = self.usually_contradicted.is_some_and(|usual| usual != contradicted);
-        // Later throws with a reversed axis begin where the last one ended, too.
+        // Only the first throw can show this: later throws with a reversed axis begin where the last one ended, too.
         let is_first = if contradicted { self.contradicted } else { self.agreed } == 1;
         let shift = before.zip(start).map(|(before, start)| (f64::from(before) - start).abs());
         let is_next = shift.zip(travel).is_some_and(|(shift, travel)| shift < LARGEST_SHIFT * travel);
@@ -304,13 +302,13 @@ impl Operation {
         is_unusual
     }
 
-    /// Whether the logger names the directions the other way round, or always the same.
+    /// Whether the movement contradicts the direction that the logger names: names exchanged, or always the same name.
     pub(super) fn is_contradicted(&self) -> bool {
         self.contradicted >= CONTRADICTED_IN_A_ROW
     }
 
-    /// Sentences about rejected throws among evaluated ones, about lost coefficients of a machine that `had_coefficients`, and
-    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor reports them already.
+    /// Sentences about frequent rejections, about lost coefficients of a machine that `had_coefficients`, and about
+    /// unused fields and a short travel. With `of_sensor`, an alarm about a sensor reports the last two already.
     pub(super) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
@@ -328,19 +326,20 @@ impl Operation {
         sentences.into_iter().flatten().chain(often).collect()
     }
 
-    /// Applies the plausibility of temperature and supply voltage of a throw.
-    pub(super) fn on_sensors(&mut self, disbelief: Option<Disbelief>, step: &mut Step) {
-        streak(&mut self.disbelieved, disbelief.is_some());
-        streak(&mut self.believed, disbelief.is_none());
-        if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
-            let channel = match disbelief {
-                Disbelief::Supply(_) => SensorChannel::Supply,
-                Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) | Disbelief::Stuck(..) => {
-                    SensorChannel::Temperature
-                }
+    /// Applies an implausible temperature or supply voltage of a throw; `None` if both are plausible.
+    pub(super) fn on_sensors(&mut self, implausible: Option<Implausible>, step: &mut Step) {
+        streak(&mut self.disbelieved, implausible.is_some());
+        streak(&mut self.believed, implausible.is_none());
+        if let Some(implausible) = implausible.filter(|_| self.disbelieved >= IMPLAUSIBLE_IN_A_ROW) {
+            let channel = match implausible {
+                Implausible::Supply(_) => SensorChannel::Supply,
+                Implausible::Impossible(_)
+                | Implausible::Jump(..)
+                | Implausible::Missing(_)
+                | Implausible::Stuck(..) => SensorChannel::Temperature,
             };
-            let event = step.sensor(channel, text::sensor_implausible(step.name, disbelief));
-            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == DISBELIEVED_IN_A_ROW);
+            let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
+            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == IMPLAUSIBLE_IN_A_ROW);
         } else if self.believed >= step.settings.off_delay_throws
             && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
             && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
@@ -349,7 +348,7 @@ impl Operation {
         }
     }
 
-    /// Applies the channel that is unusable in a throw, if any.
+    /// Applies the channel that is unusable in a throw; `None` if all are usable.
     pub(super) fn on_channel(&mut self, found: Option<Unusable>, step: &mut Step) {
         let faulty = found.map(Unusable::channel);
         streak(&mut self.usable, faulty.is_none());
@@ -375,11 +374,11 @@ impl Operation {
         }
     }
 
-    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock does not count.
+    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence.
     pub(super) fn on_tick(&mut self, in_service: bool, step: &mut Step) {
         let Step { name, at, settings, .. } = *step;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
-        // Earlier only if the clock was set back.
+        // The time of the last gap can be in the future only if the clock was set back.
         self.gap_at_s = self.gap_at_s.min(unix_s(at));
         self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
         if !in_service {
@@ -387,7 +386,7 @@ impl Operation {
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
         if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
-            // A longer time is that of a restart, after which the loggers connect again.
+            // A longer time is that of a restart of the daemon, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 *alarmed |= step.raise(step.warning(Cause::NotMonitored, text::logger_gone(name, *for_s / 60.0)));
@@ -403,7 +402,7 @@ impl Operation {
         self.silence_s >= 3600.0 * settings.not_monitored_hours
     }
 
-    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm.
+    /// Applies the liveliness of the logger, `there`: whether its token exists. No alarm without an earlier token.
     pub(super) fn on_liveliness(&mut self, there: bool, step: &mut Step) {
         let before = self.logger;
         self.logger = match before {
@@ -421,18 +420,18 @@ impl Operation {
         }
     }
 
-    /// Whether the logger ever declared a token.
+    /// Whether the logger has declared a token, even if the token is gone now.
     pub(super) fn is_announced(&self) -> bool {
         self.logger != Logger::Unannounced
     }
 
-    /// Applies a problem of the daemon with storing data; `None` without a problem. Another text is a new event, unless
-    /// only its numbers differ or the last event is younger than ten minutes.
+    /// Applies a failure of the daemon to store data; `None` without one. A changed text is a new event, unless only
+    /// its numbers differ or the last event is younger than ten minutes.
     pub(super) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
         if let Some((severity, text)) = trouble {
             self.calm_s = 0.0;
             let before = step.alarms.active().find(|event| event.cause == Cause::DataLoss);
-            // A disk at its limit must not make an event of each change.
+            // A disk at its limit must not make many events.
             let is_new = before.is_some_and(|event| {
                 let quiet_s = step.at.duration_since(event.event_at).as_secs_f64().abs();
                 quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
@@ -446,7 +445,7 @@ impl Operation {
         }
     }
 
-    /// Applies missing throws.
+    /// Applies a gap. The alarm states the sum of the gaps since its raise.
     pub(super) fn on_gap(&mut self, missing: Missing, step: &mut Step) {
         if missing.throws == 0 {
             return;
@@ -460,12 +459,11 @@ impl Operation {
         if !step.alarms.is_active(Cause::DataLoss) {
             step.raise(step.warning(Cause::DataLoss, text));
         } else if before == 0 || before.ilog2() != self.lost.ilog2() {
-            // A link that flaps must not make an event of each gap: their sum is reported at each power of two.
+            // A flapping link must not make an event of each gap: the sum is reported at each power of two.
             step.remark(Cause::DataLoss, text);
         }
     }
 
-    /// Applies an irregularity of the logger.
     pub(super) fn on_irregularity(&mut self, irregularity: Irregularity, step: &mut Step) {
         self.since_gap = 0;
         let text = match irregularity {
@@ -476,12 +474,12 @@ impl Operation {
         step.raise(step.warning(Cause::DataLoss, text));
     }
 
-    /// Forgets the sensor with unusable values.
+    /// Forgets the unusable sensor and the usual direction, after a rebaseline.
     pub(super) fn forget_channel(&mut self) {
         (self.unusable, self.usable, self.usually_contradicted) = (None, 0, None);
     }
 
-    /// Resets the counters after maintenance.
+    /// Resets the counters after maintenance; keeps the gaps and the logger.
     pub(super) fn reset(&mut self) {
         *self = Self {
             ticked_at: self.ticked_at,
@@ -497,7 +495,7 @@ impl Operation {
     }
 }
 
-/// Applies a change of the watched daemons that are away, with a text about them; `None` if all are there.
+/// Applies a change of the watched daemons; `away`: a text about unreachable ones, `None` without any.
 pub(super) fn on_peers(away: Option<String>, step: &mut Step) {
     let cause = Cause::NotMonitored;
     match away {

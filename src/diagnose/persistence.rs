@@ -1,18 +1,20 @@
-//! How strongly consecutive throws may depend on each other, from the few throws of a baseline that still fills.
+//! Serial correlation of the throws of an incomplete baseline, with its uncertainty.
 //!
-//! A dozen throws of a machine that wanders lie close together: their variance is small, and their lag-1 correlation too,
-//! as both are taken around their own mean. So an estimate of each with an error of its own is far too certain. The
-//! likelihood of the throws for every lag-1 correlation phi has neither problem: the natural scatter is an autoregression
-//! of first order with an unknown mean and an unknown variance v, beside the errors of the estimates, and a Kalman filter
-//! gives the sum of squares Q around the best mean, in units of v. The mean and v are integrated out, v with an inverse
-//! chi-square prior around the typical variance:
+//! If a machine changes slowly, a dozen of its throws lie close together: their variance is small. Their lag-1
+//! correlation is small too, as both are taken around the mean of these throws. Two separate estimates would thus be
+//! far too certain. The likelihood of the throws for every possible lag-1 correlation phi does not have this fault. Its
+//! model of the natural scatter is a first-order autoregression with unknown mean and unknown variance v, to which the
+//! errors of the estimates are added. A Kalman filter gives the sum of squares Q around the best mean, in units of v.
+//! The mean and v are integrated out, v with an inverse chi-square prior around the typical variance v0 with n0 degrees
+//! of freedom. With m the number of throws less one, and G the Gamma function:
 //!
 //! ```text
 //! ln L = -1/2 ln det - 1/2 ln info + n0/2 ln(n0 v0) + ln G((m + n0)/2) - ln G(n0/2) - (m + n0)/2 ln(Q + n0 v0)
 //! ```
 //!
-//! Most machines have a typical variance (n0 large) and a typical phi. A few have neither, and the throws show which of
-//! the two kinds a machine is.
+//! where det is the determinant of the covariance of the throws, and info the information about their mean. Most
+//! machines have a typical variance (n0 is large) and a typical phi. A few machines have neither. The throws show which
+//! of the two kinds a machine is.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -20,30 +22,32 @@ use statrs::function::gamma::ln_gamma;
 
 use super::autoregression::{Autoregression, dot, ln_sum};
 
-/// Inverse hyperbolic tangent of the first phi, and their distance: phi from -0.3 to 0.97.
+/// Grid of phi, from -0.3 to 0.97: number of nodes, atanh phi of the first node, distance of the nodes in atanh phi.
 const NODES: (usize, f64, f64) = (9, -0.3, 0.3);
-/// Inverse hyperbolic tangent of the typical phi of 0.35.
+/// atanh phi of the typical phi, 0.35.
 const USUAL_PHI: f64 = 0.365;
 
-/// Prior for a kind of machine: typical, or unlike most.
+/// Prior of a kind of machines: the typical ones, or the others.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kind {
-    /// Logarithm of the prior odds.
+    /// Logarithm of the prior odds of the kind.
     pub(super) ln_odds: f64,
-    /// Weight of the typical variance in independent throws.
+    /// Weight n0 of the typical variance, in independent throws.
     pub(super) worth: f64,
-    /// Standard deviation of the inverse hyperbolic tangent of phi.
+    /// Standard deviation of atanh phi.
     pub(super) phi_sd: f64,
 }
 
-/// A possible lag-1 correlation of one coefficient, at its node.
+/// A possible lag-1 correlation of a coefficient, at a node of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Possible {
+    /// Its probability.
     #[serde(rename = "w")]
     pub(super) weight: f32,
-    /// Variance of the natural scatter of one throw, with its degrees of freedom.
+    /// Variance of the natural scatter of one throw.
     #[serde(rename = "v")]
     pub(super) variance: f32,
+    /// Degrees of freedom of this variance.
     #[serde(rename = "f")]
     pub(super) freedom: f32,
 }
@@ -53,13 +57,14 @@ pub(super) fn phi_of(node: usize) -> f64 {
     z_of(node).tanh()
 }
 
-/// Its inverse hyperbolic tangent.
+/// atanh phi of a node.
 fn z_of(node: usize) -> f64 {
     NODES.1 + NODES.2 * node as f64
 }
 
-/// The possible lag-1 correlations of each coefficient, each with a third of the probability. `natural` and `sensor` are the
-/// variances of the natural scatter and of the estimates; `worth` the degrees of freedom of a throw.
+/// The possible lag-1 correlations of each coefficient; the probabilities of a coefficient sum to 1/3. `natural`,
+/// `sensor` and `typical` are variances: of the natural scatter, of the errors of the estimates, and of the scatter of
+/// typical machines. `worth`: degrees of freedom of one throw.
 pub(super) fn possible(
     residuals: &[Vector3<f64>],
     [natural, sensor, typical]: [Vector3<f64>; 3],
@@ -69,7 +74,7 @@ pub(super) fn possible(
     let own = residuals.len() as f64 - 1.0;
     let whitened: [[Whitened; NODES.0]; 3] = std::array::from_fn(|i| {
         let series: Vec<f64> = residuals.iter().map(|residual| residual[i]).collect();
-        // Errors of the estimates relative to the natural scatter; those of ratios have a coefficient without scatter.
+        // Errors of the estimates relative to the natural scatter, which is 0 for b0 in a baseline of ratios.
         let error = (sensor[i] / natural[i].max(f64::MIN_POSITIVE)).min(LARGEST_ERROR);
         std::array::from_fn(|at| Whitened::of(&series, &Autoregression { phi: phi_of(at), natural: 1.0, error }))
     });
@@ -113,21 +118,22 @@ pub(super) fn possible(
     std::array::from_fn(|i| std::array::from_fn(|at| mean(i, at)))
 }
 
-/// Largest variance of the errors of the estimates, in natural variances.
+/// Largest ratio of the errors' variance to the natural variance.
 const LARGEST_ERROR: f64 = 50.0;
 
-/// A series with independent values of equal variance.
+/// Result of whitening a series: its values become independent, with equal variance.
 #[derive(Clone, Copy)]
 struct Whitened {
     /// Sum of squares around the best mean.
     squares: f64,
+    /// Logarithm of the determinant of the series' covariance.
     ln_determinant: f64,
     /// Information about the mean.
     information: f64,
 }
 
 impl Whitened {
-    /// The filter runs on the series and on a constant, so the mean is that of least squares.
+    /// Filters the series and a constant in the same way; the best mean is then that of least squares.
     fn of(series: &[f64], noise: &Autoregression) -> Self {
         let noise = noise.whitening(series.len());
         let (values, ones) = (noise.of(series), noise.of(&vec![1.0; series.len()]));

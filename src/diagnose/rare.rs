@@ -1,13 +1,13 @@
-//! A series of which few throws have a value, in memory for these values only.
+//! A series in which few throws have a value; only these values take memory.
 
 use serde::{Deserialize, Serialize};
 
-/// For each of the last throws its value, if it has one. Snapshots have a list with `null` for the others.
+/// The last throws, with a value for some of them. In a snapshot, a list with `null` for the throws without.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(from = "Vec<Option<[f32; 3]>>", into = "Vec<Option<[f32; 3]>>")]
 pub(super) struct Rare {
     throws: u32,
-    /// The values, the oldest first, each with its age \[throws\].
+    /// The values, the oldest first, each with its age: the number of throws after it.
     values: Vec<(u32, [f32; 3])>,
 }
 

@@ -1,41 +1,44 @@
-//! Regression of a series of throws whose scatter is an autoregression of unknown variance and unknown lag-1 correlation.
+//! Regression of a series of throws whose scatter is an autoregression of unknown variance and lag-1 correlation.
 //!
-//! The evidence for a regressor is integrated over its coefficient, the levels, the variance and the lag-1 correlation phi,
-//! any from 0 to 1 with the same probability, so that a machine whose throws wander is not taken for one that changes.
-//! Levels and variance have flat priors (Zellner, An Introduction to Bayesian Inference in Econometrics, 1971, 3.1); the
-//! coefficient has a normal prior.
+//! A series has levels (its mean values, such as one for each direction) and a regressor, such as the temperature. The
+//! evidence for a regressor is integrated over its coefficient, the levels, the variance and the lag-1 correlation phi.
+//! Every phi from 0 to 1 has the same probability, so that a machine with slow random changes is not taken for one that
+//! follows the regressor. Levels and variance have flat priors (Zellner, An Introduction to Bayesian Inference in
+//! Econometrics, 1971, 3.1); the coefficient has a normal prior.
 
 use super::autoregression::{Autoregression, Whitening, dot, ln_sum};
 
-/// Number of values of phi.
+/// Number of nodes for the integral over phi.
 const PHIS: u32 = 16;
-/// Prior standard deviation of a coefficient, in standard deviations of one throw.
+/// Prior standard deviation of the coefficient, in standard deviations of one throw.
 const CHANGE_SD: f64 = 4.0;
 
-/// A series without its levels, for each phi.
+/// A series with its levels removed, for each phi.
 pub(super) struct Series(Vec<Whitened>);
 
-/// A series for a given phi.
+/// A series with its levels removed, whitened for a given phi.
 struct Whitened {
     noise: Whitening,
-    /// Orthonormal columns of the levels.
+    /// Orthonormal columns that span the levels.
     basis: Vec<Vec<f64>>,
-    /// The innovations of the series without levels.
+    /// The whitened series without levels.
     rest: Vec<f64>,
+    /// Half of the degrees of freedom of `rest`.
     half_freedom: f64,
     /// Logarithm of the evidence, without the part of `rest`.
     of_levels: f64,
 }
 
-/// Evidence for a regressor, and its coefficient.
+/// Evidence for a regressor.
 pub(super) struct Regression {
     /// Logarithm of the evidence.
     pub(super) evidence: f64,
+    /// Coefficient of the regressor.
     pub(super) change: f64,
 }
 
 impl Series {
-    /// A series with its levels; `error_part` is the part of the estimates' errors in its variance.
+    /// A series with its levels, one column each. `error_part`: part of the estimates' errors in the variance.
     pub(super) fn new(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let phis = (0..PHIS).map(|step| (f64::from(step) + 0.5) / f64::from(PHIS));
         let noise = |phi: f64| Autoregression { phi, natural: 1.0 - error_part, error: error_part };
@@ -67,7 +70,7 @@ impl Whitened {
             let mut column = noise.of(level);
             remove(&mut column, &basis);
             let norm = dot(&column, &column).sqrt();
-            // Otherwise the temperature differs between the directions only.
+            // A smaller column depends on the others: then the temperature differs between the directions only.
             if norm > 1e-6 {
                 of_levels -= norm.ln();
                 for x in &mut column {
@@ -92,7 +95,7 @@ impl Whitened {
     }
 }
 
-/// Removes the parts along orthonormal columns.
+/// Removes the parts along the orthonormal columns of `basis`.
 fn remove(column: &mut [f64], basis: &[Vec<f64>]) {
     for unit in basis {
         let part = dot(column, unit);

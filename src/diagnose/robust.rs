@@ -1,8 +1,8 @@
 //! Robust averages, which a single outlier hardly changes.
 
-/// Largest distance from the median, in standard deviations; larger ones are clipped.
+/// Largest distance from the median, in standard deviations; values farther away are clipped.
 const CLIP_SD: f64 = 3.0;
-/// Factor from median absolute deviation to standard deviation, for Gaussian scatter.
+/// Ratio of standard deviation to median absolute deviation, for Gaussian scatter.
 const MAD_TO_SD: f64 = 1.4826;
 
 /// Median. Sorts `values`, which must not be empty.
@@ -12,8 +12,8 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
     if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
 }
 
-/// Mean of `values`, clipped at three standard deviations `sd` around their median: as good as the mean for Gaussian
-/// scatter, and changed by one `sd` only by an outlier of three values. Sorts `values`, which must not be empty.
+/// Mean of `values` clipped at three standard deviations `sd` around their median. Nearly as precise as the mean for
+/// Gaussian scatter; one outlier of three changes it by one `sd` at most. Sorts `values`, which must not be empty.
 pub(super) fn clipped_mean(values: &mut [f64], sd: f64) -> f64 {
     let centre = median(values);
     let reach = CLIP_SD * sd;
@@ -26,25 +26,25 @@ pub(super) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
     let middle = median(&mut sorted);
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
     let sd = MAD_TO_SD * median(&mut deviations);
-    // If half of the values are equal (quantised), the mean of the deviations gives a scale.
+    // The median deviation is 0 if half of the values are equal, as quantised ones; the mean of the deviations is not.
     let sd = if sd > 0.0 { sd } else { deviations.iter().sum::<f64>() / deviations.len() as f64 };
     (clipped_mean(&mut sorted, sd), sd)
 }
 
-/// Standard deviation of a sample whose scatter may be skewed, from the deviation from `centre` that five in six values do not
-/// exceed. The median deviation is 0 if half of the values are equal, however far the others are. `values` must not be empty.
+/// Standard deviation of a sample whose scatter may be skewed: from the deviation from `centre` that five in six values
+/// do not exceed. The median deviation is 0 if half of the values are equal. `values` must not be empty.
 pub(super) fn skewed_sd(values: &[f64], centre: f64) -> f64 {
-    /// Magnitude of a normal variable that five in six do not exceed.
+    /// Deviation that five in six values of a standard normal variable do not exceed.
     const FIVE_IN_SIX: f64 = 1.383;
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - centre).abs()).collect();
     deviations.sort_unstable_by(f64::total_cmp);
     deviations[5 * values.len() / 6] / FIVE_IN_SIX
 }
 
-/// Standard deviation of series whose level may have a step, from their mean moving range: the distance of consecutive values. 0
-/// without any.
+/// Standard deviation of series whose level may have a step: from the mean moving range, which is the distance of
+/// consecutive values. 0 without consecutive values.
 pub(super) fn moving_range_sd(series: &[Vec<f64>]) -> f64 {
-    /// Mean distance of two normal variables in standard deviations: 2/√π.
+    /// Mean distance of two values of a standard normal variable: 2/√π.
     const RANGE_PER_SD: f64 = 1.128;
     let ranges = series.iter().flat_map(|values| values.array_windows().map(|[a, b]| (b - a).abs()));
     let (sum, count) = ranges.fold((0.0, 0), |(sum, count), range| (sum + range, count + 1));

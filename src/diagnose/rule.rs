@@ -1,4 +1,4 @@
-//! The rule that owns an alarm: several rules raise the same alarm, and only the owner ends it.
+//! The rule that owns an alarm. Several rules raise the same alarm; only its owner ends it.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,16 +6,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Rule {
-    /// The usual rule of the cause; for a drift, that of the windows of coefficients.
+    /// The usual rule of the cause. For a drift: the rule of the means of coefficients over windows of throws.
     #[default]
     Usual,
     /// Changed features of throws without coefficients.
     Features,
-    /// A changed start of the movement.
+    /// A changed acceleration at the start of the movement.
     Start,
-    /// Departures of some throws.
+    /// Departures of single throws.
     Intermittent,
-    /// Dates of throws that a right clock cannot give.
+    /// Dates of throws that a correct clock cannot give.
     Dates,
     /// Gauges that show a faulty sensor.
     Gauges,
@@ -27,7 +27,7 @@ pub(super) enum Rule {
 }
 
 impl Rule {
-    /// Whether an alarm of this rule knows no part: it ends when a part is named.
+    /// Whether the rule cannot name the faulty part: its alarm ends when another rule names one.
     pub(super) const fn knows_no_part(self) -> bool {
         matches!(self, Self::Features | Self::Start)
     }

@@ -1,16 +1,18 @@
 //! The natural scatter of a machine's throws, and the covariance of the mean of some throws.
 //!
-//! A throw's logarithms x = (ln b0, ln a1, ln a0) scatter around their centre for two reasons: the machine varies
-//! (weather, load; covariance A, serially correlated with lag-1 coefficients phi), and the estimator has errors
-//! (covariance C, independent from throw to throw and known for every estimate). The mean of w throws has
+//! A throw's logarithms x = (ln b0, ln a1, ln a0) scatter around their centre for two reasons. The machine varies with
+//! weather and load: covariance A, serially correlated, with the lag-1 correlation `phi_i` of coefficient i. The
+//! estimator has errors: covariance C, independent from throw to throw and known for every estimate. The mean of w
+//! throws has the covariance
 //!
 //! ```text
 //! V = D A D + C / w,   D = diag(sqrt(g_w(phi_i) / w)),   g_w(phi) = 1 + 2 sum_{k<w} (1 - k/w) phi^k
 //! ```
 //!
-//! and `g_w` tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). A part of
-//! the scatter may last longer than phi shows, as weather does: it has its own `g_w`, with the lag-1 correlation
-//! [`SLOW_LAG1`]. The centre of a baseline, a mean of n throws, has an error of the same kind.
+//! where `g_w` is the ratio of the variance of a mean of w correlated throws to that of independent ones, for a
+//! first-order autoregression. With more throws `g_w` tends to (1 + phi) / (1 - phi). A part of the scatter may last
+//! longer than its lag-1 correlation shows, as weather does. This slow part has a `g_w` of its own, with the lag-1
+//! correlation [`SLOW_LAG1`]. The centre of a baseline is a mean of throws too, and has an error of the same kind.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -21,50 +23,51 @@ use super::{
     sym3::{self, Sym3},
 };
 
-/// From this number of throws of a direction on the covariance is that of the baseline alone, and the lag-1 correlation
-/// nearly so. With fewer, both are weighted means with typical values: a dozen correlated throws hardly determine them.
+/// Throws of a direction from which the covariance comes from the baseline alone, and the lag-1 correlation nearly so.
+/// With fewer throws, both are weighted means with typical values, as a dozen correlated throws hardly determine them.
 const ENOUGH_THROWS: f64 = 50.0;
-/// Typical lag-1 correlation: weight in throws, and centre; for few and for enough throws.
+/// Typical lag-1 correlation, as (weight in throws, value): with few, and with enough throws.
 const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
-/// Weight of `TYPICAL_SD` in independent throws: for a typical machine, and for another one.
+/// Weight of [`TYPICAL_SD`] in independent throws: for a typical machine, and for another machine.
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
-/// Prior odds of a typical machine.
+/// Prior odds that a machine is typical.
 const LIKE_MOST: f64 = 50.0;
-/// Standard deviation of the inverse hyperbolic tangent of the lag-1 correlation: of typical machines, from the weight of the
-/// typical one, and of others, of which one in seven has more than 0.8.
+/// Standard deviation of atanh of the lag-1 correlation, for typical machines and for others. The first follows from
+/// the weight in [`USUAL_LAG1`]; with the second, one machine in seven has a correlation above 0.8.
 const LAG1_SD: (f64, f64) = (0.22, 0.7);
-/// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine, and relative to
-/// the largest one. It keeps covariances positive definite in single precision, also if all throws are equal.
+/// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine; and
+/// relative to the largest of the three. Keeps covariances positive definite in single precision, also for equal
+/// throws.
 const LEAST_SD: (f64, f64) = (2e-4, 1e-3);
 /// Typical standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
-/// Range of lag-1 correlations. Above it the variance of a mean cannot be estimated from few throws. The negative lower
-/// end allows errors of both signs for independent throws, as a bound of zero would make limits too wide.
+/// Range of lag-1 correlations. With a larger one, few throws cannot tell the variance of a mean. A lower end of zero
+/// would make limits too wide, as the estimate for independent throws has errors of both signs.
 const LAG1_RANGE: (f64, f64) = (-0.3, 0.95);
-/// Strongest possible lag-1 correlation of an uncertain estimate: a series that is hardly stationary.
+/// Largest lag-1 correlation that is considered possible: a series that is hardly stationary.
 const MOST_LAG1: f64 = 0.98;
-/// Lag-1 correlation of the slow part of the scatter: weather of half a day at twenty throws a day.
+/// Lag-1 correlation of the slow part of the scatter: weather that lasts half a day, at twenty throws a day.
 pub(super) const SLOW_LAG1: f64 = 0.9;
-/// Lags whose correlations show the slow part: the rest of the scatter has hardly any there.
+/// Lags whose correlations show the slow part; the rest of the scatter has hardly any correlation at these lags.
 const SLOW_LAGS: std::ops::Range<usize> = 5..16;
-/// Least number of throws that show a slow part: five of its spans. In 50 throws it is anything from 0 to all.
+/// Least number of throws that can show a slow part: five times as long as it lasts. 50 throws may show any part.
 const LEAST_FOR_SLOW: f64 = 80.0;
-/// Standard deviations by which a slow part is discounted, so that scatter without one hardly ever gets one.
+/// Standard deviations subtracted from an estimated slow part, so that scatter without one hardly ever gets one.
 const DISCOUNT_SD: f64 = 0.5;
-/// Largest slow part.
+/// Largest slow part, as part of the natural variance.
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
 const GAUSSIAN_KURTOSIS: f64 = 3.0;
-/// Prior weight of Gaussian tails against the measured kurtosis of a baseline \[values, three of each independent throw\]:
-/// that of 20 throws.
+/// Prior weight of Gaussian scatter against the measured kurtosis: three values each of 20 independent throws.
 const GAUSSIAN_WEIGHT: f64 = 60.0;
 
-/// Uncertainty of the covariance of a mean.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Doubt {
-    /// Possible factors on the assumed covariance by the serial correlation, each with its probability and the degrees of
-    /// freedom of the variance of one throw.
-    pub(super) factors: Vec<(f64, f64, f64)>,
+/// A possible ratio of the true covariance of a mean of throws to the assumed covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Factor {
+    pub(super) ratio: f64,
+    pub(super) probability: f64,
+    /// Degrees of freedom of the variance of one throw.
+    pub(super) freedom: f64,
 }
 
 /// Noise of a series of throws along one direction of the logarithms.
@@ -76,35 +79,37 @@ pub(super) struct Noise {
     pub(super) lag1: f64,
     /// Standard deviation of the slow part, whose lag-1 correlation is [`SLOW_LAG1`].
     pub(super) slow_sd: f64,
-    /// Standard deviation of the baseline's centre, and of other errors that all throws have in common.
+    /// Standard deviation of the baseline's centre, and of other errors that all throws share.
     pub(super) offset_sd: f64,
 }
 
-/// Natural scatter, from the residuals of a baseline.
+/// Natural scatter of a machine, from the residuals of a baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Scatter {
+    /// Covariance A of the natural scatter.
     natural: Sym3,
+    /// Mean covariance C of the estimates.
     sensor: Sym3,
     /// Lag-1 correlations of the natural scatter.
     pub(super) lag1: [f64; 3],
-    /// Slow part of the natural variance.
+    /// Slow part of the natural variance, 0 to [`MOST_SLOW`].
     #[serde(default)]
     slow: [f64; 3],
     throws: f64,
     /// Weight of the typical scatter in independent throws; 0 for a baseline of enough throws.
     #[serde(default)]
     leaning: f64,
-    /// Degrees of freedom of a variance from these throws, relative to Gaussian ones.
+    /// Degrees of freedom of one throw for a variance; 1 for Gaussian scatter, less with heavy tails.
     #[serde(default = "gaussian")]
     tail_worth: f64,
-    /// Possible lag-1 correlations of each coefficient, one after the other; empty for a baseline of enough throws.
+    /// Possible lag-1 correlations, coefficient by coefficient; empty for a baseline of enough throws.
     #[serde(default)]
     possible: Box<[Possible]>,
 }
 
 impl Scatter {
-    /// Computes the scatter from residuals in the order of their throws. `sensor` is the mean covariance of the
-    /// estimates; `centres` is the number of means removed from the residuals, one for each direction.
+    /// Learns the scatter from residuals in the order of their throws. `sensor`: mean covariance of the estimates;
+    /// `centres`: number of means removed from the residuals, one for each direction.
     pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
         let throws = residuals.len() as f64;
         let zero = residuals.iter().map(|r| r * r.transpose()).sum::<Matrix3<f64>>() / throws;
@@ -117,13 +122,13 @@ impl Scatter {
         let mut slow = [0.0; 3];
         let mut grow = Vector3::zeros();
         for i in 0..3 {
-            // The removed mean reduces the moments by its variance; corrected with the first guess.
+            // Removing the mean reduces the moments by the variance of the mean; corrected with a first guess of it.
             let share = ((zero[(i, i)] - sensor[(i, i)]) / zero[(i, i)]).clamp(0.0, 1.0);
             let natural = zero[(i, i)] * share.max(0.2);
             let raw = if share > 0.0 { lagged(i, 1) / natural } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            // The transformed estimate is nearly normal.
+            // atanh of an estimated correlation is nearly normal.
             let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).atanh();
             lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
                 .tanh()
@@ -169,8 +174,8 @@ impl Scatter {
         weights.dot(&(self.of_one_throw() * weights)).max(1e-12).sqrt()
     }
 
-    /// Weights of the mean of the three logarithms that a throw shows best. This mean has no correlation with the
-    /// ratios of the coefficients; the weights sum to 1.
+    /// Weights, with the sum 1, of the mean of the three logarithms that a throw determines best. This mean is not
+    /// correlated with the ratios of the coefficients.
     pub(super) fn of_scale(&self) -> Vector3<f64> {
         let inverse = sym3::inverse(&self.of_one_throw()).unwrap_or_else(Matrix3::identity);
         let weights = inverse * Vector3::repeat(1.0);
@@ -182,12 +187,12 @@ impl Scatter {
         self.sensor.into()
     }
 
-    /// Standard deviation of one throw whose estimate has the covariance `sensor`.
+    /// Standard deviations of one throw whose estimate has the covariance `sensor`.
     pub(super) fn sd_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
         (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
     }
 
-    /// Noise along `weights` of throws compared with the centre of `baseline_throws` throws.
+    /// Noise along `weights`, for throws compared with the centre of a baseline of `baseline_throws` throws.
     pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> Noise {
         let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
         let natural = Matrix3::from(self.natural);
@@ -204,8 +209,8 @@ impl Scatter {
         Noise { sd: total.sqrt(), lag1, slow_sd: variance(slow).sqrt(), offset_sd: centre.sqrt() }
     }
 
-    /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance `sensor`,
-    /// and the centre of a baseline of `baseline_throws` throws.
+    /// Covariance of the difference between a mean of `w` throws and the centre of a baseline of `baseline_throws`
+    /// throws. `sensor`: mean covariance of the estimates of the `w` throws.
     pub(super) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
         let w = w as f64;
         let recent = Vector3::from_fn(|i, _| (self.inflation(i, w) / w).sqrt());
@@ -216,19 +221,19 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// Lag-1 correlations of throws; `sensor` is the covariance of their estimates.
+    /// Lag-1 correlations of the logarithms of throws; errors of the estimates, with covariance `sensor`, reduce them.
     pub(super) fn lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
         let natural = Matrix3::from(self.natural).diagonal();
         let share = natural.component_div(&(natural + sensor.diagonal()).map(|v| v.max(1e-12)));
         share.component_mul(&Vector3::from(self.lag1))
     }
 
-    /// The highest plausible lag-1 correlations of the natural scatter: two standard deviations above the estimates.
+    /// The largest plausible lag-1 correlations of the natural scatter: estimate plus two standard deviations.
     pub(super) fn highest_lag1(&self) -> Vector3<f64> {
         Vector3::from_fn(|i, _| (self.lag1[i].atanh() + 2.0 * self.lag1_sd(i)).tanh().min(LAG1_RANGE.1))
     }
 
-    /// Standard deviation of the inverse hyperbolic tangent of the lag-1 correlation of coefficient `i`.
+    /// Standard deviation of atanh of the lag-1 correlation of coefficient `i`.
     fn lag1_sd(&self, i: usize) -> f64 {
         let [natural, sensor] = [self.natural, self.sensor].map(|covariance| Matrix3::from(covariance)[(i, i)]);
         let share = natural / (natural + sensor).max(f64::MIN_POSITIVE);
@@ -236,8 +241,9 @@ impl Scatter {
         ((self.throws * share * (1.0 - self.lag1[i].powi(2))).max(1.0) + usual_weight).sqrt().recip()
     }
 
-    /// Covariance of the sum of `count` innovations x - phi x before, whose estimates have the covariance `sensor`; `gaps` of
-    /// them are left out between. An error of an estimate is in two innovations, with opposite signs.
+    /// Covariance of the sum of `count` innovations; an innovation is x less phi times the x before. `sensor`:
+    /// covariance of the estimates; `gaps`: innovations left out between. The error of an estimate is in two
+    /// innovations, with opposite signs.
     pub(super) fn of_innovations(
         &self,
         count: usize,
@@ -252,15 +258,16 @@ impl Scatter {
             + sensor.component_mul(&(errors * errors.transpose()))
     }
 
-    /// Covariance of the change between consecutive throws whose estimates have the covariance `sensor`.
+    /// Covariance of the change between two consecutive throws; `sensor`: covariance of their estimates.
     pub(super) fn of_change(&self, sensor: &Matrix3<f64>) -> Matrix3<f64> {
         let fresh = Vector3::from(self.lag1).map(|lag1| (1.0 - lag1.max(0.0)).sqrt());
         2.0 * (Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose())) + sensor)
     }
 
-    /// Excess of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), over
-    /// [`Self::of_mean`]. The mean innovation differs from the mean only by the throws at both ends; for autoregressive
-    /// scatter it has the variance of such a part of a long series.
+    /// Covariance of the mean innovation of `w` throws, less [`Self::of_mean`]. An innovation is x less rho times
+    /// the x before, where rho is the lag-1 correlation; the mean innovation is the sum of `w` innovations, divided by
+    /// w (1 - rho). It differs from the mean of x only by the throws at both ends. For autoregressive scatter it has
+    /// the variance of such a part of a long series.
     pub(super) fn more_of_score(&self, w: usize, sensor: &Matrix3<f64>) -> Matrix3<f64> {
         let w = w as f64;
         let rho = self.lag1_of_one(sensor);
@@ -271,18 +278,18 @@ impl Scatter {
             + sensor.component_mul(&(ends * ends.transpose()))
     }
 
-    /// Ratio of the natural variance of a mean of `w` throws of coefficient `i` to that of independent throws.
+    /// `g_w` of coefficient `i`: ratio of the natural variance of a mean of `w` throws to that of independent throws.
     fn inflation(&self, i: usize, w: f64) -> f64 {
         inflation_of(self.lag1[i], self.slow[i], w)
     }
 
-    /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
-    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation phi from n throws is nearly normal
-    /// with variance 1 / (n (1 - phi^2)), as that of the correlation is (1 - phi^2) / n (Bartlett). With the measured variance
-    /// of the innovations, a larger correlation also means a larger variance of one throw. Each coefficient has a third of the
-    /// probability. Few throws are not enough for this: see [`super::persistence`].
-    pub(super) fn doubt(&self, w: usize) -> Doubt {
-        /// Nodes on each side of the estimate, and their distance in standard deviations.
+    /// Possible factors on [`Self::of_mean`] of `w` throws: variance and lag-1 correlation are uncertain, as they come
+    /// from a finite number of throws. For a lag-1 correlation phi from n throws, atanh phi is nearly normal with the
+    /// variance 1 / (n (1 - phi^2)), as that of phi is (1 - phi^2) / n (Bartlett). The measured variance is that of the
+    /// innovations, so a larger phi also means a larger variance of one throw. Each coefficient has a third of the
+    /// probability. Few throws need another method: see [`super::persistence`].
+    pub(super) fn factors(&self, w: usize) -> Vec<Factor> {
+        /// Nodes on each side of the estimated value, and their distance in standard deviations.
         const NODES: (i32, f64) = (6, 0.8);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
         let w = w as f64;
@@ -294,11 +301,11 @@ impl Scatter {
                 let i = at / nodes;
                 let fixed = sensor[(i, i)] * (1.0 / w + 1.0 / self.throws);
                 let natural_of_mean = f64::from(possible.variance) * of(phi_of(at % nodes));
-                let factor =
+                let ratio =
                     (natural_of_mean + fixed) / (natural[(i, i)] * of(self.lag1[i]) + fixed).max(f64::MIN_POSITIVE);
-                (factor, possible.weight.into(), possible.freedom.into())
+                Factor { ratio, probability: possible.weight.into(), freedom: possible.freedom.into() }
             };
-            return Doubt { factors: self.possible.iter().enumerate().map(factor).collect() };
+            return self.possible.iter().enumerate().map(factor).collect();
         }
         let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
         let freedom = independent * self.tail_worth + self.leaning;
@@ -312,15 +319,15 @@ impl Scatter {
                 let z = f64::from(node) * NODES.1;
                 let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
                 let natural = assumed * of_natural(other) / of_natural(phi);
-                let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
-                (factor, (-0.5 * z * z).exp(), freedom)
+                let ratio = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
+                Factor { ratio, probability: (-0.5 * z * z).exp(), freedom }
             }));
         }
-        let total: f64 = factors.iter().map(|(_, weight, _)| weight).sum();
-        for (_, weight, _) in &mut factors {
-            *weight /= total;
+        let total: f64 = factors.iter().map(|factor| factor.probability).sum();
+        for factor in &mut factors {
+            factor.probability /= total;
         }
-        Doubt { factors }
+        factors
     }
 }
 
@@ -328,10 +335,10 @@ fn gaussian() -> f64 {
     1.0
 }
 
-/// Degrees of freedom of the variance of these residuals relative to Gaussian ones: 2 / (kurtosis - 1). Residuals are
-/// clipped in proportion to their own spread, which varies with the tails too: hence the square. 50 throws of Student's
-/// t with three degrees of freedom have a kurtosis of 3.9 after the clipping, and determine the variance as 21 Gaussian
-/// ones do (simulated). Few independent throws say little about their tails, which are taken as Gaussian then.
+/// Degrees of freedom of one residual for a variance, 1 for Gaussian scatter: 2 / (kurtosis - 1), squared. The square
+/// is needed as residuals are clipped in proportion to their own spread, which varies with the tails too. Example
+/// (simulated): 50 throws of Student's t with three degrees of freedom have a kurtosis of 3.9 after clipping, and
+/// determine the variance as 21 Gaussian throws do. Few independent throws show no tails and count as Gaussian.
 fn tail_worth(residuals: &[Vector3<f64>], independent: f64) -> f64 {
     let moment =
         |i: usize, power: i32| residuals.iter().map(|r| r[i].powi(power)).sum::<f64>() / residuals.len() as f64;
@@ -341,14 +348,14 @@ fn tail_worth(residuals: &[Vector3<f64>], independent: f64) -> f64 {
     (2.0 / (GAUSSIAN_KURTOSIS - 1.0 + excess)).powi(2)
 }
 
-/// Weight and centre of the typical lag-1 correlation.
+/// Weight and value of the typical lag-1 correlation, see [`USUAL_LAG1`].
 fn usual_lag1(few: bool) -> (f64, f64) {
     USUAL_LAG1[usize::from(!few)]
 }
 
-/// Weight of the typical scatter in independent throws, for a machine with the variances of `total` from `own`
-/// independent throws: large if they agree with `typical`, small if not. The evidence for either is that of a variance
-/// with an inverse chi-square prior of that weight.
+/// Weight of the typical scatter in independent throws: large if the variances `total`, from `own` independent throws,
+/// agree with the `typical` ones, small if not. The evidence for either is that of a variance with an inverse
+/// chi-square prior of this weight.
 fn worth_of_typical(total: Matrix3<f64>, typical: Matrix3<f64>, own: f64) -> f64 {
     let ratios = total.diagonal().component_div(&typical.diagonal());
     let evidence = |worth: f64| -> f64 {
@@ -360,12 +367,12 @@ fn worth_of_typical(total: Matrix3<f64>, typical: Matrix3<f64>, own: f64) -> f64
     (most + other * unlike) / (1.0 + unlike)
 }
 
-/// Number of independent throws equivalent to `throws` with the lag-1 correlation `phi`, for a variance.
+/// Number of independent throws that determine a variance as well as `throws` with the lag-1 correlation `phi`.
 fn effective(throws: f64, phi: f64) -> f64 {
     throws * (1.0 - phi * phi) / (1.0 + phi * phi)
 }
 
-/// `g_w(phi)`: ratio of the variance of a mean of `w` throws to that of independent ones.
+/// `g_w(phi)`: variance of a mean of `w` throws relative to that of independent ones. `w` may be infinite.
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
     if w.is_infinite() {
@@ -374,7 +381,7 @@ pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
 }
 
-/// [`inflation`] of scatter with the lag-1 correlation `lag1`, of which the part `slow` has [`SLOW_LAG1`].
+/// [`inflation`] of scatter with the lag-1 correlation `lag1`; its part `slow` has the lag-1 correlation [`SLOW_LAG1`].
 fn inflation_of(lag1: f64, slow: f64, w: f64) -> f64 {
     if slow > 0.0 {
         (1.0 - slow) * inflation(lag1_of_rest(lag1, slow), w) + slow * inflation(SLOW_LAG1, w)
@@ -383,13 +390,12 @@ fn inflation_of(lag1: f64, slow: f64, w: f64) -> f64 {
     }
 }
 
-/// Lag-1 correlation of scatter with the lag-1 correlation `lag1` without its slow part.
+/// Lag-1 correlation of the rest of scatter that has the lag-1 correlation `lag1` and the slow part `slow`.
 fn lag1_of_rest(lag1: f64, slow: f64) -> f64 {
     ((lag1 - SLOW_LAG1 * slow) / (1.0 - slow)).clamp(LAG1_RANGE.0, LAG1_RANGE.1)
 }
 
-/// Slow part of the scatter of `throws` residuals with the lag-1 correlation `lag1`, from their correlations at
-/// [`SLOW_LAGS`].
+/// Slow part of the scatter of `throws` residuals, from the lag-1 correlation and those at [`SLOW_LAGS`].
 fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 {
     if throws < LEAST_FOR_SLOW {
         return 0.0;
@@ -400,7 +406,7 @@ fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 
         // A coefficient without scatter, as b0 in a baseline of ratios.
         return 0.0;
     }
-    // The removed mean reduces all correlations by its variance.
+    // Removing the mean reduces all correlations by the variance of the mean.
     let expected =
         |phi: f64| SLOW_LAGS.map(|lag| phi.powf(lag as f64)).sum::<f64>() / count - inflation(phi, throws) / throws;
     let of_slow = expected(SLOW_LAG1);
@@ -414,13 +420,13 @@ fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 
     slow
 }
 
-/// The limit of [`inflation`] for long series, with the lag-1 correlation clamped to 0 and the upper end of [`LAG1_RANGE`].
+/// [`inflation`] of an infinite series; `phi` is clamped to 0 and the upper end of [`LAG1_RANGE`].
 pub(super) fn serial_inflation(phi: f64) -> f64 {
     let phi = phi.clamp(0.0, LAG1_RANGE.1);
     (1.0 + phi) / (1.0 - phi)
 }
 
-/// The part of `total` that the covariance of the estimates does not explain; positive semidefinite.
+/// The part of `total` that the errors of the estimates do not explain; positive semidefinite.
 fn natural_part(total: Matrix3<f64>, sensor: Matrix3<f64>) -> Matrix3<f64> {
     let eigen = (total - sensor).symmetric_eigen();
     let kept = eigen.eigenvalues.map(|v| v.max(0.0));
@@ -434,8 +440,8 @@ mod tests {
 
     use super::*;
 
-    /// Scatter learned from many baselines of 100 throws, whose residuals are the sum of autoregressions of first order with
-    /// these lag-1 correlations and shares of the variance.
+    /// Scatter learned from many baselines of 100 throws, whose residuals are the sum of autoregressions of first order
+    /// with these lag-1 correlations and shares of the variance.
     fn learned(parts: &[(f64, f64)]) -> Vec<Scatter> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
@@ -455,7 +461,7 @@ mod tests {
         (0..300).map(baseline).collect()
     }
 
-    /// The lag-1 correlation alone gives half of the variance of a mean.
+    /// A mean that used the lag-1 correlation alone would have half of the true variance.
     #[test]
     fn the_variance_of_a_mean_contains_scatter_that_lasts() {
         for slow in [(0.9, 0.4), (0.95, 0.3)] {

@@ -1,4 +1,4 @@
-//! Settings of the diagnosis. Every key has a default, a unit, and a range that `validate` checks.
+//! Settings of the diagnosis. Every key has a default, a unit, and a range that [`Settings::validate`] checks.
 
 use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
@@ -10,11 +10,11 @@ use crate::throw::{OutOfRange, Range::Within, settings};
 pub const LONGEST_SHELVING_DAYS: f64 = 3_660.0;
 
 settings! {
-    /// Limits, delays and budgets of the diagnosis, for all machines.
+    /// Limits, delays and false-alarm budget of the diagnosis, for all machines.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Settings {
-        /// Accepted throws of a complete baseline, for each direction. 12 to 200.
+        /// Accepted throws in a complete baseline, for each direction. 12 to 200.
         pub baseline_throws: usize = 50, Within(12.0, 200.0, "");
         /// Accepted throws from which a baseline is used, with wider limits. 12 to `baseline_throws`.
         pub baseline_usable_throws: usize = 12;
@@ -32,21 +32,21 @@ settings! {
         pub inertia_limit_pct: f64 = 5.0, Within(0.001, 100.0, "");
         /// Critical limit as multiple of the warning limit. 1 to 20.
         pub critical_factor: f64 = 3.0, Within(1.0, 20.0, "");
-        /// Error of the model: effect of a fault on the other coefficients, as part of its main effect. 0 to 1.
+        /// Error of the model: largest effect of a fault on other coefficients, as part of its main effect. 0 to 1.
         pub model_error: f64 = 0.3, Within(0.0, 1.0, "");
         /// The paper's limit of the cross-correlations for inertia. 0 to 1.
         pub correlation_limit: f64 = 0.8, Within(0.0, 1.0, "");
-        /// Change of b0, a1, a0 with temperature; `None` to fit it if the baseline allows it.
+        /// Change of b0, a1, a0 with temperature; `None`: fitted if the baseline has enough temperatures.
         pub temperature: Option<TemperatureCoefficients> = None;
         /// Temperature span of a baseline from which its temperature coefficients are fitted. 1 to 100 K.
         pub temperature_span_k: f64 = 10.0, Within(1.0, 100.0, "");
-        /// Consecutive throws with a drift before its alarm is raised. 1 to 100.
+        /// Consecutive throws with a drift until its alarm is raised. 1 to 100.
         pub on_delay_throws: u32 = 2, Within(1.0, 100.0, "");
-        /// Consecutive throws with plain health before an alarm is cleared; drift alarms need at least 12. 1 to 10,000.
+        /// Consecutive throws without a drift until an alarm is cleared; drift alarms need at least 12. 1 to 10,000.
         pub off_delay_throws: u32 = 12, Within(1.0, 10_000.0, "");
-        /// Throws below the deadband after which an alarm just below its limit clears. 1 to 100,000.
+        /// Throws below the deadband until an alarm just below its limit clears. 1 to 100,000.
         pub hold_throws: u32 = 200, Within(1.0, 100_000.0, "");
-        /// Distance below the limit that counts as below it. 0 to 90 %.
+        /// Distance below a limit from which a value counts as below it, as part of the limit. 0 to 90 %.
         pub deadband_pct: f64 = 20.0, Within(0.0, 90.0, "");
         /// Longest shelving or maintenance window. 1 to 3,660 days.
         pub longest_shelving_days: u32 = 31, Within(1.0, LONGEST_SHELVING_DAYS, "");
@@ -58,22 +58,22 @@ settings! {
         pub not_monitored_throws: u32 = 20, Within(1.0, 10_000.0, "");
         /// Time without a throw until a machine is not monitored. 0.1 to 100,000 h.
         pub not_monitored_hours: f64 = 168.0, Within(0.1, 100_000.0, "");
-        /// Time without the logger's token until a machine is not monitored: longer than a short link failure or a restart
-        /// of the logger. 0.01 to 100,000 min.
+        /// Time without the logger's token until a machine is not monitored. It should be longer than a short link
+        /// failure or a restart of the logger. 0.01 to 100,000 min.
         pub logger_gone_minutes: f64 = 10.0, Within(0.01, 100_000.0, "");
     }
 }
 
 settings! {
-    /// Change of the three coefficients with temperature \[% per K\], each -10 to 10; all three must be given.
+    /// Change of the three coefficients with temperature. All three must be given.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields)]
     pub struct TemperatureCoefficients {
-        /// Of b0 \[% per K\].
+        /// Change of b0. -10 to 10 % per K.
         pub b0_pct_per_k: f64 = 0.0, Within(-10.0, 10.0, "");
-        /// Of a1 \[% per K\].
+        /// Change of a1. -10 to 10 % per K.
         pub a1_pct_per_k: f64 = 0.0, Within(-10.0, 10.0, "");
-        /// Of a0 \[% per K\].
+        /// Change of a0. -10 to 10 % per K.
         pub a0_pct_per_k: f64 = 0.0, Within(-10.0, 10.0, "");
     }
 }
@@ -91,7 +91,7 @@ impl Settings {
         self.temperature.map_or(Ok(()), |t| t.check_ranges().map_err(|error| error.within("temperature")))
     }
 
-    /// Allowed false drift alarms per throw of a machine, on average.
+    /// The false-alarm budget: false drift alarms per throw of a machine, on average.
     pub fn false_alarms_per_throw(&self) -> f64 {
         const DAYS_PER_YEAR: f64 = 365.25;
         1.0 / (self.false_alarm_years * DAYS_PER_YEAR * self.throws_per_day)

@@ -1,10 +1,10 @@
 //! Common changes of the machines of a site: weather, not a fault of a machine.
 //!
-//! Every monitor stores its last departures. Before the judgement of a throw the change that three quarters of the other
-//! machines have at least, beyond chance, is subtracted, if at least three machines had throws in the last hours. This
-//! change has no steps, however the others differ: steps would look like an intermittent fault. The subtraction can only
-//! reduce a departure: a machine without the common change is judged without it, and no departure increases or changes
-//! its sign.
+//! Every monitor stores its last departures from the baseline. The common change is the part of these departures that
+//! three quarters of the other machines have at least, beyond chance; at least three machines must have had throws in
+//! the last hours. It is subtracted from a throw before the throw is judged. So defined, the common change has no step
+//! when a single machine changes; a step would look like an intermittent fault of the others. The subtraction only
+//! reduces a departure: it never increases one or changes its sign. A machine without the change is judged as it is.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -19,27 +19,27 @@ use super::{
     text,
 };
 
-/// Number of stored departures of a machine; enough for throws of other machines that are judged later.
+/// Number of stored departures of a machine. Throws of other machines that are judged later need the earlier ones.
 const KEPT: usize = 4;
-/// Largest age of the latest departure of another machine: weather changes within half a day.
+/// Largest age \[h\] of the latest departure of another machine: weather changes within half a day.
 const HOURS: i64 = 12;
 /// Least number of other machines for a common change.
-const WITNESSES: usize = 3;
-/// Most other machines that are compared, the first of the site in the order of names: the cost of a throw must not grow
-/// with the size of a site.
-const MOST_WITNESSES: usize = 32;
-/// Share of them that have at least the common change.
+const LEAST_OTHERS: usize = 3;
+/// Largest number of other machines in the comparison, the first ones of the site by name. A bound, so that the cost of
+/// a throw does not grow with the site.
+const MOST_OTHERS: usize = 32;
+/// Part of the other machines whose departures are at least as large as the common change.
 const AGREE: f64 = 0.75;
-/// Standard deviations of the mean of the others that are chance.
+/// Part of a common change that counts as chance, in standard deviations of the mean of the other machines.
 const BEYOND_CHANCE: f64 = 2.0;
 
-/// Part of the warning limit below which a common change has ended.
+/// Size below which a common change has ended, as part of the warning limit.
 const OVER_BELOW: f64 = 0.5;
 
 /// Common change of machines of a site.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Common {
-    /// Logarithms of b0, a1, a0; 0 if the machines do not agree.
+    /// Change of ln b0, ln a1, ln a0; 0 if the machines do not agree.
     change: Vector3<f64>,
     /// Whether enough machines had throws in the last hours.
     is_known: bool,
@@ -52,17 +52,17 @@ impl Common {
     }
 }
 
-/// The last departures of a machine from its baseline.
+/// The last departures of a machine from its baseline, for the comparison with other machines.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Trail {
-    /// Times and logarithms, the oldest first.
+    /// Time, and departure of ln b0, ln a1, ln a0; the oldest first.
     last: Last<(Timestamp, [f32; 3]), KEPT>,
-    /// Standard deviations of a throw.
+    /// Standard deviations of one throw.
     sd: [f32; 3],
 }
 
 impl Trail {
-    /// Adds the departure of a throw of a machine with this covariance.
+    /// Adds the departure of a throw. `of_one_throw`: covariance of one throw of the machine.
     pub(super) fn push(&mut self, at: Timestamp, departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>) {
         // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
         #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
@@ -75,7 +75,7 @@ impl Trail {
         self.last.is_empty()
     }
 
-    /// The latest departure, and the standard deviations, in the hours before `at`.
+    /// The latest departure in the hours before `at`, with the standard deviations of one throw.
     fn latest(&self, at: Timestamp) -> Option<([f32; 3], [f32; 3])> {
         let hours = SignedDuration::ZERO..=SignedDuration::from_hours(HOURS);
         let latest = self.last.iter().rev().find(|(then, _)| hours.contains(&at.duration_since(*then)))?;
@@ -83,11 +83,11 @@ impl Trail {
     }
 }
 
-/// Common change of the machines with these trails at `at`.
+/// Common change at `at` of the machines with these trails.
 pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp) -> Common {
-    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).take(MOST_WITNESSES).collect();
+    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).take(MOST_OTHERS).collect();
     let count = latest.len() as f64;
-    if latest.len() < WITNESSES {
+    if latest.len() < LEAST_OTHERS {
         return Common::default();
     }
     let change = Vector3::from_fn(|i, _| {
@@ -103,8 +103,8 @@ pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp)
     Common { change, is_known: true }
 }
 
-/// The part of a departure that belongs to the common change.
-pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
+/// The part of a departure that the common change explains.
+pub(super) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
     departure.zip_map(
         &common.change,
         |own, common| {
@@ -113,8 +113,7 @@ pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64>
     )
 }
 
-/// Raises and clears the alarm about all machines of a site with the change `common`. While it is unknown, as in a night
-/// without throws, the alarm stays.
+/// Raises and clears the alarm about all machines of a site; it stays while the common change is unknown.
 pub(super) fn judge(common: &Common, step: &mut Step) {
     for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
         let size = relevance(cause, *log, step.settings);

@@ -1,9 +1,9 @@
-//! Snapshots of earlier programs, which are converted to the present form.
+//! Snapshots of earlier versions of the program, and their conversion to the present form.
 //!
-//! Early snapshots of version 2 stored the owner of an alarm as a flag of each rule.
+//! Early snapshots of version 2 store the owner of an alarm as a flag of each rule.
 //!
-//! Version 1 had no version number. It stored the state of an alarm as flags, all counters of a condition together, and
-//! allowed a maintenance window without end.
+//! Snapshots of version 1 have no version number. They store the state of an alarm as flags and all counters of a
+//! condition together, and allow a maintenance window without end.
 
 use jiff::Timestamp;
 use serde::Deserialize;
@@ -68,8 +68,8 @@ impl From<Board> for Alarms {
 }
 
 impl From<AlarmOne> for Alarm {
-    /// Version 1 had the time of an acknowledgement and the operator of a shelving only in events, so they come from
-    /// the latest event.
+    /// Version 1 stored the time of an acknowledgement and the operator of a shelving in events; both come from the
+    /// latest.
     fn from(alarm: AlarmOne) -> Self {
         let last = alarm.last;
         let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });
@@ -89,7 +89,7 @@ impl From<AlarmOne> for Alarm {
 }
 
 impl ConditionOne {
-    /// Converts a condition, for an active or inactive alarm.
+    /// Converts a condition; `active`: whether its alarm is active.
     pub(super) fn now(self, active: bool) -> Condition {
         let onset = Onset { named: self.on, critical: self.critical };
         if !active {
@@ -100,8 +100,8 @@ impl ConditionOne {
     }
 }
 
-/// The version of a snapshot, and the owners of alarms in early snapshots of version 2: flags of the rules, with the cause or
-/// the sensor of the alarm.
+/// The version of a snapshot. For early snapshots of version 2 also the owners of the alarms: for each rule, the cause
+/// or the sensor of the alarm that it owns.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Stamp {
@@ -125,7 +125,7 @@ struct Flag<T> {
 }
 
 impl Stamp {
-    /// Gives the alarms their owners.
+    /// Sets the owners of the alarms.
     pub(super) fn give_owners(&self, alarms: &mut Alarms) {
         let of_sensor = self.instruments.alarmed.filter(|channel| alarms.faulty_sensor() == Some(*channel));
         let owners = [

@@ -1,6 +1,6 @@
-//! A changed start of the movement: the toe moves later behind the current, or accelerates less, than the running current
-//! explains. A late brake, play, lost motion and a delayed position do this, and leave friction, motor and stiffness of
-//! the running machine. The throws are rough then, and their ratios look healthy.
+//! A changed start of the movement: the toe moves later after the current, or accelerates less, than the running
+//! current explains. The reason is a late brake, play, lost motion or a delayed position. Friction, motor and stiffness
+//! of the running machine stay as they were. The throws are rough, so only ratios are compared, and these look healthy.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,41 +14,42 @@ use super::{
     threshold::WINDOWS,
 };
 
-/// Change of the delay that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
+/// Change of the delay between current and toe that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
 const DELAY_MS: f64 = 1.0;
-/// Change of the delay that friction can cause, for each 1 of the logarithm of the running current \[ms\]: dry friction
-/// winds up an elastic drive before the toe moves. Drives of 1.5e7 N/m have 10 to 26 ms.
+/// Largest change of the delay by friction \[ms\], for a change of 1 in the logarithm of the running current: dry
+/// friction winds up an elastic drive before the toe moves. For drives of 1.5e7 N/m it is 10 to 26 ms.
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
-/// Change of the delay of an unlocking stroke, as multiple of that of the duration: its time follows the speed of the motor.
+/// Change of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
 const DELAY_OF_DURATION: f64 = 1.5;
-/// Change of the delay with the logarithm of the inrush, as part of the normal delay: the toe has moved visibly after a time that
-/// follows the square root of the acceleration. A hot winding or a bad contact takes a part of the inrush, a late brake does not.
+/// Change of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
+/// has moved visibly after a time that goes with the square root of the acceleration. A hot winding or a bad contact
+/// lowers the inrush; a late brake does not.
 const DELAY_OF_INRUSH: f64 = 0.5;
-/// Change of the logarithm of the acceleration that matters, in addition to that of the running current, which a motor
-/// changes as much.
+/// Change of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
 const GAIN: f64 = 0.1;
-/// Significant change, in standard deviations of a level.
+/// Least significance of a change, in standard deviations of a level.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Consecutive throws with the change: a fault of a part shows in the coefficients within fewer, and has a name there.
+/// Consecutive throws with the change until the alarm. A fault of a part is named earlier, by the coefficients.
 const NAMED_THROWS: u32 = 8;
 
-/// The alarm about a changed start.
+/// Watches for a changed start.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct StartWatch {
-    /// Consecutive throws with a change, and without.
+    /// Consecutive throws with a change, and without one.
     named: u32,
     calm: u32,
 }
 
-/// The changes of the start of the last throws.
+/// Changes of the start in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Change {
     /// Change of the delay \[ms\].
     pub(super) delay: Level,
-    /// Changes of the logarithms of the acceleration per ampere and of the running current.
+    /// Change of the logarithm of the acceleration per ampere.
     pub(super) gain: Level,
+    /// Change of the logarithm of the running current.
     pub(super) running: Level,
-    /// Change of the delay by the speed and the inrush of the motor \[ms\].
+    /// Change of the delay that speed and inrush of the motor explain \[ms\].
     pub(super) of_motor_ms: f64,
     /// Lost part of the inrush, as a logarithm.
     pub(super) lost_inrush: f64,
@@ -66,7 +67,7 @@ impl Change {
         Some(Self { delay, gain, running: level(Gauge::Running)?, of_motor_ms, lost_inrush })
     }
 
-    /// Size relative to what matters and to what the running current explains.
+    /// Size relative to the largest change that does not matter, or that motor and running current explain.
     fn size(&self) -> f64 {
         let running = self.running.value.abs();
         let of = |level: Level, least: f64| level.value.abs() / least.max(SIGNIFICANT_SD * level.sd);
@@ -76,13 +77,13 @@ impl Change {
 }
 
 impl StartWatch {
-    /// Applies an estimated throw, whose gauges are the last; `excused`: a sensor or the supply explains its drift. A fault
-    /// of a part can change the start too, as stiffness does in an elastic drive.
-    pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, step: &Step) -> Found {
+    /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
+    /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
+    pub(super) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> Found {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
-        streak(&mut self.named, is_changed && !excused);
+        streak(&mut self.named, is_changed && !explained);
         count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {

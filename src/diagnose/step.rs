@@ -1,4 +1,4 @@
-//! One step of a monitor: the alarms that a rule may change, with machine, time and throw of their events.
+//! One step of a monitor: its alarms, with the machine, time and throw for new events.
 
 use jiff::Timestamp;
 
@@ -10,18 +10,20 @@ use super::{
 };
 use crate::throw::ThrowRef;
 
-/// A step of a monitor, for its rules.
+/// A step of a monitor; every rule gets it.
 pub(super) struct Step<'a> {
     pub(super) alarms: &'a mut Alarms,
     /// Name of the machine in texts.
     pub(super) name: &'a str,
+    /// Time of the events.
     pub(super) at: Timestamp,
+    /// The throw that is evidence of the events; `None` in a step without one.
     pub(super) throw: Option<&'a ThrowRef>,
     pub(super) settings: &'a Settings,
 }
 
 impl Step<'_> {
-    /// The draft of an event, with the throw as evidence. [`Alarms`] sets its number, raise and state.
+    /// A draft of an event, with the throw as evidence. [`Alarms`] sets its number, time of the raise and state.
     pub(super) fn event(&self, cause: Cause, severity: Severity, text: String) -> AlarmEvent {
         AlarmEvent {
             cause,
@@ -51,7 +53,7 @@ impl Step<'_> {
         self.event(cause, Severity::Warning, text)
     }
 
-    /// A warning about a sensor or the clock.
+    /// A draft of a warning about a sensor or the clock.
     pub(super) fn sensor(&self, channel: SensorChannel, text: String) -> AlarmEvent {
         AlarmEvent { channel: Some(channel), ..self.warning(Cause::Sensor, text) }
     }
@@ -60,7 +62,7 @@ impl Step<'_> {
         self.event(cause, Severity::Critical, text)
     }
 
-    /// Raises the alarm of the usual rule of a cause. Returns whether it changed.
+    /// Raises the alarm of a cause for its usual rule. Returns whether the alarm changed.
     pub(super) fn raise(&mut self, event: AlarmEvent) -> bool {
         self.alarms.raise(Rule::Usual, event)
     }
@@ -69,7 +71,7 @@ impl Step<'_> {
         self.alarms.clear(cause, text, self.at);
     }
 
-    /// Adds an event with a text to an open alarm.
+    /// Adds an event with this text to the open alarm of a cause.
     pub(super) fn remark(&mut self, cause: Cause, text: String) {
         self.alarms.remark(cause, text, self.at);
     }

@@ -1,10 +1,10 @@
-//! Symmetric 3x3 matrices: as six numbers, for the snapshot, and their inverse.
+//! Symmetric 3x3 matrices: storage as six numbers for the snapshot, and the inverse.
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22. `f32` halves the snapshot; its precision of 1e-7 is far
-/// below any scatter.
+/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22. Stored as `f32`, which halves the snapshot; the precision of
+/// 1e-7 is far below any scatter.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Sym3([f32; 6]);

@@ -1,13 +1,13 @@
-//! The effect of temperature on the coefficients of a machine and direction, from the baseline and from later throws.
+//! The effect of temperature on the coefficients of a direction, learned from the baseline and from later throws.
 //!
-//! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines k; throws that
-//! leave the longest window improve it. The centre does not change: at the reference temperature a
-//! drift stays visible, and elsewhere k can hide at most [`MOST_PER_K`]. Old throws lose weight over [`MEMORY`], as the
-//! dependence is a curve and k its present slope. The uncertainty of k, times the distance from the reference, is part
-//! of the covariance of every window.
+//! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines the slope k.
+//! Later throws improve k when they leave the longest window. The centre does not change, so at the reference
+//! temperature a drift stays visible; elsewhere k can hide [`MOST_PER_K`] at most. The dependence is a curve and k is
+//! its present slope, so old throws lose weight, within [`MEMORY`] throws. The covariance of every window contains the
+//! uncertainty of k, times the distance from the reference.
 //!
-//! A lasting change of a coefficient, as by a fault, is no effect of the temperature. So the level is a part of the model
-//! too, and the slope comes from the changes since an [`Anchor`]: the centre, or the first throws of a suspected drift.
+//! A fault changes a coefficient for good and must not count as an effect of the temperature. So the model contains a
+//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or throws of a suspected drift.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -23,71 +23,75 @@ use super::{
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TemperatureSource {
-    /// No compensation: no configured coefficients, and too small a temperature span for a fit.
+    /// No compensation: no coefficients are configured, and the temperature span is too small for a fit.
     None,
-    /// From the configuration.
+    /// Configured coefficients.
     Configured,
-    /// Fitted to the throws of the machine.
+    /// Coefficients fitted to the throws of the machine.
     Fitted,
 }
 
-/// Standard deviation between machines of the change of ln b0, ln a1, ln a0 with temperature \[per K\]: magnets,
-/// grease, rails.
+/// Slopes of ln b0, ln a1, ln a0 by magnets, grease and rails \[per K\]: standard deviation between machines.
 const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
-/// Largest physical change of the same \[per K\]: magnets lose 0.2 %/K, grease thickens threefold over 40 K.
+/// Largest physically possible slopes \[per K\]: magnets lose 0.2 %/K, grease becomes three times as thick over 40 K.
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
-/// Throws of a direction after which old ones have lost their weight: about a month of a usual machine, less than a
-/// season.
+/// Throws of a direction after which an old throw has lost its weight: about a month, which is less than a season.
 const MEMORY: f64 = 250.0;
-/// Largest residual in standard deviations; larger ones are clipped, so that an outlier has little effect.
+/// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
-/// Throws of a suspected drift that determine its anchor. As many stay out before them: they leave the longest window
-/// after the suspicion, and are from before it.
+/// Throws of a suspected drift that determine its anchor. The same number of throws before them is left out: those
+/// leave the longest window after the suspicion began, but were made before.
 const ANCHORED: u32 = LONGEST_WINDOW;
-/// Change of the level since the anchor, in standard deviations of the anchor, that is another lasting change.
+/// Change of the level since the anchor that counts as another lasting change, in standard deviations of the anchor.
 const LEVEL_SD: f64 = 4.0;
-/// Throws of the baseline in a snapshot without their number.
+/// Throws in the baseline, for a snapshot that does not contain their number.
 const USUAL_THROWS: f64 = 50.0;
 
-/// A known point of the line, and sums over the throws since then.
+/// A known point of the line over the temperature, and sums over the throws since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Anchor {
-    /// Number of throws of the point; `None`: the centre of the baseline.
+    /// Number of throws that determine the point; `None` for the centre of the baseline.
     throws: Option<u32>,
-    /// Mean distance from the reference \[K\], and mean residual, of these throws.
+    /// Mean distance of these throws from the reference \[K\].
     distance: f64,
+    /// Mean residual of these throws.
     residual: [f64; 3],
-    /// Number of later throws, and sums of their differences from the point: distances \[K\] and residuals.
+    /// Number of later throws, with old ones weighted less.
     later: f64,
+    /// Sum of the distances of the later throws from the point \[K\].
     distances: f64,
+    /// Sum of their residuals, less that of the point.
     residuals: [f64; 3],
 }
 
 impl Anchor {
-    /// The centre, before the first later throw.
+    /// The centre of the baseline, without later throws.
     const CENTRE: Self =
         Self { throws: None, distance: 0.0, residual: [0.0; 3], later: 0.0, distances: 0.0, residuals: [0.0; 3] };
 }
 
-/// Compensation of temperature: x - `per_k` (T - reference).
+/// Compensation of temperature: the compensated x is x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Temperature {
     pub(super) source: TemperatureSource,
+    /// Slopes of ln b0, ln a1, ln a0 \[per K\].
     pub(super) per_k: [f64; 3],
     per_k_variance: [f64; 3],
+    /// The reference temperature \[°C\]; `None` if no throw of the baseline has a temperature.
     pub(super) reference_c: Option<f64>,
-    /// Sum of squared distances from the reference \[K²\], and of distances times residuals \[K\].
+    /// Sum of squared distances from the anchor \[K²\].
     #[serde(default)]
     information: f64,
+    /// Sum of distances from the anchor times residuals \[K\].
     #[serde(default)]
     product: [f64; 3],
-    /// Throws of the centre.
+    /// Number of throws in the baseline.
     #[serde(default = "usual_throws")]
     throws: f64,
     #[serde(default)]
     anchor: Anchor,
-    /// Throws since the suspicion of a drift, and the anchor from the second half of them.
+    /// Throws since a drift is suspected, and the anchor from the second half of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<Box<(u32, Anchor)>>,
 }
@@ -105,7 +109,7 @@ impl Temperature {
         next: None,
     };
 
-    /// Computes the compensation from the throws of a baseline: logarithms, and temperatures \[°C\] if known.
+    /// Learns the compensation from the throws of a baseline: their logarithms, and temperatures \[°C\] if known.
     pub(super) fn learn(throws: &[(Vector3<f64>, Option<f64>)], settings: &Settings) -> Self {
         let mut known: Vec<f64> = throws.iter().filter_map(|(_, celsius)| *celsius).collect();
         if known.is_empty() {
@@ -141,8 +145,8 @@ impl Temperature {
         fitted
     }
 
-    /// Updates the compensation with a throw: residual `raw` without compensation, `distance` \[K\] from the reference,
-    /// whether a drift is suspected, scatter of the machine.
+    /// Updates the compensation with a throw. `raw`: residual without compensation; `distance`: temperature from the
+    /// reference \[K\]; `suspected`: a drift is suspected; `scatter`: of the machine.
     pub(super) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, suspected: bool, scatter: &Scatter) {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
@@ -151,7 +155,7 @@ impl Temperature {
         let lag1 = Vector3::from(scatter.lag1);
         let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
         if self.information == 0.0 && self.source == TemperatureSource::Fitted {
-            // A snapshot of version 1 has the slope, but not its sums.
+            // A snapshot of version 1 contains the slope, but not its sums.
             self.information = noise[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
             self.product = self.per_k.map(|k| k * self.information);
         }
@@ -189,7 +193,7 @@ impl Temperature {
         }
     }
 
-    /// Adds a throw of a suspected drift to the next anchor; returns whether it is used for this.
+    /// Adds a throw of a suspected drift to the next anchor. Returns whether the throw was used for this.
     fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
         if self.anchor.throws.is_none() && self.next.is_none() {
             self.next = Some(Box::new((0, Anchor::CENTRE)));
@@ -209,7 +213,7 @@ impl Temperature {
         true
     }
 
-    /// Replaces the anchor, and keeps what its throws show about the slopes.
+    /// Replaces the anchor; keeps the information of the throws about the slopes.
     fn move_anchor(&mut self, to: Anchor) {
         (self.information, self.product) = self.sums();
         self.anchor = to;
@@ -219,31 +223,30 @@ impl Temperature {
         self.anchor.throws.map_or(self.throws, f64::from)
     }
 
-    /// Change of the level since the anchor, with these slopes.
+    /// Change of the level since the anchor, for given slopes.
     fn change(&self, slope: [f64; 3]) -> Vector3<f64> {
         let Anchor { later, distances, residuals, .. } = &self.anchor;
         Vector3::from_fn(|i, _| (residuals[i] - slope[i] * distances) / (self.anchor_throws() + later))
     }
 
-    /// Sum of squared distances \[K²\], and sums of distances times residuals \[K\], both about the present level.
+    /// Sum of squared distances \[K²\] and sums of distances times residuals \[K\], about the present level.
     fn sums(&self) -> (f64, [f64; 3]) {
         let Anchor { later, distances, residuals, .. } = &self.anchor;
         let mean = distances / (self.anchor_throws() + later);
         (self.information - mean * distances, std::array::from_fn(|i| self.product[i] - mean * residuals[i]))
     }
 
-    /// Slopes and their variances, with a prior around zero; `noise` is the variance of one throw, with serial
-    /// correlation.
+    /// Slopes and their variances, with a prior around zero. `noise`: variance of one throw with serial correlation.
     fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
         let (information, product) = self.sums();
-        // Zero without noise and without temperature differences: b0 of ratios, with a constant temperature.
+        // The sum is 0 for b0 of ratios, which has no noise, at a constant temperature.
         let total = |i: usize| (information + noise[i] / TYPICAL_PER_K[i].powi(2)).max(f64::MIN_POSITIVE);
         let slope = |i: usize| (product[i] / total(i)).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
         let variance = |i: usize| noise[i] / total(i);
         (std::array::from_fn(slope), std::array::from_fn(variance))
     }
 
-    /// Sets the slopes if there are `enough` throws; otherwise their effect counts as uncertainty.
+    /// Computes the slopes. They are used if there are `enough` throws; otherwise they count as uncertainty.
     fn solve(&mut self, noise: Vector3<f64>, enough: bool) {
         let (slope, variance) = self.posterior(noise);
         if enough {
@@ -253,25 +256,25 @@ impl Temperature {
         }
     }
 
-    /// Distance from the reference \[K\]; 0 if one of them is unknown.
+    /// Temperature from the reference \[K\]; 0 if one of the two is unknown.
     pub(super) fn distance(&self, celsius: Option<f64>) -> f64 {
         celsius.zip(self.reference_c).map_or(0.0, |(now, reference)| now - reference)
     }
 
-    /// Effect of the temperature at this distance \[K\] on the logarithms.
+    /// Change of the logarithms at a temperature `distance` \[K\] from the reference.
     pub(super) fn effect(&self, distance: f64) -> Vector3<f64> {
         Vector3::from(self.per_k) * distance
     }
 
-    /// Standard deviation of [`Self::effect`], with the sign of the distance, as the weather is common to both
-    /// directions.
+    /// Standard deviation of [`Self::effect`], negative below the reference: the errors of both directions have the
+    /// same sign then, as both have the same weather.
     pub(super) fn effect_sd(&self, distance: f64) -> Vector3<f64> {
         Vector3::from(self.per_k_variance).map(f64::sqrt) * distance
     }
 }
 
-/// Covariance of a mean, from the standard deviation of the temperature's effect.
-pub(super) fn doubt(sd: Vector3<f64>) -> Matrix3<f64> {
+/// Covariance of a mean of throws by the temperature, from the standard deviation of its effect.
+pub(super) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
 }
 

@@ -1,8 +1,8 @@
-//! A trend in the throws of a baseline: wear that was there from the first throw on.
+//! A trend in the throws of a baseline: wear that had begun before the first throw.
 //!
-//! Two models of a coefficient's logarithm are compared: a level for each direction (and the effect of the temperature,
-//! if it is known), and the same with a slope. A slope must also explain the throws better than a step. The evidence is
-//! that of [`super::regression`].
+//! The evidence compares two models of a coefficient's logarithm. The first has a level for each direction and, if it
+//! is known, the effect of the temperature. The second has a slope in addition. A slope must also explain the throws
+//! better than a step does. The evidence is that of [`super::regression`].
 
 use nalgebra::Vector3;
 
@@ -10,41 +10,40 @@ use super::{autoregression::ln_sum, regression::Series};
 
 /// Throws from which a trend can be found.
 const LEAST_THROWS: usize = 24;
-/// Bounds from which a baseline has a trend.
+/// Bounds above which a baseline has a trend.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bound {
     /// Logarithm of the Bayes factor of slope against levels.
     pub(super) evidence: f64,
-    /// Change over the throws as part of the warning limit.
+    /// Change over all throws of the baseline, as part of the warning limit.
     pub(super) part_of_limit: f64,
 }
-/// The bounds while a baseline fills. Throws that depend strongly on those before often look like a slope for some throws,
-/// so the change must also be that of a part near its limit (and the sign that of wear).
+/// The bounds while a baseline fills. A part of a serially correlated series often looks like a slope, so the change
+/// must also be near the warning limit. Only wear counts.
 pub(super) const WHILE_FILLING: Bound = Bound { evidence: 1.0, part_of_limit: 0.65 };
-/// The bounds for the last throws of a baseline, which stays provisional with a trend. Of 4,000 series of 100 healthy throws
-/// with phi from 0 to 0.9 about 1 % or fewer reach them.
+/// The bounds for a full baseline. With a trend it stays provisional. Simulated: of 4,000 series of 100 healthy throws
+/// with lag-1 correlations from 0 to 0.9, about 1 % or fewer reach them.
 pub(super) const AT_THE_END: Bound = Bound { evidence: 2.7, part_of_limit: 1.0 / 3.0 };
-/// Number of parts of the series between which a step may be.
+/// Number of equal parts of the series; a step may be between any two of them.
 const STEPS: usize = 12;
-/// Logarithm of the Bayes factor of slope against step from which the series has a slope and not a step, which is
-/// detected as a drift.
+/// Least logarithm of the Bayes factor of slope against step. A step is left to the drift rule.
 const STEP_BOUND: f64 = 1.0;
-/// Residuals are clipped at this many robust standard deviations.
+/// Largest residual in robust standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.5;
 
 /// A throw of a baseline, of either direction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TrendThrow {
-    /// Number of the throw among those of the machine.
+    /// Number of the throw, counted by the machine's monitor.
     pub(super) order: u32,
-    /// Side of its direction.
+    /// Index of its direction, 0 or 1.
     pub(super) side: usize,
-    /// Distance of the logarithms from the centre of the direction.
+    /// Difference of the logarithms from the centre of the direction.
     pub(super) residual: Vector3<f64>,
     pub(super) temperature_c: Option<f64>,
 }
 
-/// The throws of the baselines of both directions while they fill, in their order.
+/// The throws of both baselines while they fill, in the order of the machine.
 #[derive(Debug)]
 pub(super) struct Filling {
     pub(super) throws: Vec<TrendThrow>,
@@ -55,7 +54,7 @@ pub(super) struct Filling {
 }
 
 impl Filling {
-    /// `variance` is that of one throw, `sensor` that of the estimates.
+    /// `variance`: variances of one throw; `sensor`: the part of the estimates' errors in them.
     pub(super) fn new(mut throws: Vec<TrendThrow>, variance: [f64; 3], sensor: [f64; 3]) -> Self {
         throws.sort_unstable_by_key(|throw| throw.order);
         let error_part = std::array::from_fn(|i| (sensor[i] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));
@@ -66,19 +65,19 @@ impl Filling {
         self.throws.len()
     }
 
-    /// The residuals of a coefficient, clipped; at least `reach` remains.
+    /// The residuals of coefficient `i`, clipped; `reach`: least bound of the clipping.
     pub(super) fn values(&self, i: usize, reach: f64) -> Vec<f64> {
         let reach = reach.max(CLIP_SD * self.sd[i]);
         self.throws.iter().map(|throw| throw.residual[i].clamp(-reach, reach)).collect()
     }
 
-    /// Numbers of the throws, from -1/2 to 1/2.
+    /// Time of the throws, by their numbers, from -1/2 to 1/2.
     pub(super) fn time(&self) -> Vec<f64> {
         let since = |throw: &TrendThrow| f64::from(throw.order - self.throws[0].order);
         self.throws.iter().map(|throw| since(throw) / self.range() - 0.5).collect()
     }
 
-    /// Throws of the machine from the first to the last.
+    /// Number of throws of the machine from the first to the last.
     fn range(&self) -> f64 {
         self.throws.first().zip(self.throws.last()).map_or(0.0, |(first, last)| f64::from(last.order - first.order))
     }
@@ -94,14 +93,14 @@ impl Filling {
         levels
     }
 
-    /// Slopes of ln b0, ln a1, ln a0 per throw of the machine; 0 without a trend. `evidence` is that of a bound above.
+    /// Slopes of ln b0, ln a1, ln a0 per throw of the machine; 0 without a trend. `evidence`: as in [`Bound`].
     pub(super) fn slopes(&self, evidence: f64) -> [f64; 3] {
         if self.len() < LEAST_THROWS {
             return [0.0; 3];
         }
         let (time, levels) = (self.time(), self.levels());
         std::array::from_fn(|i| {
-            // Of ratios to b0, that of b0 is constant.
+            // In a baseline of ratios to b0, that of b0 itself is constant.
             if self.sd[i] == 0.0 {
                 return 0.0;
             }
@@ -111,7 +110,7 @@ impl Filling {
     }
 }
 
-/// The change over a series with a trend.
+/// The change over the whole series, if it has a trend.
 fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evidence: f64) -> Option<f64> {
     let series = Series::new(values, levels, error_part);
     let sloped = series.with(time);

@@ -1,4 +1,4 @@
-//! The verdict of the monitor on a throw: state of the machine, present drifts, and alarm events.
+//! The verdict of the monitor on a throw: state of the machine, present drifts, alarm events.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +24,7 @@ pub enum MachineState {
     Warning,
     /// An alarm of severity critical is active.
     Critical,
-    /// Throws cannot be evaluated, or do not arrive.
+    /// No throw can be evaluated, or none arrives.
     NotMonitored,
     /// Out of service, in maintenance.
     Maintenance,
@@ -42,8 +42,7 @@ impl MachineState {
     }
 }
 
-/// The present state of a drift with an active alarm, updated after every throw. Alarm events have the state at their
-/// time.
+/// The present drift of an active alarm, updated after every throw. Alarm events describe the drift at their own time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Drifting {
     /// Cause of the alarm.
@@ -54,37 +53,37 @@ pub struct Drifting {
     pub change_pct_sd: f64,
     /// Direction of the drift; `None` for both.
     pub direction: Option<Direction>,
-    /// Forecast of the critical limit; `None` without a clear trend, or beyond the limit.
+    /// Forecast of the throws to the critical limit; `None` without a clear trend, or beyond the limit.
     pub limit_in_throws: Option<LimitForecast>,
 }
 
-/// Half width \[%\] up to which the interval of a size is of use, however small the size is: the critical limit of friction,
-/// the highest of the default limits. A narrower interval says that no part has such a fault.
+/// Half width of an interval \[%\] up to which the size is published, however small it is. It is the critical limit of
+/// friction, the highest of the default limits: a narrower interval around 0 says that no part has a critical fault.
 const OF_USE_PCT: f64 = 45.0;
 
 impl Drifting {
-    /// Whether the size is certain enough to publish: its 95 % interval is at most three times as wide as the size, or its half
-    /// width is at most [`OF_USE_PCT`].
+    /// Whether the size is certain enough to publish. The 95 % interval must be at most three times as wide as the
+    /// size, or its half width at most [`OF_USE_PCT`].
     pub(super) fn has_size(&self) -> bool {
         let half_width_pct = 1.96 * self.change_pct_sd;
         half_width_pct <= OF_USE_PCT || 2.0 * half_width_pct <= 3.0 * self.change_pct.abs()
     }
 }
 
-/// A machine whose throws cannot show a fault: at the present temperature, as its effect is too uncertain, or at all, as
-/// they scatter too much.
+/// A fault that the throws of a machine cannot show: because the effect of the present temperature is too uncertain, or
+/// because the throws scatter too much.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Blindness {
-    /// The cause hidden most, relative to its warning limit.
+    /// The cause hidden most, in relation to its warning limit.
     pub cause: Cause,
-    /// Size below which a change cannot be distinguished from the effect of the temperature, or from scatter \[%\].
+    /// Size \[%\] below which a change cannot be distinguished from scatter or from the effect of the temperature.
     pub below_pct: f64,
-    /// The temperature that hides it; `None` for scatter.
+    /// The temperature that hides the cause; `None` for scatter.
     #[serde(flatten)]
     pub temperature: Option<HidingTemperature>,
 }
 
-/// A temperature too far from that of the baseline.
+/// A temperature too far from the temperature of the baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HidingTemperature {
     /// The present temperature \[°C\].
@@ -93,33 +92,34 @@ pub struct HidingTemperature {
     pub baseline_c: f64,
 }
 
-/// Present condition of a machine.
+/// The present condition of a machine.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Present {
     /// State of the machine.
     pub state: MachineState,
-    /// Drifts with an active alarm and their present size, named parts first, then the most severe.
+    /// Drifts with an active alarm whose size is known: named parts first, then the most severe.
     pub drifts: Vec<Drifting>,
-    /// Sentences about the limits of what the monitor shows at present, such as blindness or a baseline with a trend.
+    /// Sentences about limits of the monitoring at present, such as blindness or a trend in the baseline.
     pub caveats: Vec<String>,
 }
 
-/// The verdict of the monitor on an observation.
+/// The verdict of the monitor on a throw.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {
     /// The machine after this throw.
     pub present: Present,
-    /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
+    /// Blindness, if temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,
     /// Whether an incomplete baseline has a trend.
     pub has_trend: bool,
     /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.
     pub change_pct: Option<[f64; 3]>,
-    /// Throws in the baseline of this direction, and throws that it needs.
+    /// Throws in the baseline of this direction, and throws that a complete baseline needs; `None` if the direction is
+    /// unknown, or if the throw has features only and the machine already has a baseline of coefficients.
     pub baseline: Option<(usize, usize)>,
     /// Baselines that became usable or complete with this throw.
     pub baselines_taken: Vec<BaselineRecord>,
-    /// Alarm events of this observation, in order.
+    /// Alarm events of this throw, in order.
     pub events: Vec<AlarmEvent>,
 }
 

@@ -14,7 +14,7 @@ use super::{
     robust::clipped_mean,
     scatter::Scatter,
     sym3::{self, Sym3},
-    temperature::doubt,
+    temperature::covariance_of_effect,
     threshold::{Thresholds, WINDOWS},
 };
 use crate::estimate::Estimate;
@@ -151,7 +151,7 @@ impl Window {
     /// The covariance with which T has this limit: lasting errors count up to [`MOST_OF_LASTING_SD`].
     pub(super) fn tested(&self, limit: f64) -> Matrix3<f64> {
         let counts = (MOST_OF_LASTING_SD * MOST_OF_LASTING_SD / limit).min(1.0);
-        self.covariance - (doubt(self.temperature_sd) + Matrix3::from(self.misfit)) * (1.0 - counts)
+        self.covariance - (covariance_of_effect(self.temperature_sd) + Matrix3::from(self.misfit)) * (1.0 - counts)
     }
 }
 
@@ -269,7 +269,7 @@ impl<'a> Stream<'a> {
             covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
             misfit = ratios * misfit * ratios.transpose();
         }
-        covariance += doubt(temperature_sd);
+        covariance += covariance_of_effect(temperature_sd);
         let misfit = misfit.into();
         let known = baselines.into_iter().flatten().filter_map(Baseline::friction_of_spring);
         let friction_of_spring = known.reduce(|a, b| (a * b).sqrt()).unwrap_or(1.0);

@@ -9,12 +9,12 @@ pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
 /// Least multiple of the warning limit in a plain row: with a smaller fault, scatter hides the size.
 const PLAIN_FROM: f64 = 2.0;
 
-/// Size of the friction fault in the rows with leakage.
+/// Size of the friction fault in the rows with leakage into b0 and a0, as a fraction of nominal.
 const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
 
-/// Faulty instrument, whether the supply voltage is published, correct cause, and size.
+/// Rows with a faulty instrument: instrument, whether the voltage is published, correct cause, size as a fraction.
 const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
     (Instrument::Current, true, Cause::Sensor, 0.08),
     (Instrument::Current, false, Cause::Sensor, 0.08),
@@ -24,17 +24,17 @@ const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
     (Instrument::Supply, false, Cause::SlowThrow, -0.35),
 ];
 
-/// Intermittent faults: part, size in the throws that have it, and how often.
+/// Rows with an intermittent fault: the part, the size in the throws with the fault as a fraction, and how often.
 const INTERMITTENT: [(Cause, f64, Shape); 3] = [
     (Cause::Friction, 0.60, Shape::EveryFifth),
     (Cause::Kt, -0.15, Shape::EveryFifth),
     (Cause::Friction, 1.00, Shape::EveryTenth),
 ];
 
-/// Friction at the end of the row with wear: 0.25 % a throw.
+/// Friction at the end of the row with wear, as a fraction of nominal: 240 throws with 0.25 % each.
 const WORN_FRICTION: f64 = 0.60;
 
-/// All rows of the table, in order. The position of a row determines its random streams.
+/// All rows of the table, in order. The index of a row determines its random streams.
 pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
     let mut rows = parameter_rows(limits);
     rows.extend(trace_rows(limits));
@@ -133,7 +133,7 @@ fn field_rows(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
-/// Increase of a1 of the simulated machine by the friction coefficient `mu` of the slide chairs, as a fraction.
+/// Increase of a1 of the simulated machine by slide chairs with the friction coefficient `mu`, as a fraction of a1.
 #[expect(
     clippy::expect_used,
     reason = "the default machine is within its ranges, and so is every friction coefficient used here"

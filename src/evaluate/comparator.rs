@@ -1,14 +1,14 @@
-//! Common parts of both comparators: the baselines, from the same throws as those of the monitor, and the calls.
+//! Common parts of both comparators: their baselines, from the same throws as the monitor's baseline, and their calls.
 
 use nalgebra::Vector3;
 
 use super::judge::Call;
 use crate::diagnose::{Cause, Observation};
 
-/// Least standard deviation of a coefficient; prevents a division by zero.
+/// Least standard deviation of the logarithm of a coefficient; prevents a division by zero.
 const LEAST_SD: f64 = 1e-4;
 
-/// Mean and standard deviation of (ln b0, ln a1, ln a0).
+/// Mean and standard deviation of (ln b0, ln a1, ln a0) in a baseline.
 pub(super) type Normal = (Vector3<f64>, Vector3<f64>);
 
 /// The first throws of a direction, as (ln b0, ln a1, ln a0).
@@ -25,7 +25,7 @@ impl Baseline {
         Self { wanted: wanted.max(2), throws: Vec::new(), normal: None }
     }
 
-    /// Adds a throw while the baseline is incomplete and returns `None`; then returns mean and standard deviation.
+    /// Adds a throw and returns `None` while the baseline is incomplete; then returns mean and standard deviation.
     pub(super) fn take(&mut self, log_theta: Vector3<f64>) -> Option<Normal> {
         if self.normal.is_none() {
             self.throws.push(log_theta);
@@ -40,7 +40,6 @@ impl Baseline {
         self.normal
     }
 
-    /// The throws of the baseline.
     pub(super) fn throws(&self) -> &[Vector3<f64>] {
         &self.throws
     }
@@ -48,7 +47,8 @@ impl Baseline {
 
 /// A rule for the throws of one direction.
 pub(super) trait Rule {
-    /// The verdict after a throw (ln b0, ln a1, ln a0), with the baseline and the `last` verdict.
+    /// The verdict after a throw with the logarithms `log_theta`; `normal`: mean and standard deviation of the
+    /// baseline; `last`: the verdict before.
     fn judge(
         &mut self,
         log_theta: Vector3<f64>,
@@ -65,7 +65,7 @@ pub(super) struct Comparator<R> {
     baselines: [Baseline; 2],
     /// Present verdict of each direction.
     verdicts: [Option<Cause>; 2],
-    /// The calls so far: one each time a verdict is new and not the present verdict of the other direction.
+    /// The calls: one for each new verdict that is not the present verdict of the other direction.
     pub(super) calls: Vec<Call>,
 }
 
@@ -76,7 +76,7 @@ impl<R: Rule + Clone> Comparator<R> {
         Self { rules, baselines, verdicts: [None; 2], calls: Vec::new() }
     }
 
-    /// Applies the rule to throw `at` of the machine; a throw without direction or coefficients is left out.
+    /// Applies the rule to throw `at` of the machine. A throw without direction or coefficients is left out.
     pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
         let (Some((theta, _)), Some(direction)) = (observation.estimate, observation.direction) else { return };
         if theta.iter().any(|coefficient| *coefficient <= 0.0 || coefficient.is_nan()) {

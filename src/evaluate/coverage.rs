@@ -1,4 +1,4 @@
-//! Whether the published sizes and forecasts of a drift are true.
+//! Checks whether the published sizes and forecasts of a drift are true.
 
 use super::{
     scenario::Shape,
@@ -8,25 +8,24 @@ use crate::diagnose::{AlarmEvent, AlarmState, Cause, Settings, Verdict};
 
 /// Half-width of a 95 % interval in standard deviations.
 const SD_95: f64 = 1.96;
-/// While an alarm is active, size and forecast are checked at every throw of the fault whose number is a multiple of
-/// this: consecutive sizes come from almost the same throws.
+/// Throws of the fault between two checks of an active alarm: consecutive sizes come from nearly the same throws.
 const CHECKED_EVERY: usize = 10;
-/// Rounding tolerance for a fault that reaches its limit exactly with its last throw.
+/// Rounding tolerance, for a fault that reaches the limit exactly with its last throw.
 const ROUNDING: f64 = 1e-9;
 
-/// Statements of one kind, and how many were true.
+/// Statements of one kind, counted: all, and those that were true.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Share {
     said: usize,
     held: usize,
 }
 
-/// Statements about the size and the forecast of the judged faults.
+/// Statements about sizes and forecasts of the judged faults.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Coverage {
-    /// 95 % intervals of the size, at the raise of an alarm and at every tenth throw.
+    /// 95 % intervals of the size, at the raise of an alarm and at every tenth throw while it is active.
     pub(super) sizes: Share,
-    /// Intervals of the throws to the critical limit, at every tenth throw before a growing fault reaches it.
+    /// Forecasts of the throws to the critical limit, at every tenth throw before a growing fault reaches it.
     pub(super) forecasts: Share,
 }
 
@@ -74,8 +73,8 @@ impl Coverage {
     }
 }
 
-/// Whether the fault is a step or grows: an intermittent fault has two sizes, and the size of wear from the first throw
-/// depends on the throw that the baseline counts from.
+/// Whether the fault has one true size at each throw. An intermittent fault has two. For wear from the first throw, the
+/// size depends on the throws that became the baseline.
 fn has_one_size(fault: &Fault) -> bool {
     Cause::PHYSICAL.contains(&fault.part) && matches!(fault.shape, Shape::Step | Shape::Ramp | Shape::Accelerating)
 }
@@ -86,8 +85,8 @@ fn raised(event: &AlarmEvent, part: Cause) -> Option<(f64, f64)> {
     event.change_pct.zip(event.change_pct_sd).filter(|_| raises)
 }
 
-/// Throws from throw `at` until a growing fault reaches its critical limit; `None` for a step, a fault beyond the limit,
-/// and one that never reaches it.
+/// Throws from throw `at` until a growing fault reaches its critical limit. `None` for a step, for a fault beyond the
+/// limit, and for a fault that never reaches it.
 fn throws_left(fault: &Fault, at: usize, settings: &Settings) -> Option<f64> {
     let critical = settings.critical_factor * settings.limit_pct(fault.part)? / 100.0 - ROUNDING;
     let beyond = |throw: usize| fault.size_at(throw).abs() >= critical;
@@ -104,7 +103,8 @@ mod tests {
 
     const ONSET: usize = 200;
 
-    /// The coverage of one statement at throw `at` about a ramp of friction to 90 % over 100 throws.
+    /// The coverage of one drift, published at throw `at`, with a standard deviation of 1 %. The true fault is a ramp
+    /// of friction to 90 % over 100 throws.
     fn checked(at: usize, change_pct: f64, ahead: (f64, f64)) -> Coverage {
         let part = Cause::Friction;
         let fault = Fault { part, size: 0.9, onset: ONSET, repaired: None, shape: Shape::Ramp };
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn every_tenth_size_and_the_forecast_before_the_limit_count() {
-        // 18 % after 20 throws; the critical limit of 45 % is reached by throw 50.
+        // The true size is 18 % after 20 throws; the critical limit of 45 % is reached at throw 50.
         let at = ONSET + 19;
         let [held, not] = [1, 0].map(|held| Share { said: 1, held });
         assert_eq!(checked(at, 19.9, (29.0, 31.0)), Coverage { sizes: held, forecasts: held });

@@ -1,12 +1,13 @@
-//! The CUSUM comparator: one two-sided cumulative sum on each coefficient and direction (Page 1954).
+//! The CUSUM comparator: one two-sided cumulative sum for each coefficient and direction (Page 1954).
 //!
 //! The reference value of a coefficient is half the warning limit of its cause, the textbook choice for a shift of this
-//! size. The decision limit is H standard deviations of the baseline. H is tuned once for each noise, on healthy
-//! machines with the same scatter, until their alarms have the rate of the monitor's false-alarm budget.
+//! size. The decision limit is H standard deviations of the baseline. H is tuned once for each sensor noise, on healthy
+//! machines with the same scatter, so that their alarms have the rate of the monitor's false-alarm budget.
 //!
-//! When a sum passes its limit the rule waits for [`CONFIRM_THROWS`] more throws of that direction, so that slower
-//! coefficients can follow. Then it names a cause: that of the only coefficient beyond its limit; inertia if all three
-//! are beyond it on the same side; otherwise none. The sums restart from zero.
+//! When a sum exceeds its limit, the rule waits for [`CONFIRM_THROWS`] more throws of that direction, so that the sums
+//! of slower coefficients can follow. Then it names a cause. If one coefficient alone is beyond its limit, the cause is
+//! that of this coefficient. If all three are, on the same side, the cause is inertia. Otherwise there is no name. Then
+//! the sums restart from zero.
 
 use nalgebra::Vector3;
 
@@ -22,25 +23,29 @@ use crate::diagnose::Cause;
 /// Throws of a direction from the first sum beyond its limit to the verdict.
 const CONFIRM_THROWS: usize = 3;
 
-/// Sensitivity of the sums.
+/// Parameters of the sums.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Design {
-    /// Reference values, in logarithms.
+    /// Reference values for ln b0, ln a1, ln a0.
     reference: Vector3<f64>,
     /// H: decision limit in standard deviations of the baseline.
     decision_sd: f64,
 }
 
+/// The cumulative sums of one direction.
 #[derive(Debug, Clone, Default)]
 struct Sums {
+    /// Sums of the deviations upwards.
     high: Vector3<f64>,
+    /// Sums of the deviations downwards.
     low: Vector3<f64>,
-    /// For each coefficient: sign of its sum beyond the limit, or 0; with the number of throws since the first one.
+    /// For each coefficient, the side of its sum beyond the limit: 1, -1, or 0 for none. With the number of throws
+    /// since the first such sum. `None` while no sum is beyond its limit.
     passed: Option<([i8; 3], usize)>,
 }
 
 impl Sums {
-    /// Adds a deviation; returns the verdict when it is due, [`Cause::Unattributed`] for no name.
+    /// Adds a deviation. Returns the verdict when it is due; [`Cause::Unattributed`] stands for no name.
     fn add(&mut self, deviation: Vector3<f64>, sd: Vector3<f64>, design: &Design) -> Option<Cause> {
         self.high = (self.high + deviation - design.reference).map(|s| s.max(0.0));
         self.low = (self.low - deviation - design.reference).map(|s| s.max(0.0));
@@ -74,7 +79,7 @@ fn name(passed: [i8; 3]) -> Cause {
     }
 }
 
-/// The rule on one direction of a machine.
+/// The CUSUM rule for one direction of a machine.
 #[derive(Debug, Clone)]
 pub(super) struct Cusum {
     design: Design,
@@ -96,18 +101,18 @@ impl Rule for Cusum {
         last: Option<Cause>,
     ) -> Option<Cause> {
         let verdict = self.sums.add(log_theta - mean, sd, &self.design);
-        // While the rule waits for more throws, its last verdict stays.
+        // While the rule waits for more throws, the last verdict stays.
         verdict.or(last.filter(|_| self.sums.passed.is_some()))
     }
 }
 
-/// Number of machines for the tuning of H, and of throws in each direction.
+/// Fleet for the tuning of H: number of machines, and number of throws in each direction.
 const TUNING: (usize, usize) = (100, 2500);
-/// Range of H \[standard deviations\], and number of steps of the bisection.
+/// Bisection for H: least and largest value \[standard deviations\], and number of steps.
 const DECISION_SD: (f64, f64, usize) = (0.0, 100.0, 14);
 
 impl Design {
-    /// Tunes H to one alarm in `throws_per_false_alarm` throws of healthy machines.
+    /// Tunes H so that healthy machines have one alarm in `throws_per_false_alarm` throws.
     pub(super) fn tuned(seed: u64, noise: Noise, limits: Limits, baseline: usize, throws_per_false_alarm: f64) -> Self {
         let reference = Vector3::new(limits[0], limits[1], limits[2]) / 2.0;
         let lives = tuning_lives(seed, noise, baseline);
@@ -127,7 +132,7 @@ impl Design {
     }
 }
 
-/// Deviations of a direction from its baseline, and the standard deviations of the baseline.
+/// One direction of a healthy machine: deviations from its baseline, and standard deviations of the baseline.
 type TuningLife = (Vec<Vector3<f64>>, Vector3<f64>);
 
 fn tuning_lives(seed: u64, noise: Noise, baseline: usize) -> Vec<TuningLife> {

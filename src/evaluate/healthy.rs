@@ -12,9 +12,9 @@ use super::{
 #[derive(Debug, Clone, Copy)]
 enum Weather {
     Steady,
-    /// A year with a swing of 20 K in each direction, and 3 K over a day, not published.
+    /// A year of seasons with 20 K up and down, and 3 K over a day. The temperature is not published.
     Year,
-    /// Rare wet spells: friction -20 % for 15 throws.
+    /// Rare wet spells: 20 % less friction for 15 throws.
     Wet,
 }
 
@@ -29,7 +29,7 @@ pub(super) struct Fleet {
 /// Scatter three times the usual one.
 const TRIPLE_SD: [f64; 3] = [3.0 * Scatter::USUAL.sd[0], 3.0 * Scatter::USUAL.sd[1], 3.0 * Scatter::USUAL.sd[2]];
 
-/// The fleets, in the order of the table. The position of a fleet determines its random streams.
+/// The fleets, in the order of the table. The index of a fleet determines its random streams.
 pub(super) const FLEETS: [Fleet; 7] = [
     scattering("serial correlation 0.5", Scatter::USUAL),
     scattering("serial correlation 0.8", Scatter { phi: 0.8, ..Scatter::USUAL }),

@@ -17,7 +17,8 @@ pub(super) struct Call {
 }
 
 impl Call {
-    /// The call of an alarm event at throw `at`, if it raises a drift alarm or makes it critical.
+    /// The call of an alarm event at throw `at`. `None` unless the alarm is about a drift, a sensor, the supply or slow
+    /// throws, and the event raises it or is critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
         let named = Cause::PHYSICAL.contains(&event.cause)
             || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
@@ -31,17 +32,18 @@ impl Call {
 /// Judgement of a rule over a life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judgement {
-    /// Named right; throws from the onset to the name (1: at the first throw with the fault).
+    /// Named right, with the delay: throws from the onset to the name, 1 at the first throw with the fault.
     Right(usize),
-    /// Named wrong, or an alarm before the fault, or any alarm if the baseline has learned the fault.
+    /// Named wrong, or an alarm before the fault, or any alarm about a fault that the baseline contains.
     Wrong,
+    /// An alarm without a name.
     Ambiguous,
     /// No alarm, or only one of two causes named.
     Missed,
 }
 
-/// Judges the calls of a life, given in their order, by the definitions in [`super`]; `trend`: the throw at which the
-/// rule stated that its baseline has a trend.
+/// Judges the calls of a life, in their order, by the definitions in [`super`]. `trend`: first throw at which the rule
+/// stated that its baseline has a trend.
 pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Judgement {
     if life.is_learned() && !calls.is_empty() {
         return Judgement::Wrong;
@@ -53,7 +55,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
         return Judgement::Wrong;
     }
     let truth: Vec<Cause> = life.truth().collect();
-    // For a sensor fault, an alarm that names part and sensor does not count as a name.
+    // If the fault is one of a sensor, an alarm that names part and sensor as equally possible is no name.
     let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
     let named = || after().filter(|call| Cause::PHYSICAL.contains(&call.cause) && !open(call));
     let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
@@ -70,7 +72,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
         1 => (all_named, unattributed),
         _ => (all_named.into_iter().chain(unattributed).min(), None),
     };
-    // Wear from the first throw: an early statement about the baseline counts as a name, and a late name does not count.
+    // For wear from the first throw, an early statement about the baseline is a name, and a late name does not count.
     let right = match life.deadline() {
         Some(deadline) => right.into_iter().chain(trend).min().filter(|at| *at < deadline),
         None => right,

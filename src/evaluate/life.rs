@@ -24,6 +24,7 @@ pub(super) enum Source {
 }
 
 impl Source {
+    /// The observation of throw `at`; the directions alternate.
     pub(super) fn observe(&mut self, at: usize, life: &Timeline) -> Observation {
         match self {
             Self::Parameter(machine) => {
@@ -40,7 +41,7 @@ impl Source {
 pub(super) struct Rules<'a> {
     pub(super) settings: &'a Settings,
     pub(super) limits: Limits,
-    /// Throws in the comparators' baseline of each direction.
+    /// Throws in the baseline of each direction of the comparators.
     pub(super) baseline: usize,
     pub(super) cusum: Design,
 }
@@ -49,21 +50,20 @@ pub(super) struct Rules<'a> {
 #[derive(Debug, Default)]
 pub(super) struct Calls {
     pub(super) monitor: Vec<Call>,
-    /// Alarms of the monitor, except those in `not_monitored`.
+    /// Alarms of the monitor, except those that the machine is not monitored.
     pub(super) raised: usize,
-    /// Alarms that the machine is not monitored, as its scatter hides a fault.
+    /// Alarms that the machine is not monitored, because its scatter hides a fault.
     pub(super) not_monitored: usize,
     /// First throw at which the monitor stated that its baseline has a trend.
     pub(super) trend: Option<usize>,
-    /// Whether the sizes and forecasts of the monitor were true.
+    /// Correctness of the monitor's sizes and forecasts.
     pub(super) coverage: Coverage,
     pub(super) paper: Vec<Call>,
     pub(super) cusum: Vec<Call>,
 }
 
 impl Calls {
-    /// Number of alarms of the monitor, of its alarms that the machine is not monitored, and of alarms of the paper's rule and
-    /// the CUSUM.
+    /// Numbers of alarms: `raised` and `not_monitored` of the monitor, then of the paper's rule, then of the CUSUM.
     pub(super) fn alarms(&self) -> [usize; 4] {
         [self.raised, self.not_monitored, self.paper.len(), self.cusum.len()]
     }
@@ -83,10 +83,10 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Ca
         }
         calls.coverage.add(at, &verdict, life, rules.settings);
         let events = verdict.events;
-        // The comparators count each of their calls, so an alarm that cleared must be a new one when it is raised again.
+        // Acknowledged, so that the next raise of the alarm is a new alarm: the comparators count each of their calls.
         for event in events.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged) {
             let command = Command::Ack { cause: event.cause, by: "evaluation".to_owned() };
-            // Fails only without this alarm, and it is open.
+            // Can fail only without this alarm, and the alarm is open.
             let _ = monitor.command(&command, observation.started_at, rules.settings);
         }
         let raised = events.iter().filter(|event| event.event_no == 1);

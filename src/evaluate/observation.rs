@@ -1,4 +1,4 @@
-//! The observations of a life.
+//! The observations of a life at parameter depth, and the times of its throws.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
@@ -16,7 +16,7 @@ pub(super) fn started_at(at: usize) -> Timestamp {
     Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds)
 }
 
-/// Observation of throw `at`; directions alternate, at equal intervals through the day.
+/// Observation of throw `at`. The directions alternate; the throws have equal distances in time.
 pub(super) fn observation(
     at: usize,
     estimate: Option<([f64; 3], Matrix3<f64>)>,

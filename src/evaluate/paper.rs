@@ -1,30 +1,31 @@
-//! The paper's rule in continuous operation: after every throw it compares the last six of a direction with the
-//! baseline.
+//! The paper's rule in continuous operation, applied to each direction after every throw.
 //!
-//! The paper uses six tests. A coefficient has moved if the mean of the last six throws is beyond the warning limit of
-//! its cause (b0: motor, a1: friction, a0: stiffness). Then the rule decides: if the three inertia estimates, over the
-//! last six throws and the last six of the baseline, are pairwise correlated by at least 0.8, the cause is inertia
-//! (with the limit of inertia for b0); else, if one coefficient alone moved, the cause is that of this coefficient;
-//! else there is no name. The correlation includes six baseline throws because six throws after a step differ by noise
-//! only, and equal halves show a step best.
+//! The paper uses six tests; here the last six throws of a direction take their place. A coefficient has moved if the
+//! mean of the six throws departs from the baseline by more than the warning limit of its cause (b0: motor, a1:
+//! friction, a0: stiffness; for inertia, b0 with the limit of inertia). If none has moved, there is no alarm. Otherwise
+//! the rule computes the correlation of the three inertia estimates, over these six throws and the last six throws of
+//! the baseline. If all pairs are correlated by at least 0.8, the cause is inertia. Else, if one coefficient alone
+//! moved, the cause is that of this coefficient. Else there is no name.
+//!
+//! The baseline throws are necessary, as six throws after a step differ by noise only; equal halves show a step best.
 
 use nalgebra::Vector3;
 
 use super::{
     comparator::{Baseline, Normal, Rule},
     scenario::Limits,
+    table1::CORRELATION_LIMIT,
 };
 use crate::diagnose::Cause;
 
 /// Number of tests in the paper's rule.
 const TESTS: usize = 6;
-/// Least pairwise correlation of the three inertia estimates for the cause inertia.
-const CORRELATED: f64 = 0.8;
 
-/// The rule on one direction of a machine.
+/// The paper's rule for one direction of a machine.
 #[derive(Debug, Clone)]
 pub(super) struct PaperRule {
     pub(super) limits: Limits,
+    /// The last throws, up to [`TESTS`], as (ln b0, ln a1, ln a0).
     pub(super) recent: Vec<Vector3<f64>>,
 }
 
@@ -48,7 +49,7 @@ impl Rule for PaperRule {
     }
 }
 
-/// The rule for a change of (ln b0, ln a1, ln a0), with the logarithms of the tests for the correlation.
+/// Verdict on a `change` of (ln b0, ln a1, ln a0); `tests`: the logarithms for the correlation.
 fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Option<Cause> {
     let size = change.map(|x| x.exp_m1().abs());
     let [kt, friction, stiffness, inertia] = limits;
@@ -65,15 +66,15 @@ fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Opti
     }
 }
 
-/// Whether J = nominal / estimate of the three coefficients is correlated by at least 0.8 in each pair. The nominal
-/// values do not change the correlations.
+/// Whether the inertia estimates of the three coefficients, nominal / estimate, are correlated by at least 0.8 in each
+/// pair. The nominal values have no effect on a correlation and are left out.
 fn correlated(tests: &[Vector3<f64>]) -> bool {
     let inertia = || tests.iter().map(|log_theta| log_theta.map(|x| (-x).exp()));
     let mean = inertia().sum::<Vector3<f64>>() / tests.len() as f64;
     let covariance = inertia().map(|j| j.component_div(&mean).add_scalar(-1.0)).map(|d| d * d.transpose());
     let covariance = covariance.sum::<nalgebra::Matrix3<f64>>();
     let correlation = |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    correlation(0, 1) >= CORRELATED && correlation(0, 2) >= CORRELATED && correlation(1, 2) >= CORRELATED
+    [(0, 1), (0, 2), (1, 2)].into_iter().all(|(i, j)| correlation(i, j) >= CORRELATION_LIMIT)
 }
 
 #[cfg(test)]
@@ -82,9 +83,10 @@ mod tests {
 
     const LIMITS: Limits = [0.05, 0.15, 0.10, 0.05];
 
-    /// The tests of the paper's Table 1, as ln(b0, a1, a0) over nominal for each value of the parameter over nominal.
+    /// Tests as in the paper's Table 1: ln(b0, a1, a0) relative to nominal. `ratios`: values of the parameter relative
+    /// to nominal; `along`: the effect of the parameter's logarithm.
     fn tests(ratios: &[f64], along: Vector3<f64>) -> Vec<Vector3<f64>> {
-        // Small extra differences: two constant series would have no correlation.
+        // Small extra differences, as a constant series has no correlation.
         let ripple = |at: usize| {
             Vector3::new(1.0, (at % 2) as f64, (at / 2 % 2) as f64)
                 * 1e-3

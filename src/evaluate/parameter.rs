@@ -1,12 +1,12 @@
-//! A machine at parameter depth: coefficients from a calibrated scatter, without a simulated movement.
+//! A machine at parameter depth: coefficients drawn from a calibrated scatter, without a simulated movement.
 //!
 //! The logarithms of (b0, a1, a0) of a throw are the sum of
 //! - the nominal values of the machine, slightly different in the two directions,
 //! - the drift of the life,
 //! - natural scatter, usually with standard deviations of 0.5, 3 and 1 %,
-//! - the error of the estimator, with the covariance measured on simulated throws: standard deviations 0.53, 0.60 and
-//!   0.52 % at the default sensor noise of 0.02 A, correlations 0.97, 0.91 and 0.79. Each observation contains this
-//!   covariance.
+//! - the error of the estimator, with the covariance measured on simulated throws. At the default sensor noise of 0.02
+//!   A its standard deviations are 0.53, 0.60 and 0.52 %, and its correlations 0.97 (b0, a1), 0.91 (b0, a0) and 0.79
+//!   (a1, a0). Each observation contains this covariance.
 
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt as _;
@@ -17,10 +17,10 @@ use super::{scatter::Scatter, scenario::Noise};
 
 /// Nominal b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\] of the simulated machine.
 const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
-/// Standard deviations of the logarithms between machines, and between the directions of one machine.
+/// Standard deviations of the nominal logarithms between machines, and between the directions of one machine.
 const SPREAD_SD: [f64; 2] = [0.05, 0.02];
 
-/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0, measured at 0.005, 0.02 and 0.05 A of noise.
+/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0, measured at each noise of the current.
 const fn estimator_sd(noise: Noise) -> [f64; 3] {
     match noise {
         Noise::Low => [0.0013, 0.0015, 0.0013],
@@ -32,39 +32,42 @@ const fn estimator_sd(noise: Noise) -> [f64; 3] {
 /// Correlations of the estimator's errors.
 const ESTIMATOR_CORRELATION: [[f64; 3]; 3] = [[1.0, 0.97, 0.91], [0.97, 1.0, 0.79], [0.91, 0.79, 1.0]];
 
-/// A machine with random coefficients, and its weather.
+/// A machine with random coefficients and natural scatter.
 #[derive(Debug, Clone)]
 pub(super) struct ParameterMachine {
     random: ChaCha8Rng,
     /// Logarithms of the nominal coefficients in each direction.
     nominal: [Vector3<f64>; 2],
-    weather: Vector3<f64>,
+    /// Natural scatter of the last throw.
+    last_scatter: Vector3<f64>,
     scatter: Scatter,
+    /// Covariance of the estimator's errors of the logarithms.
     estimator_covariance: Matrix3<f64>,
+    /// Its Cholesky factor.
     estimator_factor: Matrix3<f64>,
 }
 
 impl ParameterMachine {
-    /// A random machine with sensors of this `noise`, and this natural `scatter`.
+    /// A random machine with sensors of this `noise` and this natural `scatter`.
     pub(super) fn new(mut random: ChaCha8Rng, noise: Noise, scatter: Scatter) -> Self {
         let between_machines = draw(&mut random).map(|x| x * SPREAD_SD[0]);
         let nominal = [(); 2].map(|()| {
             let between_directions = draw(&mut random).map(|x| x * SPREAD_SD[1]);
             Vector3::from(NOMINAL).map(f64::ln) + between_machines + between_directions
         });
-        let weather = draw(&mut random).component_mul(&Vector3::from(scatter.sd));
+        let last_scatter = draw(&mut random).component_mul(&Vector3::from(scatter.sd));
         let sd = estimator_sd(noise);
         let estimator_covariance = Matrix3::from_fn(|i, j| sd[i] * sd[j] * ESTIMATOR_CORRELATION[i][j]);
-        // Positive definite by its constants; a test would find zeros as missing errors.
+        // The constants are positive definite. If they were not, the test below would find the missing errors.
         let estimator_factor = estimator_covariance.cholesky().map_or_else(Matrix3::zeros, |factor| factor.l());
-        Self { random, nominal, weather, scatter, estimator_covariance, estimator_factor }
+        Self { random, nominal, last_scatter, scatter, estimator_covariance, estimator_factor }
     }
 
-    /// Estimates (b0, a1, a0) of the next throw and their covariance, with the true logarithms changed by `drift`.
+    /// Estimates (b0, a1, a0) of the next throw, with their covariance. `drift`: change of the true logarithms.
     pub(super) fn throw(&mut self, direction: usize, drift: Vector3<f64>) -> ([f64; 3], Matrix3<f64>) {
-        self.weather = self.scatter.next(self.weather, || self.random.sample(StandardNormal));
+        self.last_scatter = self.scatter.next(self.last_scatter, || self.random.sample(StandardNormal));
         let error = self.estimator_factor * draw(&mut self.random);
-        let theta = (self.nominal[direction] + drift + self.weather + error).map(f64::exp);
+        let theta = (self.nominal[direction] + drift + self.last_scatter + error).map(f64::exp);
         let scale = Matrix3::from_diagonal(&theta);
         (theta.into(), scale * self.estimator_covariance * scale)
     }

@@ -24,8 +24,8 @@ const RIGHT: [Curve; 3] = [
     ("CUSUM", |row| Some(right_pct(&row.cusum, row))),
 ];
 
-/// A grid of charts: a column for each cause; rows for delay and share named right, of steps and of ramps. Parameter
-/// depth, default noise, plain conditions. Delays are medians, for pointsd also the 95th percentile.
+/// A grid of charts. It has a column for each cause, and rows for delay and share named right, for steps and for ramps.
+/// The charts have the rows at parameter depth with default noise and plain conditions. Delays are medians.
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);
     let mut sheet = Sheet::new(title).columns(Cause::PHYSICAL.len()).panel_size(460.0, 300.0);

@@ -1,4 +1,4 @@
-//! A run as a list of independent lives, for any number of threads in any order.
+//! A run as a list of independent lives, which any number of threads can simulate in any order.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::diagnose::{Cause, MachineMonitor, Settings};
 
-/// Number of lives and throws to simulate.
+/// Numbers of lives and throws to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Amount {
     /// Lives in each row at parameter depth.
@@ -34,12 +34,12 @@ pub struct Amount {
     pub trace_healthy_throws: usize,
     /// Throws of each healthy fleet whose scatter or weather the diagnosis does not assume.
     pub fleet_throws: usize,
-    /// Lives in the budget section for each serial correlation.
+    /// Lives in the budget section, for each serial correlation.
     pub budget_lives: usize,
 }
 
 impl Amount {
-    /// The amount for which the goals hold.
+    /// The amount at which the goals are checked.
     pub const FULL: Self = Self {
         trials: 500,
         trace_trials: 20,
@@ -61,21 +61,21 @@ impl Amount {
 
 /// Monitored throws of a healthy life at parameter depth.
 const HEALTHY_LIFE: usize = 10_000;
-/// Monitored throws of a healthy life at trace depth, where a throw takes more time.
+/// Monitored throws of a healthy life at trace depth, where a throw needs more computing time.
 const HEALTHY_TRACE_LIFE: usize = 500;
-/// Monitored throws of a life in a fleet: 200 days, in which the season alone changes the temperature by more than 20 K.
+/// Monitored throws of a life in a fleet: 200 days, in which the season changes the temperature by more than 20 K.
 const FLEET_LIFE: usize = 4_000;
 
-/// Serial correlations in the budget section.
+/// Serial correlations of the scatter in the budget section.
 const BUDGET_PHI: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
 /// Throws of a machine for each false alarm that the budget section allows.
 const BUDGET_THROWS: f64 = 5_000.0;
 /// Monitored throws of a life in the budget section, if no alarm ends it.
 const BUDGET_LIFE: usize = 5_000;
-/// The smallest warning limit that the settings allow \[%\]: practically no limit.
+/// The smallest warning limit that the settings allow \[%\]: in effect no limit.
 const NO_LIMIT_PCT: f64 = 0.001;
 
-/// A life to simulate.
+/// A life to simulate; `machine` is its number, which selects the random stream, and the others are indices.
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Healthy { depth: Depth, machine: usize, throws: usize },
@@ -90,10 +90,10 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// See [`super::life::Calls::alarms`].
+    /// Numbers of alarms, as in [`super::life::Calls::alarms`].
     Healthy([usize; 4]),
-    /// The judgements of the monitor, the paper's rule and the CUSUM, whether the monitor named a healthy part at critical
-    /// severity, and its statements about size and forecast.
+    /// The judgements of the monitor, the paper's rule and the CUSUM; whether the monitor named a healthy part at
+    /// critical severity; and the correctness of its sizes and forecasts.
     Row([Judgement; 3], bool, Coverage),
     Budget {
         throws: usize,
@@ -115,7 +115,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Plans a run over `amount` with this `seed`, and tunes the CUSUM for it.
+    /// Plans a run, and tunes the CUSUM for it.
     pub fn new(seed: u64, amount: Amount, settings: Settings) -> Self {
         let limits = limits(&settings);
         let baseline = settings.baseline_throws;
@@ -128,12 +128,12 @@ impl Plan {
         Self { seed, settings, budget_settings, scenarios, limits, baseline, designs, tasks }
     }
 
-    /// Number of lives of the plan.
+    /// Number of lives in the plan.
     pub fn lives(&self) -> usize {
         self.tasks.len()
     }
 
-    /// Simulates one life. The outcome depends only on the plan and the number of the life.
+    /// Simulates life number `life`. The outcome depends only on the plan and this number.
     ///
     /// # Panics
     /// When `life` is not below [`Plan::lives`].
@@ -146,7 +146,7 @@ impl Plan {
         })
     }
 
-    /// Makes the report from the outcomes of all lives, in the order of their numbers.
+    /// Makes the report; `outcomes`: those of all lives, in the order of their numbers.
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
         let mut healthy = Vec::new();
         let mut lives = vec![Lives::default(); self.scenarios.len()];
@@ -203,8 +203,8 @@ impl Plan {
         Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
     }
 
-    /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents
-    /// alarms.
+    /// Simulates a healthy life until its first alarm, with limits so small that only the false-alarm budget prevents
+    /// one.
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
         let scatter = Scatter { phi: BUDGET_PHI[phi], ..Scatter::USUAL };
@@ -214,7 +214,7 @@ impl Plan {
         for at in 0..life.throws {
             let estimate = source.throw(at % 2, life.displacement(at));
             let observation = observation(at, Some(estimate), None);
-            // With such limits any scatter hides critical changes, which is `not_monitored`.
+            // With such limits any scatter raises `not_monitored`, so only drift alarms count.
             let events = monitor.observe(&observation, &self.budget_settings).events;
             let alarmed = events.iter().any(|event| event.cause.is_drift());
             if alarmed {
@@ -264,6 +264,7 @@ fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
         .collect()
 }
 
+/// Adds the alarms of a life to the results of its depth and fleet.
 fn add(
     healthy: &mut Vec<Healthy>,
     depth: Depth,
@@ -287,7 +288,7 @@ fn limits(settings: &Settings) -> Limits {
     Cause::PHYSICAL.map(|part| settings.limit_pct(part).unwrap_or_default() / 100.0)
 }
 
-/// Settings of the budget section: a budget with several false alarms in a run, and practically no warning limits.
+/// Settings of the budget section: a budget that allows several false alarms in a run, and in effect no warning limits.
 fn budget_settings(settings: &Settings) -> Settings {
     let days = BUDGET_THROWS / settings.throws_per_day;
     Settings {

@@ -1,9 +1,9 @@
-//! Random streams: each life of each row has its own, so results do not depend on the order of the lives.
+//! Random streams: each life of each row has its own, so that results do not depend on the order of the lives.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-/// The random stream of life `trial` of row `row` in `domain` (kind of run), for the `seed` of the run.
+/// The random stream of life `trial` of row `row`; `domain`: kind of run; `seed`: that of the run.
 pub(super) fn stream(seed: u64, domain: u64, row: usize, trial: usize) -> ChaCha8Rng {
     let mut key = [0; 32];
     for (chunk, word) in key.chunks_exact_mut(8).zip([seed, domain, row as u64, trial as u64]) {

@@ -1,4 +1,4 @@
-//! The results of a run, as in the JSON of `pointsd evaluate --json`.
+//! The results of a run, which `pointsd evaluate --json` prints.
 
 use serde::{Serialize, Serializer};
 
@@ -8,11 +8,11 @@ use super::{
     scenario::{Depth, Noise, Scenario, Shape},
 };
 
-/// Goal: least share of lives named right in a plain row.
+/// Goal: least share of lives that are named right in a plain row.
 pub const GOAL_RIGHT: f64 = 0.99;
-/// Goal: largest median delay in a plain row with steps \[throws\].
+/// Goal: largest median delay in a plain row with a step \[throws\].
 pub const GOAL_STEP_DELAY: f64 = 3.0;
-/// Goal: largest factor between the measured rate of false alarms and the budget.
+/// Goal: largest factor between the measured rate of false alarms and the budget, in either sense.
 pub const GOAL_BUDGET_FACTOR: f64 = 3.0;
 
 /// All results of a run.
@@ -22,13 +22,13 @@ pub struct Report {
     pub seed: u64,
     /// False alarms on healthy machines.
     pub healthy: Vec<Healthy>,
-    /// Faults: the rows of the table.
+    /// The rows of the table, one for each fault.
     pub rows: Vec<Row>,
-    /// The budget of false alarms against what was measured.
+    /// Measured false alarms against their budget.
     pub budget: Vec<Budget>,
 }
 
-/// False alarms on healthy machines at one depth, of the usual fleet or of another.
+/// False alarms on the healthy machines of one fleet at one depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Healthy {
     /// Depth of the simulation.
@@ -37,7 +37,7 @@ pub struct Healthy {
     pub throws: usize,
     /// Alarms of the monitor about a part, a sensor, the supply or the operation.
     pub false_alarms: usize,
-    /// Alarms of the monitor that a machine is not monitored, as its scatter hides a fault at the critical limit.
+    /// Alarms of the monitor that a machine is not monitored, because its scatter hides a fault at the critical limit.
     pub not_monitored: usize,
     /// Alarms of the paper's rule.
     pub paper_false_alarms: usize,
@@ -48,12 +48,12 @@ pub struct Healthy {
     pub fleet: Option<&'static str>,
 }
 
-/// The budget of false alarms against what was measured.
+/// Measured false alarms against their budget, at one serial correlation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Budget {
-    /// Serial correlation of the natural scatter between consecutive throws of a machine.
+    /// Correlation of consecutive throws of a machine in the natural scatter.
     pub phi: f64,
-    /// Throws of a machine per false alarm in the configured budget.
+    /// The configured budget: throws of a machine for each false alarm.
     pub throws_per_false_alarm: f64,
     /// Monitored throws.
     pub throws: usize,
@@ -70,15 +70,15 @@ pub struct Row {
     pub depth: Depth,
     /// The faulty part; two are joined by `+`.
     pub cause: String,
-    /// Development of the fault.
+    /// Growth of the fault.
     pub shape: Shape,
-    /// Size of the fault \[% of nominal\], in either sign; with two faults, the size of the first.
+    /// Magnitude of the fault \[% of nominal\]; with two faults, of the first.
     pub size_pct: f64,
     /// Noise of the current sensor.
     pub noise: Noise,
     /// Whether the row is hard; otherwise it is plain.
     pub hard: bool,
-    /// The conditions as text.
+    /// Name of the conditions.
     pub case: &'static str,
     /// Number of lives.
     pub trials: usize,
@@ -110,16 +110,16 @@ pub struct Tally {
     pub ambiguous: usize,
     /// Lives without an alarm, or with only one of two causes named.
     pub missed: usize,
-    /// Median throws from the onset of the fault to the right name.
+    /// Median throws from the onset of the fault to the right name; `None` if no life was named right.
     pub delay_median: Option<f64>,
-    /// 95th percentile of the throws from the onset to the right name.
+    /// 95th percentile of these throws.
     pub delay_p95: Option<f64>,
 }
 
 /// The judged lives of a row.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Lives {
-    /// Judgements of the monitor, the paper's rule and the CUSUM in each life.
+    /// For each life, the judgements of the monitor, the paper's rule and the CUSUM.
     pub(super) judgements: Vec<[Judgement; 3]>,
     /// Lives in which the monitor named a healthy part at critical severity.
     pub(super) wrong_critical: usize,
@@ -127,7 +127,7 @@ pub(super) struct Lives {
 }
 
 impl Healthy {
-    /// Results without any throws.
+    /// Results without throws yet.
     pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
         Self {
             depth,
@@ -164,14 +164,14 @@ impl Tally {
     }
 }
 
-/// The quantile of sorted values: the smallest value with at least this share of values up to it.
+/// Quantile of sorted values: the smallest value such that at least this share of the values is not larger.
 fn quantile(sorted: &[usize], share: f64) -> Option<f64> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count, at least 1")]
     let rank = (share * sorted.len() as f64).ceil().max(1.0) as usize;
     sorted.get(rank - 1).map(|&delay| delay as f64)
 }
 
-/// The tally of a comparator, where an alarm without a name counts as missed.
+/// Serializes the tally of a comparator. An alarm without a name counts as missed.
 fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S::Error> {
     #[derive(Serialize)]
     struct Comparator {
@@ -186,7 +186,7 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 }
 
 impl Row {
-    /// The row of a scenario after its lives were judged.
+    /// The row of a scenario, from its judged lives.
     pub(super) fn new(scenario: &Scenario, lives: &Lives) -> Self {
         let [monitor, paper, cusum] = [0, 1, 2].map(|rule| Tally::of(lives.judgements.iter().map(|three| three[rule])));
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
@@ -194,7 +194,7 @@ impl Row {
             depth: scenario.depth,
             cause: cause.join("+"),
             shape: scenario.shape,
-            // Rounded, to remove binary rounding errors.
+            // Rounded, as the fraction is not exact in binary.
             size_pct: (scenario.faults[0].1 * 1e4).round() / 1e2,
             noise: scenario.noise,
             hard: scenario.hard,
@@ -245,7 +245,7 @@ impl Budget {
         self.ratio = self.false_alarms as f64 / (self.throws as f64 / self.throws_per_false_alarm);
     }
 
-    /// Whether the ratio meets the goal [`GOAL_BUDGET_FACTOR`].
+    /// Whether the ratio meets [`GOAL_BUDGET_FACTOR`].
     pub fn holds(&self) -> bool {
         (1.0 / GOAL_BUDGET_FACTOR..=GOAL_BUDGET_FACTOR).contains(&self.ratio)
     }

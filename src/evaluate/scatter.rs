@@ -2,30 +2,30 @@
 
 use nalgebra::Vector3;
 
-/// Natural scatter of ln b0, ln a1, ln a0 (weather, lubrication): a first-order autoregression over consecutive throws,
-/// common to both directions.
+/// Natural scatter of ln b0, ln a1, ln a0 by weather and lubrication: a first-order autoregression over consecutive
+/// throws of the machine, common to both directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scatter {
-    /// Standard deviations.
+    /// Standard deviations of ln b0, ln a1, ln a0.
     pub sd: [f64; 3],
-    /// Serial correlation between consecutive throws of the machine.
+    /// Correlation of consecutive throws of the machine.
     pub phi: f64,
-    /// Degrees of freedom of Student's t of the innovations, at least 3; `None`: Gauss.
+    /// Degrees of freedom, at least 3, if the innovations have Student's t distribution; `None` for a Gaussian one.
     pub tail: Option<u32>,
 }
 
 impl Scatter {
-    /// The calibrated scatter.
+    /// The calibrated scatter of a usual machine.
     pub const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
 
-    /// The scatter of the throw after one with scatter `last`; `normal` gives standard normal numbers.
+    /// The scatter of the next throw. `last`: that of the throw before; `normal`: a source of standard normal numbers.
     pub fn next(&self, last: Vector3<f64>, mut normal: impl FnMut() -> f64) -> Vector3<f64> {
         let innovation = (1.0 - self.phi * self.phi).sqrt();
         let fresh = Vector3::from_fn(|_, _| self.draw(&mut normal)).component_mul(&Vector3::from(self.sd));
         self.phi * last + innovation * fresh
     }
 
-    /// A random number with unit variance: Gauss or Student.
+    /// A random number with unit variance, Gaussian or from Student's t distribution.
     fn draw(&self, mut normal: impl FnMut() -> f64) -> f64 {
         let gauss = normal();
         let Some(tail) = self.tail else { return gauss };

@@ -1,4 +1,4 @@
-//! The rows of the table: fault, development and conditions.
+//! The scenario of a row of the table: fault, its shape, and conditions.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -16,7 +16,7 @@ pub enum Depth {
     Trace,
 }
 
-/// Development of a fault from its first throw.
+/// Growth of a fault from its first throw on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
@@ -36,8 +36,8 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is followed for this
-    /// number of throws, so that every tenth throw is a usable sample.
+    /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is complete at once;
+    /// it is followed for this number of throws, so that even one in ten throws is a usable sample.
     pub(super) fn throws(self) -> usize {
         match self {
             Self::Step => 0,
@@ -47,7 +47,7 @@ impl Shape {
         }
     }
 
-    /// Size at throw `throw` of the fault, from 1 on, as a fraction of its full size.
+    /// Size at a throw of the fault, as a fraction of its full size; `throw` counts from 1.
     pub(super) fn part_at(self, throw: usize) -> f64 {
         let grown = || (throw as f64 / self.throws() as f64).min(1.0);
         let every = |period: usize| if throw % period == 1 { 1.0 } else { 0.0 };
@@ -77,11 +77,13 @@ pub enum Noise {
 /// The conditions of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Situation {
+    /// Nothing unusual.
     Plain,
+    /// Two faults that begin together.
     Pair,
-    /// Temperature with a swing of 12 K, plus 3 K over a day.
+    /// A temperature swing of 12 K over days, plus 3 K over a day.
     Temperature {
-        /// Whether the throws contain the temperature.
+        /// Whether the throws publish the temperature.
         measured: bool,
     },
     /// The fault begins after 15 throws in each direction.
@@ -90,34 +92,37 @@ pub(super) enum Situation {
     FromFirstThrow,
     /// A first fault is repaired without a new baseline; then another part fails.
     Repaired,
-    /// A baseline in winter; the fault begins in summer. The throws contain the temperature.
+    /// A baseline in winter, and a fault in summer. The throws publish the temperature.
     Season,
     /// A fault that grows from the first throw on.
     Wear,
-    /// The fault begins while another part still has one.
+    /// The fault begins while an earlier fault of another part still exists.
     OnTop,
-    /// Dry friction that also shifts all coefficients, at parameter depth.
+    /// Dry friction that also changes b0 and a0, at parameter depth.
     Leakage,
     /// A toe drive of 5e6 N/m and dry friction, at trace depth.
     SoftToe,
     /// Sampling at 100 Hz with an anti-alias filter, at trace depth.
     Slow,
-    /// Complete throws with a fault of sensor, clock or supply, with or without a published supply voltage.
+    /// A faulty sensor, clock or supply, at trace depth.
     Instrument {
         /// The faulty instrument.
         which: Instrument,
-        /// Whether the throws contain the supply voltage.
+        /// Whether the throws publish the supply voltage.
         volts: bool,
     },
 }
 
-/// An instrument that is faulty instead of a part.
+/// An instrument, or the supply, that is faulty instead of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Instrument {
+    /// Gain of the current sensor.
     Current,
+    /// Gain of the position sensor.
     Position,
+    /// Rate of the logger's clock.
     Clock,
-    /// The supply voltage.
+    /// The supply voltage, not its sensor.
     Supply,
 }
 
@@ -150,19 +155,17 @@ impl Situation {
     }
 }
 
-/// Scenario of a row of the table.
+/// The scenario of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scenario {
     pub(super) depth: Depth,
-    /// The conditions.
     pub(super) situation: Situation,
-    /// The faulty parts with the size as a fraction of nominal; two for a pair.
+    /// The faulty parts, each with its size as a fraction of nominal; two for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
     /// Part and size of a fault that begins earlier and still exists.
     pub(super) earlier: Option<(Cause, f64)>,
     pub(super) shape: Shape,
     pub(super) noise: Noise,
-    /// Whether the row is hard.
     pub(super) hard: bool,
 }
 

@@ -1,13 +1,15 @@
-//! The study's table of 4 cases x 6 tests, repeated with the simulated machine and the estimator.
+//! The study's Table 1 of 4 cases x 6 tests, repeated with the simulated machine and the estimator.
 //!
 //! In each case one physical parameter has six values; test 1 is the nominal machine. A test is the mean of several
-//! throws, as one throw scatters by half a per cent and more. The expected changes come from an independent simulation
-//! of the study (20 mA and 20 um of noise). The study's rule uses the correlation of the three inertia estimates J =
-//! nominal/estimate over the six tests: inertia if all pairs reach 0.8. A correlation has no scale, so changes of a
-//! tenth of a per cent, from noise or dry friction, count as much as a doubling: without noise the friction case has
-//! 0.98 in all pairs, as friction on the chairs of a beam changes b0 and a0 by a tenth of the change of a1. Therefore
-//! the table shows the correlation of the study (one throw for each test, mean over the throws), and the verdict uses
-//! the correlation beyond the scatter of a machine in service.
+//! throws, as the estimates of one throw scatter by half a per cent and more. The expected changes come from an
+//! independent simulation of the study (20 mA and 20 um of noise).
+//!
+//! The study's rule uses the correlation of the three inertia estimates J = nominal/estimate over the six tests: the
+//! cause is inertia if all pairs reach 0.8. A correlation has no scale, so a change of a tenth of a per cent, by noise
+//! or dry friction, counts as much as a doubling. Without noise, the friction case has 0.98 in all pairs, as friction
+//! on the chairs of a beam changes b0 and a0 by a tenth of the change of a1. Therefore the table shows the correlation
+//! of the study (one throw for each test, mean over the throws), and the verdict uses the correlation beyond the
+//! scatter of a machine in service.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
@@ -16,16 +18,16 @@ use crate::estimate::{Estimate, Identifier, Rejection, Settings, midpoint};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
 
-/// Correlation from which two inertia estimates agree, as in the study.
+/// Least correlation of two inertia estimates that agree, as in the study.
 pub const CORRELATION_LIMIT: f64 = 0.8;
 /// Least significant change of a coefficient \[standard deviations\].
 const MOVED_SIGMAS: f64 = 4.0;
-/// Scatter between throws of a healthy machine in service, as a share: running currents repeat within 0.3 to 2 %.
+/// Scatter of the coefficients between healthy throws, as a fraction: running currents repeat within 0.3 to 2 %.
 const SERVICE_SCATTER: f64 = 0.01;
-/// The study throws in one direction.
+/// Direction of all throws of the study.
 const DIRECTION: Direction = Direction::NormalToReverse;
 
-/// Expected change of one coefficient from test 1.
+/// Expected change of one coefficient since test 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Expected {
     /// A change of this size \[%\].
@@ -35,7 +37,7 @@ pub enum Expected {
 }
 
 impl Expected {
-    /// Whether a change is as expected, within 2 points or 3 % of the expected change.
+    /// Whether a change \[%\] is as expected: within 2 percentage points or 3 % of the expected change.
     pub fn holds(self, change_pct: f64) -> bool {
         match self {
             Self::Change(expected) => (change_pct - expected).abs() <= (0.03 * expected.abs()).max(2.0),
@@ -51,7 +53,7 @@ pub struct Case {
     pub symbol: &'static str,
     /// Unit of the parameter.
     pub unit: &'static str,
-    /// Cause of the parameter, as in messages.
+    /// The cause that the parameter stands for, as in messages.
     pub cause: &'static str,
     /// Values of the parameter in tests 2 to 6.
     pub values: [f64; 5],
@@ -83,7 +85,7 @@ pub const CASES: [Case; 4] = [
         nominal: |machine| machine.rails.slide_friction,
         set: |machine, value| machine.rails.slide_friction = value,
         expected: |at| {
-            // The study has a figure for the largest value only; smaller values have smaller changes.
+            // The study gives the change for the largest value only; smaller values have smaller changes.
             let a1 = if at == 4 { Expected::Change(2.5) } else { Expected::Within(2.5) };
             [Expected::Within(2.0), a1, Expected::Within(2.0)]
         },
@@ -111,7 +113,7 @@ pub const CASES: [Case; 4] = [
     },
 ];
 
-/// A test: the value of the parameter, and the estimates.
+/// One test of a case: the value of the parameter, and the estimates.
 #[derive(Debug, Clone)]
 pub struct Test {
     /// Value of the parameter.
@@ -122,7 +124,7 @@ pub struct Test {
     pub sd: [f64; 3],
     /// Change of b0, a1, a0 from test 1 \[%\].
     pub change_pct: [f64; 3],
-    /// True change of b0, a1, a0 from test 1 \[%\].
+    /// Change of the true b0, a1, a0 from test 1 \[%\].
     pub physics_pct: [f64; 3],
     /// Expected changes; `None` for test 1.
     pub expected: Option<[Expected; 3]>,
@@ -137,10 +139,10 @@ pub struct CaseResult {
     pub case: Case,
     /// The six tests; test 1 is the nominal machine.
     pub tests: Vec<Test>,
-    /// Correlations of the inertia estimates with one throw for each test, mean over the throws: `b0_a1`, `b0_a0`,
-    /// `a1_a0`; 0 if an estimate is constant.
+    /// Correlations of the inertia estimates, in the order (b0, a1), (b0, a0), (a1, a0): with one throw for each test,
+    /// mean over the throws. 0 if an estimate is constant.
     pub correlation: [f64; 3],
-    /// Correlations of the means of the tests with an added scatter of 1 %, so that only larger changes count.
+    /// Correlations of the tests' means with an added scatter of 1 %, so that only larger changes count.
     pub correlation_beyond_scatter: [f64; 3],
 }
 
@@ -150,7 +152,7 @@ pub enum Failure {
     /// A parameter of the machine is out of its range.
     #[error(transparent)]
     Machine(#[from] OutOfRange),
-    /// More throws were rejected than accepted.
+    /// More throws of a test were rejected than the test needs.
     #[error("{symbol} = {value}: {reason}")]
     Refused {
         /// Symbol of the parameter.
@@ -167,7 +169,7 @@ pub enum Failure {
 pub struct Study {
     /// Model of the rails.
     pub rails: RailModel,
-    /// Sensors, with new noise for every throw.
+    /// The sensors; every throw has new noise.
     pub sensors: Sensors,
     /// Throws of each test, at least 1.
     pub throws: usize,
@@ -218,7 +220,7 @@ fn run_case(
                     estimates.push(estimate);
                     traces.push(trace);
                 }
-                // Noise sometimes looks like a damaged trace: the throw is repeated.
+                // Noise sometimes looks like a damaged trace; such a throw is repeated.
                 Err(_) if refusals < study.throws => refusals += 1,
                 Err(reason) => return Err(Failure::Refused { symbol: case.symbol, value, reason }),
             }
@@ -248,14 +250,14 @@ fn run_case(
     })
 }
 
-/// Correlations of the inertia estimates nominal/estimate over the tests: b0 and a1, b0 and a0, a1 and a0.
+/// Correlations of the inertia estimates nominal/estimate over the tests: (b0, a1), (b0, a0), (a1, a0).
 fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
     let inertia = |at: usize| -> Vec<f64> { tests.iter().map(|test| tests[0][at] / test[at]).collect() };
     let (b0, a1, a0) = (inertia(0), inertia(1), inertia(2));
     [(&b0, &a1), (&b0, &a0), (&a1, &a0)].map(|(a, b)| correlation(a, b, scatter))
 }
 
-/// Mean of b0, a1, a0 and the standard deviation of that mean.
+/// Means of b0, a1, a0, and the standard deviations of these means.
 fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
     let count = estimates.len() as f64;
     let values = |at: usize| estimates.iter().map(move |e| e.coefficients()[at]).sum::<f64>() / count;
@@ -272,7 +274,7 @@ fn identify(
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
     let throw =
         Throw { direction: Some(DIRECTION), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace.clone()) };
-    // The table needs the coefficients, not only their ratios.
+    // The table needs the coefficients. An estimate with ratios only counts as rejected.
     identifier
         .identify(&throw, &settings)
         .outcome
@@ -283,7 +285,7 @@ fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|at| (is[at] / was[at] - 1.0) * 100.0)
 }
 
-/// Pearson's correlation with an added uncorrelated scatter in each series; 0 if a series is constant.
+/// Pearson's correlation of two series, each with an added uncorrelated scatter; 0 if a series is constant.
 fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));
@@ -294,8 +296,8 @@ fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
 }
 
 impl Test {
-    /// Toe position of the identified model (12) for the recorded current, from the start of the motor \[mm\], one
-    /// value for each sample. The current is interpolated between samples.
+    /// Toe position of the identified model, equation (12), for the recorded current \[mm\]: one value for each sample,
+    /// from the start of the motor. The current is interpolated between samples.
     pub fn modelled_position_mm(&self) -> Vec<f64> {
         let [b0, a1, a0] = self.coefficients;
         let h = self.trace.sample_rate_hz().recip();
@@ -311,7 +313,7 @@ impl Test {
 }
 
 impl CaseResult {
-    /// Whether each of b0, a1, a0 changed significantly in any test.
+    /// Whether b0, a1, a0 changed significantly in any test.
     pub fn moved(&self) -> [bool; 3] {
         let first = &self.tests[0];
         std::array::from_fn(|at| {
@@ -322,15 +324,15 @@ impl CaseResult {
         })
     }
 
-    /// The verdict of the study's rule on this case.
+    /// The cause by the study's rule: `inertia`, the cause of the coefficient that changed most, or `none`.
     pub fn verdict(&self) -> &'static str {
         let moved = self.moved();
         if self.correlation_beyond_scatter.iter().all(|pair| *pair >= CORRELATION_LIMIT) {
             return "inertia";
         }
         let most = |at: usize| self.tests.iter().map(|test| test.change_pct[at].abs()).fold(0.0, f64::max);
-        let causes = ["kt", "friction", "stiffness"];
         let largest = (0..3).filter(|&at| moved[at]).max_by(|&a, &b| most(a).total_cmp(&most(b)));
-        largest.map_or("none", |at| causes[at])
+        // The parameters of the first three cases belong to b0, a1 and a0.
+        largest.map_or("none", |at| CASES[at].cause)
     }
 }

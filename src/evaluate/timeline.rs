@@ -1,4 +1,4 @@
-//! Timeline of a life: weather, faults and repair of each throw.
+//! Timeline of a life: the weather, faults and repair at each throw.
 
 use nalgebra::Vector3;
 use rand::RngExt as _;
@@ -10,18 +10,18 @@ use super::{
 };
 use crate::diagnose::Cause;
 
-/// Throws of a life after its fault is complete.
+/// Throws of a life after the fault is complete.
 const WATCH_THROWS: usize = 120;
-/// Throws before the fault in a row with a short baseline: 15 in each direction.
+/// Throws before the fault in a row with a short baseline: 15 of each direction.
 const SHORT_BASELINE_THROWS: usize = 30;
-/// In a life with a repair: throws with the first fault, and throws after its repair.
+/// In a life with a repair: throws with the first fault, and throws from the repair to the second fault.
 const REPAIR_ACT_THROWS: usize = 60;
-/// Throws with the first fault before the second one, if the first still exists then.
+/// Throws from the first fault to the second one, in a life with two faults one after the other.
 const EARLIER_THROWS: usize = 60;
-/// Healthy throws between the baseline and the fault: a random number from this range.
+/// Range of the random number of healthy throws between the baseline and the fault.
 const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
-/// A statement about wear from the first throw comes too late once the part has changed by this much (fraction of
-/// nominal): the default warning limit of friction.
+/// Change of a part that wears from the first throw, as a fraction of nominal, after which a statement comes too late:
+/// the default warning limit of friction.
 const WORN: f64 = 0.15;
 
 /// A fault of one part.
@@ -32,6 +32,7 @@ pub(super) struct Fault {
     pub(super) size: f64,
     /// First throw with the fault, from 0.
     pub(super) onset: usize,
+    /// First throw after the repair; `None` if the fault stays.
     pub(super) repaired: Option<usize>,
     pub(super) shape: Shape,
 }
@@ -46,33 +47,32 @@ impl Fault {
     }
 }
 
-/// Timeline of a life: its faults, their onset and its length.
+/// Timeline of a life: faults, weather and length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
-    /// All faults of the life.
     pub(super) faults: Vec<Fault>,
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
-    /// Throws of the life.
+    /// Number of throws.
     pub(super) throws: usize,
+    /// Temperature; `None` if it has no effect.
     pub(super) climate: Option<Climate>,
     pub(super) wet: WetSpells,
-    /// Share of ln friction that moves ln b0 and ln a0 too.
+    /// Change of ln b0 and ln a0, as part of a rise of ln friction. See [`LEAKAGE`].
     leakage: f64,
 }
 
-/// Dry friction adds this part of its change of ln a1 to the logarithms of all three coefficients: simulated throws
-/// with stiff and soft toe drives gave 0.25 to 0.67.
+/// Range of the effect of dry friction on the other coefficients: it adds this part of its change of ln a1 to the
+/// logarithms of all three. Simulated throws with stiff and soft toe drives gave 0.25 to 0.67.
 const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
 impl Timeline {
-    /// Whether the fault exists from the first throw, so that the baseline learns it. Then every alarm comes from
-    /// scatter.
+    /// Whether the fault exists from the first throw. The baseline contains it, and every alarm comes from scatter.
     pub(super) fn is_learned(&self) -> bool {
         self.onset == 0 && self.deadline().is_none()
     }
 
-    /// The throw before which wear from the first throw must be stated; `None` for all other faults.
+    /// First throw at which a statement about wear from the first throw is too late; `None` for other faults.
     pub(super) fn deadline(&self) -> Option<usize> {
         let wear = self.faults.iter().find(|fault| fault.shape == Shape::Wear)?;
         (wear.onset..self.throws).find(|&at| wear.size_at(at).abs() >= WORN)
@@ -83,16 +83,16 @@ impl Timeline {
         Self { faults: Vec::new(), onset: throws, throws, climate: None, wet: WetSpells::default(), leakage: 0.0 }
     }
 
-    /// Life `trial` of a row, for a monitor whose baseline needs `baseline` throws of the machine.
+    /// Life number `trial` of a row. `baseline`: throws of the machine that the monitor's baseline needs.
     ///
-    /// The sign of the faults alternates: a part can weaken, or be replaced by a stronger one.
+    /// The sign of the faults alternates: a part can become weaker, or be replaced by a stronger one.
     pub(super) fn of(scenario: &Scenario, trial: usize, baseline: usize, random: &mut ChaCha8Rng) -> Self {
         let situation = scenario.situation;
         let healthy = random.random_range(HEALTHY_THROWS);
         let start = match situation {
             Situation::ShortBaseline => SHORT_BASELINE_THROWS,
             Situation::FromFirstThrow | Situation::Wear => 0,
-            // The healthy part lasts as long as the period of the temperature, or until summer.
+            // A healthy machine first lives through a period of the temperature, or until summer.
             Situation::Temperature { .. } => baseline + SWING_THROWS + healthy,
             Situation::Season => baseline + SEASON_THROWS + healthy,
             _ => baseline + healthy,
@@ -129,38 +129,38 @@ impl Timeline {
     /// Change of (ln b0, ln a1, ln a0) at throw `at`, from faults and temperature.
     pub(super) fn displacement(&self, at: usize) -> Vector3<f64> {
         let drift: Vector3<f64> = self.faults.iter().map(|fault| displacement(fault.part, fault.size_at(at))).sum();
-        // Friction that falls hardly changes the other coefficients.
+        // Less friction hardly changes the other coefficients.
         let leaked = Vector3::repeat(drift.y.max(0.0) * self.leakage);
         let warmth = self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at));
         drift + leaked + warmth + self.wet.displacement(at)
     }
 
-    /// The measured temperature of throw `at` \[°C\].
+    /// The temperature that throw `at` publishes \[°C\].
     pub(super) fn temperature_c(&self, at: usize) -> Option<f64> {
         self.climate.filter(|climate| climate.measured).map(|climate| climate.temperature_c(at))
     }
 
-    /// The parts with a fault from the onset on.
+    /// The parts whose fault begins at the onset.
     pub(super) fn truth(&self) -> impl Iterator<Item = Cause> {
         self.faults.iter().filter(|fault| fault.onset == self.onset).map(|fault| fault.part)
     }
 
-    /// The part with a fault before the judged one; its name before the onset is right.
+    /// The part with a fault before the judged one. Its name is right before the onset.
     pub(super) fn earlier(&self) -> Option<Cause> {
         self.faults.iter().find(|fault| fault.onset < self.onset).map(|fault| fault.part)
     }
 
-    /// The part whose earlier fault still exists; its name is right before and after the onset.
+    /// The part whose earlier fault still exists. Its name is right before the onset, and no error after it.
     pub(super) fn lasting(&self) -> Option<Cause> {
         let lasts = |fault: &&Fault| fault.onset < self.onset && fault.repaired.is_none();
         self.faults.iter().find(lasts).map(|fault| fault.part)
     }
 }
 
-/// Largest loss of a part, as a fraction; larger faults have a positive sign only.
+/// Largest loss of a part, as a fraction; a larger fault can only be an increase.
 const LARGEST_LOSS: f64 = 0.5;
 
-/// Size of the repaired fault, as a fraction of nominal: beyond the warning limits of all causes.
+/// Size of the repaired fault, as a fraction of nominal: beyond the warning limit of every cause.
 const REPAIRED_SIZE: f64 = 0.30;
 
 fn other_part(part: Cause, trial: usize) -> Cause {

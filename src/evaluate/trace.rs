@@ -1,4 +1,4 @@
-//! A machine at trace depth: complete simulated throws, identified as in the daemon.
+//! A machine at trace depth: complete simulated throws, identified as the daemon does.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
@@ -17,25 +17,26 @@ use crate::{
     throw::Trace,
 };
 
-/// Stiffness of a soft toe drive \[N/m\]: dry friction then changes b0 and a0 too.
+/// Stiffness of a soft toe drive \[N/m\]; with it, dry friction changes b0 and a0 too.
 const SOFT_TOE_N_M: f64 = 5e6;
-/// Sampling rate and cut-off of the rows with a slow logger \[Hz\].
+/// Sampling rate and cut-off of the filter in the rows with a slow logger \[Hz\].
 const SLOW_HZ: (f64, f64) = (100.0, 40.0);
 
-/// A simulated machine with an estimator.
+/// A simulated machine with its estimator.
 #[derive(Debug)]
 pub(super) struct TraceMachine {
-    /// `None` if the simulator rejects the machine: then no throw has an estimate.
+    /// `None` if the simulator rejects the machine; then no throw has an estimate.
     machine: Option<SimulatedMachine>,
     identifier: Identifier,
     settings: Settings,
+    /// Whether the supply voltage is published.
     volts: bool,
-    /// Faulty instrument, factor on its values, and the first throw with the fault.
-    errs: Option<(Instrument, f64, usize)>,
+    /// The faulty instrument, the factor on its values, and the first throw with the fault; `None` without one.
+    faulty: Option<(Instrument, f64, usize)>,
 }
 
 impl TraceMachine {
-    /// The machine of `life` in this situation.
+    /// The machine of `life` in a situation.
     pub(super) fn new(mut random: ChaCha8Rng, situation: Situation, noise: Noise, life: &Timeline) -> Self {
         let mut fleet = FleetSettings { machines: 1, sensors: sensors(situation, noise), ..FleetSettings::default() };
         if situation == Situation::SoftToe {
@@ -43,9 +44,9 @@ impl TraceMachine {
         }
         let parts = life.faults.iter().filter(|fault| Cause::PHYSICAL.contains(&fault.part));
         fleet.faults = parts.map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
-        let (mut volts, mut errs) = (true, None);
+        let (mut volts, mut faulty) = (true, None);
         if let (Situation::Instrument { which, volts: published }, Some(fault)) = (situation, life.faults.first()) {
-            (volts, errs) = (published, Some((which, 1.0 + fault.size, fault.onset)));
+            (volts, faulty) = (published, Some((which, 1.0 + fault.size, fault.onset)));
             if which == Instrument::Supply {
                 let kind = IncidentKind::WeakSupply { loss_pct: -100.0 * fault.size };
                 fleet.incidents = vec![Incident { machine: 0, kind, from_throw: fault.onset as u64, throws: u64::MAX }];
@@ -53,10 +54,10 @@ impl TraceMachine {
         }
         let settings = Settings { lead_mm: fleet.machine.lead_mm, ..Settings::default() };
         let machine = Fleet::new(&fleet, random.random()).ok().and_then(|fleet| fleet.into_machines().pop());
-        Self { machine, identifier: Identifier::default(), settings, volts, errs }
+        Self { machine, identifier: Identifier::default(), settings, volts, faulty }
     }
 
-    /// The observation of throw `at`, without an estimate if the simulation fails.
+    /// The observation of throw `at`; without an estimate if the simulation fails.
     pub(super) fn observe(&mut self, at: usize) -> Observation {
         match self.machine.as_mut().map(SimulatedMachine::next_throw) {
             Some(Ok(simulated)) => self.identify(at, simulated),
@@ -72,9 +73,9 @@ impl TraceMachine {
         Observation::of(&throw, &found)
     }
 
-    /// The trace as recorded with the faulty instrument.
+    /// The trace as the faulty instrument records it.
     fn recorded(&self, at: usize, trace: Trace) -> Trace {
-        let Some((which, ratio, _)) = self.errs.filter(|(.., onset)| at >= *onset) else { return trace };
+        let Some((which, ratio, _)) = self.faulty.filter(|(.., onset)| at >= *onset) else { return trace };
         let [mut rate_hz, mut current, mut position] = [trace.sample_rate_hz(), 1.0, 1.0];
         match which {
             Instrument::Current => current = ratio,

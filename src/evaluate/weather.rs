@@ -1,16 +1,16 @@
-//! Weather of a life: temperature with its effect on the coefficients, and wet spells.
+//! Weather of a life: the temperature with its effect on the coefficients, and wet spells.
 
 use nalgebra::Vector3;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-/// Throws a day.
+/// Throws of a machine per day.
 pub(super) const THROWS_A_DAY: usize = 20;
 
-/// Change of ln b0, ln a1 and ln a0 per kelvin: warmth weakens the magnets, thins the grease, and softens the rails by
-/// thermal thrust.
+/// Change of ln b0, ln a1 and ln a0 per kelvin: warmth weakens the magnets, thins the grease, and lowers the stiffness
+/// of the rails, which are under thermal thrust.
 const PER_KELVIN: [f64; 3] = [-0.0015, -0.008, -0.001];
-/// Mean temperature of a swing \[°C\]. At this temperature the coefficients are nominal.
+/// Mean temperature of a swing \[°C\]; the coefficients are nominal at this temperature.
 const MEAN_C: f64 = 12.0;
 /// Period of a fast swing \[throws\].
 pub(super) const SWING_THROWS: usize = 240;
@@ -22,17 +22,17 @@ const YEAR_THROWS: usize = 365 * THROWS_A_DAY;
 const YEAR_K: [f64; 2] = [20.0, 3.0];
 /// Temperature in winter and in summer \[°C\].
 const SEASONS_C: [f64; 2] = [-10.0, 29.0];
-/// Daily amplitude in winter and summer \[K\].
+/// Daily amplitude in winter and in summer \[K\].
 const SEASONS_DAY_K: f64 = 2.0;
-/// Throws from winter to summer: 30 days. A month is faster than the weather, but long enough to learn its effect.
+/// Throws from winter to summer: 30 days, faster than real weather, but long enough to learn the effect.
 pub(super) const SEASON_THROWS: usize = 600;
 
 /// Temperature over the throws of a life.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Course {
-    /// A sine over `period` throws and one over a day, with these amplitudes \[K\] and this common phase \[turns\].
+    /// A sine over `period` throws plus one over a day, with these amplitudes \[K\] and the same phase \[turns\].
     Swing { period: usize, amplitudes: [f64; 2], phase: f64 },
-    /// Winter up to a throw, then the change to summer.
+    /// Winter until throw `from`, then a rise to summer.
     Summer { from: usize },
 }
 
@@ -40,6 +40,7 @@ enum Course {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Climate {
     course: Course,
+    /// Whether the throws publish the temperature.
     pub(super) measured: bool,
 }
 
@@ -56,12 +57,12 @@ impl Climate {
         Self { course, measured: false }
     }
 
-    /// Winter up to throw `from`, then the change to summer over [`SEASON_THROWS`] throws; measured.
+    /// Winter until throw `from`, then a rise to summer over [`SEASON_THROWS`] throws; measured.
     pub(super) fn summer(from: usize) -> Self {
         Self { course: Course::Summer { from }, measured: true }
     }
 
-    /// Temperature at throw `at`.
+    /// Temperature at throw `at` \[°C\].
     pub(super) fn temperature_c(self, at: usize) -> f64 {
         let turn = |period: usize, phase: f64| (std::f64::consts::TAU * (at as f64 / period as f64 + phase)).sin();
         match self.course {
@@ -83,11 +84,11 @@ impl Climate {
     }
 }
 
-/// Throws of a wet spell.
+/// Throws in a wet spell.
 const WET_THROWS: usize = 15;
 /// Change of the friction in a wet spell, as a fraction of nominal.
 const WET_FRICTION: f64 = -0.20;
-/// Throws between two wet spells: a random number from this range, 20 days in the mean.
+/// Range of the random number of throws between two wet spells: 20 days in the mean.
 const DRY_THROWS: std::ops::Range<usize> = 0..800;
 
 /// Wet spells: the first throw of each, in order.

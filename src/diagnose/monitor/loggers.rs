@@ -1,5 +1,4 @@
-//! The effects of the logger on the monitor of its machine: its presence, its clock, its boots, and its lost or irregular
-//! throws.
+//! Effects of the logger on the monitor of its machine: liveliness, clock, boots, lost or irregular throws.
 
 use jiff::Timestamp;
 
@@ -18,35 +17,33 @@ use super::{
 };
 use crate::throw::ThrowRef;
 
-/// Reason of the new baseline of a machine that was learning.
-const LEARNED_FROM_TWO: &str = "two loggers published as this machine while its baseline was learned";
-
 impl MachineMonitor {
-    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
-    /// each [`Self::tick`].
+    /// Applies the liveliness of the logger, `there`: whether its token exists. A logger that never declared a token
+    /// raises no alarm. Call it before each [`Self::tick`].
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step)).pop()
     }
 
-    /// Whether the logger ever declared a token.
+    /// Whether the logger has declared a token, even if the token is gone now.
     pub fn is_announced(&self) -> bool {
         self.operation.is_announced()
     }
 
-    /// Whether neither a throw nor a token of a logger was ever received, as for the name of a daemon.
+    /// Whether neither a throw nor a token of a logger was ever received, as for the monitor of a daemon.
     pub fn has_no_logger(&self) -> bool {
         self.order == 0 && !self.is_announced()
     }
 
-    /// Applies missing throws.
+    /// Applies a gap: throws that never arrived.
     pub fn gap(&mut self, missing: Missing, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         self.step(at, None, settings, |operation, step| operation.on_gap(missing, step))
     }
 
-    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
-    /// which is that of reception while the clock is wrong, and the event of a raised or cleared alarm. Without `received_at`
-    /// the clock of this computer is not trusted, and only an impossible time is wrong. `is_behind`: other loggers show that
-    /// this one is behind.
+    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the
+    /// diagnosis, which is the time of reception while the clock is wrong, and the event of a raised or cleared alarm.
+    ///
+    /// Without `received_at` the clock of this computer is not trusted, and the logger's clock is wrong only if its
+    /// time is impossible. `is_behind`: a comparison with other loggers shows that this clock is behind.
     pub fn date(
         &mut self,
         throw: &ThrowRef,
@@ -78,9 +75,11 @@ impl MachineMonitor {
         self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step)).pop()
     }
 
-    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. Returns a sentence if two loggers
-    /// publish as this machine: then the throw is no evidence about it. Also returns the command of a new baseline, and the
-    /// events of both. Without `received_at` the clock of this computer is not trusted, and nothing is known about the loggers.
+    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. If two loggers publish as
+    /// this machine, returns a sentence about it, and the throw is no evidence about the machine. Also returns the
+    /// command of a new baseline if one was started, and the events.
+    ///
+    /// Without `received_at` the clock of this computer is not trusted, and two loggers cannot be detected.
     pub fn boot(
         &mut self,
         throw: &ThrowRef,
@@ -105,7 +104,7 @@ impl MachineMonitor {
         let text = sentence.clone().filter(|_| self.maintenance.is_none());
         let events = self.step(at, Some(throw), settings, |_, step| {
             let Some(text) = text else { return };
-            // An alarm that is active for another reason gets this one too.
+            // An active alarm with another reason gets this sentence as a remark.
             if !step.raise(step.warning(Cause::NotMonitored, text.clone())) && !had_two {
                 step.remark(Cause::NotMonitored, text);
             }
@@ -113,17 +112,17 @@ impl MachineMonitor {
         (sentence, command, events)
     }
 
-    /// The sentence about two loggers that publish as this machine.
+    /// The sentence about two loggers that publish as this machine; `None` for one logger.
     pub(super) fn two_loggers(&self) -> Option<String> {
         let two = self.boots.two()?;
         Some(text::two_loggers(&self.name, &two.boots, boots::ALONE.as_hours()))
     }
 
-    /// Forgets what was learned from the throws of two loggers: the last throws, the alarms that they raised, and an
-    /// incomplete baseline.
+    /// Forgets the throws of two loggers `since` a time: the last throws, the alarms that they raised, and an
+    /// incomplete baseline. Returns the command of the new baseline.
     fn forget_since(&mut self, since: Timestamp, now: Timestamp, settings: &Settings) -> Option<Command> {
         if self.tracks.is_learning(settings) {
-            let (by, why) = ("pointsd", LEARNED_FROM_TWO);
+            let (by, why) = ("pointsd", "two loggers published as this machine while its baseline was learned");
             self.rebaseline(by, why, Actor::default(), now);
             return Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() });
         }

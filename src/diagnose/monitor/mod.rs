@@ -1,5 +1,4 @@
-//! The monitor of a machine, with the effects of commands and ticks; those of throws are in [`throws`], those of loggers in
-//! [`loggers`].
+//! The monitor of a machine, with the effects of commands and ticks. The others are in [`throws`] and [`loggers`].
 
 mod loggers;
 mod throws;
@@ -33,7 +32,7 @@ use super::{
 };
 use crate::throw::{Direction, MachineId, ThrowRef};
 
-/// The monitor of a machine: baselines, last throws, alarms. The snapshot is complete, so a restart changes nothing.
+/// The monitor of a machine: baselines, last throws, alarms. The snapshot has them all, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MachineMonitor {
     version: Version,
@@ -58,10 +57,10 @@ pub struct MachineMonitor {
     features: FeatureWatch,
     #[serde(default)]
     start: StartWatch,
-    /// The last departures, for the judgement of the other machines of the site.
+    /// The last departures from the baseline, for the diagnosis of the other machines of the site.
     #[serde(default)]
     trail: Trail,
-    /// Blindness at the last evaluated throw.
+    /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
@@ -74,7 +73,7 @@ pub struct MachineMonitor {
     unread: Option<Box<str>>,
 }
 
-/// Version of a snapshot; the default is that of written ones.
+/// Version of a snapshot. The default is the version that this program writes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 struct Version(u32);
@@ -91,8 +90,8 @@ impl MachineMonitor {
         Self { name: name.into(), ..Self::default() }
     }
 
-    /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
-    /// program. It keeps this text, for a version that can.
+    /// A new monitor for a machine whose stored snapshot cannot be read, as after a return to an earlier version of the
+    /// program. It keeps the text of the snapshot, for a version of the program that can read it.
     pub fn instead_of(unread: String, name: &str) -> Self {
         Self { unread: Some(unread.into()), ..Self::new(name) }
     }
@@ -103,8 +102,8 @@ impl MachineMonitor {
         Self { name: name.into(), ..self }
     }
 
-    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. If the snapshot replaced an
-    /// unreadable one that can be read now, returns the replaced monitor.
+    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. A monitor made by
+    /// [`Self::instead_of`] keeps an unreadable snapshot; if this program can read that one, returns it instead.
     ///
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
@@ -140,8 +139,7 @@ impl MachineMonitor {
     }
 
     /// Advances the time: ends shelvings and maintenance windows, detects silence. Call it at least once a minute.
-    /// Silence is the sum of the times between calls, each at most an hour, so that a jump of the clock does not count
-    /// as silence.
+    /// Silence is the sum of the times between calls, each at most an hour, so that a jump of the clock is not silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
         self.alarms.unshelve_due(now);
@@ -155,8 +153,8 @@ impl MachineMonitor {
         self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
     }
 
-    /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
-    pub fn is_witness(&self) -> bool {
+    /// Whether the machine has a departure from a baseline; [`Self::common`] needs such machines only.
+    pub fn has_departures(&self) -> bool {
         !self.trail.is_empty()
     }
 
@@ -165,7 +163,7 @@ impl MachineMonitor {
         site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
     }
 
-    /// Applies the common change of a site to the monitor for all its machines.
+    /// Applies the common change of a site; called on the monitor that stands for all its machines.
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         self.step(now, None, settings, |_, step| site::judge(common, step))
     }
@@ -177,8 +175,8 @@ impl MachineMonitor {
         self.alarms.take_events()
     }
 
-    /// Applies a problem of the daemon with storing data, for the monitor of the daemon itself; the alarm ends after
-    /// ten minutes without a problem. Call it with each [`Self::tick`].
+    /// Applies a failure of the daemon to store data; `None` without one. Only the monitor of the daemon itself has
+    /// this alarm, which ends after ten minutes without a failure. Call it with each [`Self::tick`].
     pub fn trouble(
         &mut self,
         trouble: Option<(Severity, &str)>,
@@ -188,24 +186,28 @@ impl MachineMonitor {
         self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step)).pop()
     }
 
-    /// Updates the alarm about watched daemons that are away. Only the monitor of the daemon itself has this alarm.
+    /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
         self.step(now, None, settings, |_, step| operational::on_peers(text, step)).pop()
     }
 
-    /// Ends the alarms under a former name of the daemon, which has the name `to` now.
+    /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
     pub fn renamed(&mut self, to: &MachineId, now: Timestamp) -> Vec<AlarmEvent> {
         self.clear_all(|_| true, &text::renamed(to), to_micros(now));
         self.alarms.take_events()
     }
 
-    /// Clears the alarms whose latest event fulfils a condition.
+    /// Clears the alarms whose latest event satisfies `which`.
     fn clear_all(&mut self, which: impl Fn(&AlarmEvent) -> bool, text: &str, now: Timestamp) {
-        let causes: Vec<Cause> = self.alarms.events().filter(|event| which(event)).map(|event| event.cause).collect();
-        for cause in causes {
+        for cause in self.causes(which) {
             self.alarms.clear(cause, text.to_owned(), now);
         }
+    }
+
+    /// Causes of the open alarms whose latest event satisfies `which`.
+    fn causes(&self, which: impl Fn(&AlarmEvent) -> bool) -> Vec<Cause> {
+        self.alarms.events().filter(|event| which(event)).map(|event| event.cause).collect()
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
@@ -247,12 +249,11 @@ impl MachineMonitor {
             Command::Retire { by, why } => {
                 // Maintenance would show the ended alarms as out of service.
                 self.alarms.out_of_service = false;
-                let open: Vec<Cause> = self.alarms.events().map(|event| event.cause).collect();
-                for cause in open {
+                for cause in self.causes(|_| true) {
                     self.alarms.close(cause, text::retired(&self.name, by, why), actor, now);
                 }
             }
-            // In maintenance already: the new window replaces the old one, as a second shelving does.
+            // A machine that is in maintenance gets the new window instead of the old one, as with a second shelving.
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));
                 self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));
@@ -279,14 +280,12 @@ impl MachineMonitor {
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
-        let drifts: Vec<Cause> =
-            self.alarms.events().filter(|event| event.cause.is_drift()).map(|event| event.cause).collect();
-        for cause in drifts {
+        for cause in self.causes(|event| event.cause.is_drift()) {
             self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
         }
     }
 
-    /// Ends the alarms of rules that forget their last throws, and could not end them any more.
+    /// Clears the alarms of rules that lose their last throws, and so could not clear them later.
     fn end_rules(&mut self, now: Timestamp) {
         let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
@@ -323,7 +322,7 @@ impl MachineMonitor {
         self.drift.now.iter().filter(|drifting| drifting.has_size()).copied().collect()
     }
 
-    /// Sentences about what the monitor cannot show at present.
+    /// Sentences about limits of the monitoring at present, and about the faults that it cannot show.
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
@@ -346,13 +345,13 @@ impl MachineMonitor {
             .collect()
     }
 
-    /// The normal travel \[mm\], if it is far below that of points, which open by 50 mm and more.
+    /// The normal travel \[mm\] if it is implausibly small: points open by 50 mm and more.
     fn small_travel_mm(&self) -> Option<f64> {
         const SMALL_MM: f64 = 25.0;
         self.instruments.gauges.normal_travel_mm().filter(|travel_mm| *travel_mm < SMALL_MM)
     }
 
-    /// A sentence about another neutral position than the configured one.
+    /// A sentence about a neutral position that differs from the configured one.
     fn neutral_elsewhere(&self) -> Option<String> {
         let share = self.neutral.elsewhere(self.tracks.centres())?;
         let configured_mm = self.parameters.map_or(0.0, |parameters| parameters.neutral_mm);
@@ -361,7 +360,7 @@ impl MachineMonitor {
         Some(text::neutral(&self.name, configured_mm, f64::from(share) * travel_mm, is_corrected))
     }
 
-    /// State, drifts and caveats.
+    /// State, drifts and caveats, as published after every throw.
     pub fn present(&self) -> Present {
         Present { state: self.state(), drifts: self.drifts(), caveats: self.caveats() }
     }
@@ -382,13 +381,13 @@ impl MachineMonitor {
         }
     }
 
-    /// Throws in the baseline of a direction, and throws that it needs.
+    /// Throws in the baseline of a direction, and throws that a complete baseline needs.
     pub fn baseline_progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         self.tracks.progress(direction, settings)
     }
 
-    /// Throws in the baseline of each direction, and throws that it needs, while one of them is not complete. `None` for a
-    /// machine whose baselines are complete, or which is monitored by its features only.
+    /// Throws in the baseline of each direction, and throws that a complete baseline needs. `None` if both are
+    /// complete, or for a machine that is monitored by its features only.
     pub fn learning(&self, settings: &Settings) -> Option<[(usize, usize); 2]> {
         let progress = Direction::BOTH.map(|direction| self.baseline_progress(direction, settings));
         let by_features = self.features.is_monitoring() && !self.tracks.any_baseline();
@@ -401,7 +400,7 @@ impl MachineMonitor {
         self.tracks.record(direction).map(|record| self.neutral.as_estimated(record))
     }
 
-    /// Evaluated throws of a direction since its baseline.
+    /// Evaluated throws of a direction since its baseline was taken.
     pub fn throws_since_baseline(&self, direction: Direction) -> u64 {
         self.tracks.since_baseline(direction)
     }

@@ -1,5 +1,5 @@
-//! The effects of a throw on the monitor of its machine: with an estimate on baseline and drift alarms, without one on
-//! gauges and features, always on the operational alarms.
+//! Effects of a throw on the monitor of its machine. A throw with an estimate changes baseline and drift alarms, a
+//! throw without one changes gauges and features. Both change the operational alarms.
 
 use std::mem;
 
@@ -15,12 +15,12 @@ use super::{
         gauges::Offset,
         latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
+        origin::Origin,
         rule::Rule,
         settings::Settings,
         site::{self, Common},
         step::Step,
-        testimony::Testimony,
-        thermometer::Disbelief,
+        thermometer::Implausible,
         track::Tracks,
         verdict::Verdict,
     },
@@ -34,20 +34,20 @@ impl MachineMonitor {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
-    /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
+    /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
         let features = &observation.features;
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
-        // Not even the direction is known.
+        // The position is wrong, so neither the estimate nor the direction is known.
         let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
         let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
-        // Taken out of the monitor, whose other parts change beside them.
+        // Taken out of the monitor: the step borrows both while the rest of the monitor changes.
         let (name, mut alarms) = (mem::take(&mut self.name), mem::take(&mut self.alarms));
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         let temperature = self.thermometer.read(observation.temperature_c, at);
-        // Without its toe sensor a machine is not what its baseline describes.
+        // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_position && observation.is_without_position();
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         self.learn_neutral(observation);
@@ -65,7 +65,7 @@ impl MachineMonitor {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
                 self.trail.push(at, residual, &of_one_throw);
             }
-            let shared = site::excused(residual, common);
+            let shared = site::shared_part(residual, common);
             self.drift.share(&shared, settings);
             throw.log = (Vector3::from(throw.log) - shared).into();
         }
@@ -73,8 +73,8 @@ impl MachineMonitor {
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
-            let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
-            self.operation.on_sensors(disbelief, step);
+            let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
+            self.operation.on_sensors(implausible, step);
             let unusable = observation.faulty.map(Unusable::Values);
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
@@ -88,7 +88,7 @@ impl MachineMonitor {
             if !observation.features_only {
                 return Some(self.baseline_progress(direction, settings));
             }
-            // A machine with a current sensor only learns its features.
+            // A machine that has only a current sensor learns its features.
             (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
         });
         verdict.present = self.present();
@@ -97,7 +97,8 @@ impl MachineMonitor {
         verdict
     }
 
-    /// Learns from the first throws whether the spring is unstressed elsewhere than configured. They are then no part of a baseline.
+    /// Learns from the first throws whether the neutral position differs from the configured one. If it does, the
+    /// baseline begins again after these throws.
     fn learn_neutral(&mut self, observation: &Observation) {
         if self.tracks.any_baseline() {
             self.neutral.settle();
@@ -106,7 +107,7 @@ impl MachineMonitor {
         }
     }
 
-    /// Returns the baselines that became usable or complete.
+    /// Applies a throw outside maintenance. Returns the baselines that became usable or complete.
     fn observe_in_service(
         &mut self,
         observation: &Observation,
@@ -129,7 +130,7 @@ impl MachineMonitor {
         for sensor in [Offset::Current, Offset::Position] {
             self.instruments.judge_offset(sensor, step);
         }
-        // Ratios show fewer faults than coefficients, so machines with ratios keep the feature rule.
+        // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, step);
         found::withdraw_explained(step);
@@ -145,8 +146,9 @@ impl MachineMonitor {
         baselines_taken
     }
 
-    /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
-    /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
+    /// Adds a throw without an estimate to the gauges. A rejected throw adds only the gauges that need no model. In a
+    /// direction without a baseline, the normal values are learned from these throws too. If they were not, a change
+    /// during a long row of rejected throws would become normal unseen.
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
         let Observation { features: all, incomplete, faulty, .. } = observation;
         let features_only = observation.is_without_position();
@@ -172,10 +174,10 @@ impl MachineMonitor {
         self.instruments.judge_supply(None, circuit, step);
     }
 
-    /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
-    /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
+    /// Watches the features of a throw whose coefficients cannot be judged: it has no estimate, or there is no baseline
+    /// yet, as on a machine whose every throw is rough. Returns whether the throw counts as monitored.
     fn watch_features(&mut self, observation: &Observation, is_judged: bool, step: &mut Step) -> bool {
-        // An alarm about the features ends by them: the drift rule may need a far larger change while a baseline is new.
+        // The rule that raised an alarm also clears it: with a new baseline, the drift rule needs a far larger change.
         if is_judged && step.alarms.owned_by(Rule::Features).is_none() {
             self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
@@ -185,13 +187,14 @@ impl MachineMonitor {
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
         found.apply(Rule::Features, step);
-        // A slow recording may give an estimate by chance.
+        // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_too_slow() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
         is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
+    /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
         let settings = step.settings;
         let suspicious = self.drift.is_suspicious(step.alarms);
@@ -199,29 +202,29 @@ impl MachineMonitor {
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let drift = residual.map(|residual| {
             let known = self.drift.known(step.alarms, &self.instruments.gauges);
-            let wild = self.drift.intermittent.is_wild();
-            let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
-            drift.testimony = self.instruments.testimony(&drift, settings);
+            let heavy_tails = self.drift.intermittent.has_heavy_tails();
+            let mut drift = self.tracks.drift(throw.direction, heavy_tails, &known, settings);
+            drift.origin = self.instruments.origin(&drift, settings);
             let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
             let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks, gauges, settings };
             self.drift.judge(latest, &residual, step);
             self.instruments.judge(&drift, step);
             drift
         });
-        let testimony = drift.as_ref().map(|drift| drift.testimony);
-        let excused = testimony.is_some_and(Testimony::excuses);
-        let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
-        // A sensor counts as an explanation of a changed resistance only if the drift that it may explain is above its limit.
-        let may_be_sensor = |drift: &&Drift| matches!(drift.testimony, Testimony::Either { .. }) && drift.matters();
+        let origin = drift.as_ref().map(|drift| drift.origin);
+        let is_instrument = origin.is_some_and(Origin::is_instrument);
+        let explained = drift.as_ref().filter(|drift| drift.origin == Origin::Supply).map(Drift::matters);
+        // A sensor explains a changed resistance only if the drift that it may explain is above its limit.
+        let may_be_sensor = |drift: &&Drift| matches!(drift.origin, Origin::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
         let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |window| window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
-        // The inrush, which accelerates the machine, depends on the supply.
-        let excused_start = excused || step.alarms.is_active(Cause::Supply);
-        self.start.judge(&self.instruments.gauges, excused_start, step).apply(Rule::Start, step);
+        // The supply changes the inrush current, which accelerates the machine.
+        let start_explained = is_instrument || step.alarms.is_active(Cause::Supply);
+        self.start.judge(&self.instruments.gauges, start_explained, step).apply(Rule::Start, step);
         if let Some(departure) = departure {
-            self.drift.judge_departure(departure, excused, step);
+            self.drift.judge_departure(departure, is_instrument, step);
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));

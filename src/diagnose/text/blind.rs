@@ -8,7 +8,7 @@ use crate::{
     throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},
 };
 
-/// Text for throws without an estimate, of one direction or of both, with the code of the last reason.
+/// Text for throws without an estimate, of one direction or of both; `reason`: code of the last rejection.
 pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32, reason: Option<&str>) -> String {
     let (side, what) = match direction {
         None => (String::new(), "the machine is"),
@@ -17,8 +17,8 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     // A misfit of all throws is nearly always the load of the machine, and seldom a setting.
     let check = match reason {
         Some("misfit") => {
-            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
-             position are of the same moment, and neutral_mm and motor"
+            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether \
+             current and position are of the same moment, and neutral_mm and motor"
         }
         Some("undersampled") => "the sampling rate of the logger, and set anti_alias_hz if it has a filter",
         Some("start_missing" | "onset_missing") => {
@@ -45,28 +45,28 @@ pub(crate) fn monitored_again(name: &str) -> String {
     format!("Machine {name}: it is monitored again.")
 }
 
-/// Text for a machine with many rejected throws among evaluated ones.
+/// Text for a machine that is monitored, with many rejected throws.
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
     let reason = if code == "current_only" { "without a toe position".to_owned() } else { code.replace('_', " ") };
     format!(
-        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected (the last: {reason}), so a fault is \
-         detected later. throws_not_evaluated has the reasons."
+        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected (the last: {reason}), so a \
+         fault is detected later. throws_not_evaluated has the reasons."
     )
 }
 
 /// Text for a machine whose throws end before the configured stroke.
 pub(crate) fn short_of_stroke(name: &str, travel_mm: f64, stroke_mm: f64) -> String {
     format!(
-        "Machine {name}: its throws end at {travel_mm:.1} mm of a stroke of {stroke_mm:.1} mm, without an obstruction. Correct \
-         stroke_mm if this is the whole stroke; else check the gain of the position sensor."
+        "Machine {name}: its throws end at {travel_mm:.1} mm of a stroke of {stroke_mm:.1} mm, without an \
+         obstruction. Correct stroke_mm if this is the whole stroke; else check the gain of the position sensor."
     )
 }
 
-/// Text for a machine whose toe moves less than that of any points.
+/// Text for a machine whose toe moves less than points ever do.
 pub(crate) fn small_travel(name: &str, travel_mm: f64) -> String {
     format!(
-        "Machine {name}: its toe moves {travel_mm:.1} mm, much less than that of most points. If position_mm is in centimetres \
-         ({:.0} mm) or in inches ({:.0} mm), send millimetres and take a new baseline (rebaseline).",
+        "Machine {name}: its toe moves {travel_mm:.1} mm, much less than that of most points. If position_mm is in \
+         centimetres ({:.0} mm) or in inches ({:.0} mm), send millimetres and take a new baseline (rebaseline).",
         CENTIMETRE_MM * travel_mm,
         INCH_MM * travel_mm
     )
@@ -75,21 +75,23 @@ pub(crate) fn small_travel(name: &str, travel_mm: f64) -> String {
 /// Text for a machine without a toe position whose throws no longer give the coefficients of its baseline.
 pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
     format!(
-        "Machine {name}: its last {throws} throws give no coefficients, as those of its baseline did, so only duration, running \
-         current and charge are monitored. The reasons are in throws_not_evaluated; a fault may be one: inspect the machine."
+        "Machine {name}: its last {throws} throws give no coefficients, although the throws of its baseline did, so \
+         only duration, running current and charge are monitored. The reasons are in throws_not_evaluated. A fault \
+         may be the reason: inspect the machine."
     )
 }
 
 /// Text for a machine without a baseline of its coefficients.
 pub(crate) fn only_features(name: &str) -> String {
     format!(
-        "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running current, \
-         charge and travel are monitored. A change of these is reported without its cause. throws_not_evaluated has the reason of \
-         each throw."
+        "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running \
+         current, charge and travel are monitored. A change of these is reported without its cause. \
+         throws_not_evaluated has the reason of each throw."
     )
 }
 
-/// Text for a machine whose spring seems to be unstressed `off_mm` from the configured position.
+/// Text for a machine whose neutral position seems to be `off_mm` from the configured one, towards reverse if positive.
+/// `is_corrected`: whether the drifts are corrected for this.
 pub(crate) fn neutral(name: &str, configured_mm: f64, off_mm: f64, is_corrected: bool) -> String {
     let harder = if off_mm > 0.0 { Direction::ReverseToNormal } else { Direction::NormalToReverse };
     let effect = if is_corrected {
@@ -98,18 +100,19 @@ pub(crate) fn neutral(name: &str, configured_mm: f64, off_mm: f64, is_corrected:
         "Its baseline does not correct this, so the sizes and names of its drifts may be wrong."
     };
     format!(
-        "Machine {name}: its friction seems much larger {harder} than in the other direction. With rails that are unstressed at \
-         about {:.0} mm it would be equal; configured is neutral_mm = {configured_mm}. {effect} Set neutral_mm to where the rails \
-         lie without the machine (this starts a new baseline); if that is right, look for what is dry or binds {harder}.",
+        "Machine {name}: its friction seems much larger {harder} than in the other direction. If the rails were \
+         unstressed at about {:.0} mm, the friction would be equal; configured is neutral_mm = {configured_mm}. \
+         {effect} Set neutral_mm to where the rails lie without the machine (this starts a new baseline). If \
+         neutral_mm is right, look for parts that are dry or bind {harder}.",
         configured_mm + off_mm
     )
 }
 
-/// Text for a machine without a change of its inertia; `of_baseline`: its baseline has only ratios, whatever its last throws
-/// have.
+/// Text for a machine whose inertia is not monitored. `of_baseline`: because its baseline has only ratios; otherwise
+/// because its last throws have only ratios.
 pub(crate) fn ratios_only(name: &str, of_baseline: bool) -> String {
-    let reasons = "a load that varies along the stroke, play, a brake that releases late, a position behind the current, or a \
-                   sampling rate below 500 Hz";
+    let reasons = "a load that varies along the stroke, play, a brake that releases late, a position behind the \
+                   current, or a sampling rate below 500 Hz";
     let (what, advice) = if of_baseline {
         let what = "its baseline has only the ratios of the coefficients, as throws in it were rough";
         (
@@ -132,17 +135,18 @@ pub(crate) fn blind(name: &str, blind: &Blindness) -> String {
     let Blindness { cause, below_pct, temperature } = blind;
     let Some(HidingTemperature { temperature_c, baseline_c }) = temperature else {
         return format!(
-            "Machine {name}: its throws scatter so much, or vary so slowly, that a change of {cause} below {below_pct:.0} % cannot be \
-             distinguished from that; so the machine is not monitored for changes up to this. Look for the reason (weather, supply, \
-             sensors), then take a new baseline (rebaseline)."
+            "Machine {name}: its throws scatter so much, or vary so slowly, that a change of {cause} below \
+             {below_pct:.0} % cannot be distinguished from the scatter, so the machine is not monitored for smaller \
+             changes. Look for the reason (weather, supply, sensors), then take a new baseline (rebaseline)."
         );
     };
     let away_k = (temperature_c - baseline_c).abs().max(1.0);
     format!(
-        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
-         the effect of the temperature. This effect is not known well enough for {away_k:.0} K from the baseline \
-         ({baseline_c:.0} °C), so the machine is not monitored for changes up to this. It learns the effect from its next throws. \
-         Until then inspect it, or take a new baseline (rebaseline) when it is known to be healthy."
+        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished \
+         from the effect of the temperature. This effect is not known well enough for {away_k:.0} K from the baseline \
+         ({baseline_c:.0} °C), so the machine is not monitored for smaller changes. The daemon learns the effect from \
+         the next throws. Until then inspect the machine, or take a new baseline (rebaseline) when it is known to be \
+         healthy."
     )
 }
 
@@ -151,7 +155,7 @@ pub(crate) fn season(name: &str, pct: f64) -> String {
     slow_change(name, "friction", pct, "a change at the critical limit")
 }
 
-/// The same for the current of a machine that is monitored by its features.
+/// Text for a slow change of the current of a machine that is monitored by its features, without a temperature.
 pub(crate) fn season_of_features(name: &str, pct: f64) -> String {
     slow_change(name, "current", pct, "twice the usual limit")
 }
@@ -159,13 +163,13 @@ pub(crate) fn season_of_features(name: &str, pct: f64) -> String {
 fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
     let way = if pct < 0.0 { "fell" } else { "rose" };
     format!(
-        "Machine {name}: its {what} {way} by {:.0} % over more than a week. Without a temperature, the season looks the \
-         same as wear or lubrication, so only {least} raises an alarm. Publish temperature_c.",
+        "Machine {name}: its {what} {way} by {:.0} % over more than a week. Without a temperature, the season looks \
+         the same as wear or lubrication, so only {least} raises an alarm. Publish temperature_c.",
         pct.abs()
     )
 }
 
-/// Text for a machine whose throws changed steadily while its baseline was taken; slopes of the logarithms per throw.
+/// Text for a machine whose throws changed steadily while its baseline was taken, by `slopes` per throw.
 pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
     let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
     let names = if of_ratios {
@@ -176,7 +180,8 @@ pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
     let changes: Vec<String> = slopes.into_iter().zip(names).filter_map(of).collect();
     format!(
         "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \
-         provisional, and changes count from its first throw. Inspect the machine, then take a new baseline (rebaseline).",
+         provisional, and changes are measured from its first throw. Inspect the machine, then take a new baseline \
+         (rebaseline).",
         changes.join(", ")
     )
 }

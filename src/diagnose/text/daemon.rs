@@ -1,4 +1,4 @@
-//! Texts about the daemon: what it knows of a machine, commands of operators, other daemons.
+//! Texts about the daemon: its stored data of a machine, commands of operators, other daemons.
 
 use jiff::Timestamp;
 
@@ -7,9 +7,10 @@ use crate::{
     throw::{MachineId, utc},
 };
 
+/// Text of an open alarm in the database that no monitor has.
 pub(crate) fn orphaned(name: &str) -> String {
     format!(
-        "{name}: what the daemon knew about this alarm is lost, and it learns a new baseline. The fault may still exist: \
+        "{name}: the daemon has lost its data about this alarm, and learns a new baseline. The fault may still exist: \
          inspect the machine, then acknowledge this alarm."
     )
 }
@@ -17,25 +18,26 @@ pub(crate) fn orphaned(name: &str) -> String {
 /// Text for a machine whose stored monitor cannot be read.
 pub(crate) fn unread(name: &str) -> String {
     format!(
-        "Machine {name}: this version of pointsd cannot read its stored baselines and alarms, so it learns a new baseline. They \
-         are kept: install the version that wrote them, or inspect the machine and take a new baseline (rebaseline)."
+        "Machine {name}: this version of pointsd cannot read the stored baselines and alarms of the machine, so it \
+         learns a new baseline. The stored data are kept: install the version of pointsd that wrote them, or inspect \
+         the machine and take a new baseline (rebaseline)."
     )
 }
 
 /// Text for an alarm whose rule starts anew, after maintenance or with a new baseline.
 pub(crate) fn checked_anew(name: &str) -> String {
-    format!("Machine {name}: this alarm ends, and is raised again by the next throws if its reason is still there.")
+    format!("Machine {name}: this alarm ends. The next throws raise it again if its reason still exists.")
 }
 
-/// Text of an alarm at the end of maintenance, from its text before.
+/// Text of an alarm at the end of maintenance; `before`: its text until then.
 pub(crate) fn before_maintenance(before: &str) -> String {
     const UNCHECKED: &str = " This was before the maintenance: the next throws show whether it is over.";
     if before.ends_with(UNCHECKED) { before.to_owned() } else { format!("{before}{UNCHECKED}") }
 }
 
-/// Text of an alarm under a former name of the daemon.
+/// Text at the end of an alarm under a former name of the daemon.
 pub(crate) fn renamed(to: &MachineId) -> String {
-    format!("The daemon has the name {to} now: its problems are alarms under that name.")
+    format!("The daemon has the name {to} now: it raises its alarms under that name.")
 }
 
 /// Text of a new baseline.
@@ -52,14 +54,15 @@ pub(crate) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
 }
 
+/// Text about watched daemons that cannot be reached.
 pub(crate) fn peers_away(Away { daemons: away, has_link }: &Away) -> String {
     let since =
         |since: &Option<Timestamp>| since.map_or_else(|| "the start of this one".to_owned(), |since| utc(&since));
     let daemons: Vec<String> = away.iter().map(|(name, at)| format!("{name} since {}", since(at))).collect();
     if !has_link {
         return format!(
-            "This daemon has no link to any other program, so it cannot see these daemons: {}. Check its own link, the router \
-             and the certificates first.",
+            "This daemon has no link to any other program, so it cannot see these daemons: {}. Check its own link, \
+             the router and the certificates first.",
             daemons.join(", ")
         );
     }

@@ -1,4 +1,4 @@
-//! Texts of drifts: causes with sizes, what to check, the forecast, and how the drift ended.
+//! Texts of drifts: causes with sizes, checks, forecast, and end.
 
 use super::{half_width_pct, sensor::look_at_sensor};
 use crate::diagnose::{
@@ -8,18 +8,18 @@ use crate::diagnose::{
     explain::{Explanation, percent},
     gauges::Level,
     intermittent::Departures,
-    testimony::Awaited,
+    origin::Awaited,
 };
 use crate::throw::counted;
 
-/// Addition to the text of a rise of friction soon after a baseline, which rain may have lowered.
+/// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
 
-/// Name of a part that loses torque, if the back-EMF of the motor has not changed.
+/// Name for the cause of a loss of torque without a change of the back-EMF.
 const MOTOR_OR_GEAR: &str = "motor or gear";
 
-/// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
-/// explains the drift equally well, and what would decide.
+/// Text of a drift: causes with sizes, checks, and the forecast of the critical limit. `alike`: a sensor that explains
+/// the drift equally well, and the evidence that would decide.
 pub(crate) fn drift(
     subject: &str,
     attribution: &Attribution,
@@ -90,7 +90,7 @@ pub(crate) fn drift(
     format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
 }
 
-/// Text of a drift that is known now to be in the direction that its text names.
+/// Text of a drift whose text names one direction, once it is certain that only this direction has the drift.
 pub(crate) fn one_direction(text: &str) -> String {
     format!("{text} The other direction has not changed as much.")
 }
@@ -102,10 +102,11 @@ pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
         Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
         _ => look_at(explanation.cause, explanation.size),
     };
-    format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
+    let change = change_of(&explanation.cause.to_string(), explanation);
+    format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The other throws are normal. {advice}")
 }
 
-/// Text of a drift that has ended.
+/// Text of a drift that has ended; `at_once`: within a few throws.
 pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     let repair = if at_once {
         " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
@@ -115,23 +116,24 @@ pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     format!("Machine {name}: {cause} is back to normal.{repair}")
 }
 
-/// Text of a drift that is taken for the weather now, as other machines of the site have it too.
+/// Text of a drift that counts as weather now, as other machines of the site have it too.
 pub(crate) fn cleared_as_shared(name: &str, cause: Cause, pct: f64) -> String {
     format!(
-        "Machine {name}: {cause} has not come back to normal ({pct:+.0} %), but most machines of the site changed alike, so the \
-         weather is the probable reason. This machine is judged without the common change."
+        "Machine {name}: {cause} has not come back to normal ({pct:+.0} %), but most machines of the site have the \
+         same change, so the weather is the probable reason. The common change is subtracted from the throws of this \
+         machine."
     )
 }
 
-/// Statement about a change of the machine that most machines of its site share.
+/// Caveat about a change that most machines of the site have too.
 pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
     format!(
-        "Machine {name}: a change of {cause} by {pct:+.0} % is common to most machines of the site, as by the weather, and \
-         raises no alarm of this machine."
+        "Machine {name}: a change of {cause} by {pct:+.0} % is common to most machines of the site, as by the \
+         weather, and raises no alarm of this machine."
     )
 }
 
-/// Text of a drift that has ended at once, except for a part.
+/// Text of a drift of which the larger part ended within a few throws.
 pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
     format!(
         "Machine {name}: most of the {} ended within a few throws, as after a repair, but the machine is not as its \
@@ -145,27 +147,24 @@ pub(crate) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
     format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
 }
 
-/// Text of an alarm without a name whose reason `part` explains.
+/// Text at the end of an alarm without a named part, when `part` explains its reason.
 pub(crate) fn explained(name: &str, part: Cause) -> String {
     format!("Machine {name}: this alarm is withdrawn: {part} explains the change.")
 }
 
-/// Text about a common change of all machines of a site.
+/// Text about a common change of the machines of a site.
 pub(crate) fn site(name: &str, cause: Cause, pct: f64) -> String {
     let way = if pct < 0.0 { "down" } else { "up" };
     format!(
-        "{name}: {cause} {way} by {:.0} % or more on most of them together: the weather (rain, frost, heat), or work on all. \
-         Each machine is judged without this change; one that changed by much more has an alarm of its own.",
+        "{name}: {cause} {way} by {:.0} % or more on most of them together: the weather (rain, frost, heat), or work \
+         on all. This change is subtracted from the throws of each machine; a machine that changed by much more has \
+         its own alarm.",
         pct.abs()
     )
 }
 
 pub(crate) fn site_over(name: &str, cause: Cause) -> String {
     format!("{name}: {cause} is no longer changed on most of them together.")
-}
-
-fn change(e: &Explanation) -> String {
-    change_of(&e.cause.to_string(), e)
 }
 
 fn change_of(name: &str, e: &Explanation) -> String {
@@ -210,8 +209,8 @@ fn runner_up(runner_up: Option<&RunnerUp>) -> String {
 fn advice(attribution: &Attribution) -> String {
     let look_at = |e: &Explanation| match attribution.sound_magnets() {
         Some(Level { value, sd }) if e.cause == Cause::Kt => format!(
-            "The motor's back-EMF has not changed as much ({:+.1} %, ±{:.1} %), so its magnets are sound. Check gear, clutch and \
-             screw for wear and lubrication, then brushes and commutator.",
+            "The motor's back-EMF has not changed as much ({:+.1} %, ±{:.1} %), so its magnets are sound. Check gear, \
+             clutch and screw for wear and lubrication, then brushes and commutator.",
             percent(value),
             half_width_pct(value, sd)
         ),
@@ -224,8 +223,8 @@ fn advice(attribution: &Attribution) -> String {
                 look_at(e)
             ),
             Some(_) => format!(
-                "{} Then check rods, stretcher bars and heel for binding: a stiffness that rose at the same time would look the \
-                 same.",
+                "{} Then check rods, stretcher bars and heel for binding: a stiffness that rose at the same time \
+                 would look the same.",
                 look_at(e)
             ),
             None => look_at(e),
@@ -248,8 +247,8 @@ fn look_at(cause: Cause, size: f64) -> &'static str {
         (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
         (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
         (Cause::Inertia, true) => {
-            "Check the brake, which may release late, and play in the drive: both look the same. Then look for added load: \
-             ice, ballast, a dragging second drive."
+            "Check the brake, which may release late, and play in the drive: both look the same. Then look for added \
+             load: ice, ballast, a dragging second drive."
         }
         (Cause::Inertia, false) => "Check couplings and rods: a moving part may be disconnected.",
         _ => "Check the machine.",

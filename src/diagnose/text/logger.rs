@@ -10,27 +10,28 @@ use crate::{
 /// Text for messages of a machine that are not valid throws.
 pub(crate) fn invalid(name: &str, count: u32, reason: &str) -> String {
     format!(
-        "Machine {name}: the last {count} messages of its logger are not valid throws, so the machine is not monitored: \
-         {reason}. Correct the logger; the messages are in quarantined_messages."
+        "Machine {name}: the last {count} messages of its logger are not valid throws, so the machine is not \
+         monitored: {reason}. Correct the logger; the messages are in quarantined_messages."
     )
 }
 
-/// Text for a logger whose clock is wrong: the time of a throw by it, and by the clock of this computer.
+/// Text for a logger whose clock is wrong: `started_at` by this clock, `received_at` by that of this computer.
 pub(crate) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timestamp) -> String {
     format!(
-        "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until then the \
-         times of alarms are those of reception.",
+        "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until \
+         then the times of alarms are those of reception.",
         utc(&started_at),
         utc(&received_at)
     )
 }
 
-/// Text for two loggers that publish as one machine, each with one of these boots; one of them alone for `hours` ends it.
+/// Text for two loggers that publish as one machine; the two texts are their boots. The alarm ends when only one of
+/// them has published for `hours`.
 pub(crate) fn two_loggers(name: &str, [first, second]: &[String; 2], hours: i64) -> String {
     format!(
-        "Machine {name}: two loggers publish as this machine: throws of the boots {first} and {second} take turns, so it is not \
-         monitored. Give each logger its own machine name. The machine is monitored again {hours} hours after the last turn, or \
-         after a new baseline (rebaseline)."
+        "Machine {name}: two loggers publish as this machine: throws of the boots {first} and {second} take turns, so \
+         it is not monitored. Give each logger its own machine name. The machine is monitored again {hours} hours \
+         after the last turn, or after a new baseline (rebaseline)."
     )
 }
 
@@ -43,11 +44,11 @@ pub(crate) fn unused_fields(name: &str, sentence: &str) -> String {
     format!("Machine {name}: a field in the messages of the logger is not used: {sentence}. Correct the logger.")
 }
 
-/// Text for a logger whose directions are not those of the movement.
+/// Text for a logger that names other directions than those of the movement.
 pub(crate) fn contradicted(name: &str) -> String {
     format!(
-        "Machine {name}: the logger names another direction than the position shows, which must rise from normal to \
-         reverse. pointsd uses the position: correct its sign, or the directions of the logger."
+        "Machine {name}: the logger names another direction than the position shows. The position must rise from \
+         normal to reverse. pointsd uses the position: correct its sign, or the directions of the logger."
     )
 }
 
@@ -71,13 +72,13 @@ pub(crate) fn logger_back(name: &str) -> String {
     format!("Machine {name}: its logger is connected again.")
 }
 
-/// Text for missing throws, counted until `at`.
+/// Text for missing throws; `at`: time of the count.
 pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
     let Missing { throws, refused, reason } = missing;
     if *throws >= Missing::MOST {
         return format!(
-            "Machine {name}: its throw number jumped by so many throws that the number of lost ones is not known. The counter of \
-             the logger is wrong: restart the logger with a new boot_id; data_gaps has the range."
+            "Machine {name}: its throw number jumped by so many throws that the number of lost ones is not known. The \
+             counter of the logger is wrong: restart the logger with a new boot_id; data_gaps has the range."
         );
     }
     let (lost, at) = (counted(*throws, "throw"), utc(&at));
@@ -86,18 +87,19 @@ pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
     let (are, their) = if *throws == 1 { ("is", "its message was") } else { ("are", "their messages were") };
     if *refused == 0 {
         format!(
-            "Machine {name}: {lost} never arrived {counted_at}. Check the link to the logger; what happened in between is not \
-             known."
+            "Machine {name}: {lost} never arrived {counted_at}. Check the link to the logger; what happened in \
+             between is not known."
         )
     } else if refused >= throws {
         format!(
-            "Machine {name}: {lost} {are} missing because {their} refused {counted_at}{reason}. Correct the logger; the \
-             messages are in quarantined_messages."
+            "Machine {name}: {lost} {are} missing because {their} refused {counted_at}{reason}. Correct the logger; \
+             the messages are in quarantined_messages."
         )
     } else {
         format!(
-            "Machine {name}: {lost} {are} missing, {refused} of them because of refused messages {counted_at}{reason}. Correct \
-             the logger (the messages are in quarantined_messages), and check the link to it for the others."
+            "Machine {name}: {lost} {are} missing, {refused} of them because of refused messages \
+             {counted_at}{reason}. Correct the logger (the messages are in quarantined_messages), and check the link \
+             to it for the others."
         )
     }
 }
@@ -108,8 +110,8 @@ pub(crate) fn no_gap(name: &str, throws: u32) -> String {
 
 pub(crate) fn repeated_number(name: &str) -> String {
     format!(
-        "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have the same \
-         number. They are stored and judged. Give the logger a new boot_id at each start."
+        "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have \
+         the same number. They are stored and judged. Give the logger a new boot_id at each start."
     )
 }
 

@@ -1,4 +1,4 @@
-//! The texts of alarms: what happened, how certain it is, what to check, and the forecast.
+//! The texts of alarms and caveats: what happened, how certain it is, what to check, and the forecast.
 
 mod blind;
 mod daemon;
@@ -16,7 +16,7 @@ pub(super) use throws::*;
 
 use crate::throw::Direction;
 
-/// "Machine 21B, normal to reverse"; without a direction for both.
+/// "Machine 21B, normal to reverse"; "Machine 21B" for both directions.
 pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     match direction {
         Some(direction) => format!("Machine {name}, {direction}"),
@@ -24,7 +24,7 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     }
 }
 
-/// Half width of the 95 % interval of a change \[%\]; `size` is its logarithm, with the standard deviation `sd`.
+/// Half width of the 95 % interval of a change \[%\]; `size`: its logarithm, with the standard deviation `sd`.
 fn half_width_pct(size: f64, sd: f64) -> f64 {
     196.0 * sd * size.exp()
 }

@@ -7,14 +7,14 @@ use crate::{
         explain::percent,
         gauges::{Level, Offset},
         observation::Unusable,
-        testimony::Fault,
-        thermometer::Disbelief,
+        origin::SensorFault,
+        thermometer::Implausible,
     },
     throw::{POSSIBLE_C, brief, utc},
 };
 
-/// Text about a drift that only a sensor or the clock explains.
-pub(crate) fn sensor(name: &str, fault: &Fault) -> String {
+/// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
+pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
     let pct = percent(fault.size);
     let (what, why) = match fault.channel {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
@@ -44,23 +44,24 @@ pub(crate) fn offset(name: &str, sensor: Offset, level: &Level) -> String {
     let half_width = (1.96 * sd).max(0.1);
     match sensor {
         Offset::Current => format!(
-            "Machine {name}: between throws the current sensor reads {value:+.1} A (±{half_width:.1} A) against its baseline: an \
-             offset. It is subtracted from each throw, so the machine is monitored as before. Check the current sensor's zero and \
-             supply, then whether the logger's circuit feeds something new."
+            "Machine {name}: between throws the current sensor reads {value:+.1} A (±{half_width:.1} A) against its \
+             baseline: an offset. It is subtracted from each throw, so the machine is monitored as before. Check the \
+             current sensor's zero and supply, then whether the logger's circuit feeds something new."
         ),
         Offset::Position => format!(
-            "Machine {name}: the position sensor reads {value:+.1} mm (±{half_width:.1} mm) at both ends against its baseline: it \
-             moved, or its zero was set again. The shift is compensated, so the machine is monitored as before. Check how the sensor \
-             is fixed, and set its zero; if it is right now, take a new baseline (rebaseline)."
+            "Machine {name}: the position sensor reads {value:+.1} mm (±{half_width:.1} mm) at both ends against its \
+             baseline: it moved, or its zero was set again. The shift is compensated, so the machine is monitored as \
+             before. Check how the sensor is fixed, and set its zero; if it is right now, take a new baseline \
+             (rebaseline)."
         ),
     }
 }
 
-/// Text about a machine whose baseline has a current at rest.
+/// Caveat about a current at rest that the baseline has too.
 pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
     format!(
-        "Machine {name}: between throws its current sensor reads {amperes:+.1} A, since its baseline began: an offset of the \
-         sensor, or a current that flows at rest. It is subtracted from each throw. Check the sensor's zero."
+        "Machine {name}: between throws its current sensor reads {amperes:+.1} A, since its baseline began: an offset \
+         of the sensor, or a current that flows at rest. It is subtracted from each throw. Check the sensor's zero."
     )
 }
 
@@ -76,8 +77,8 @@ pub(crate) fn offset_over(name: &str, sensor: Offset) -> String {
 pub(crate) fn supply(name: &str, change_pct: f64) -> String {
     let way = if change_pct < 0.0 { "lower" } else { "higher" };
     format!(
-        "Machine {name}: the supply voltage is {:.0} % {way} than the baseline's, and the throws' duration agrees. Check \
-         battery, charger, feeder and connections.",
+        "Machine {name}: the supply voltage is {:.0} % {way} than the baseline's, and the throws' duration agrees. \
+         Check battery, charger, feeder and connections.",
         change_pct.abs()
     )
 }
@@ -89,24 +90,25 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
     } else {
         (
             "down",
-            "Turns of the winding that touch, or a contact that was repaired, do this. Check the winding, then take a new \
-             baseline (rebaseline).",
+            "Turns of the winding that touch, or a contact that was repaired, do this. Check the winding, then take a \
+             new baseline (rebaseline).",
         )
     };
     format!(
-        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat explains, and \
-         the motor's back-EMF has not changed. {what}",
+        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat \
+         explains, and the motor's back-EMF has not changed. {what}",
         percent(level.value).abs(),
         half_width_pct(level.value, level.sd)
     )
 }
 
-/// Text about a lower inrush, where the resistance is unknown.
+/// Text about a lower inrush current of a machine whose resistance is unknown.
 pub(crate) fn inrush(name: &str, level: &Level) -> String {
     format!(
-        "Machine {name}: the inrush of the motor is down {:.0} % (±{:.0} %), more than heat explains. Its throws take longer, and \
-         its running current has not fallen as much. A bad contact, worn brushes, a damaged cable or a weak supply do this. Check \
-         terminals, brushes, contactor and cable, and the voltage at the motor while it runs.",
+        "Machine {name}: the inrush of the motor is down {:.0} % (±{:.0} %), more than heat explains. Its throws take \
+         longer, and its running current has not fallen as much. A bad contact, worn brushes, a damaged cable or a \
+         weak supply do this. Check terminals, brushes, contactor and cable, and the voltage at the motor while it \
+         runs.",
         percent(level.value).abs(),
         half_width_pct(level.value, level.sd)
     )
@@ -115,9 +117,9 @@ pub(crate) fn inrush(name: &str, level: &Level) -> String {
 /// 0 °C \[K\].
 const ZERO_C_IN_K: f64 = 273.15;
 
-pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
-    let what = match disbelief {
-        Disbelief::Impossible(celsius) => {
+pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String {
+    let what = match implausible {
+        Implausible::Impossible(celsius) => {
             let kelvin = celsius - ZERO_C_IN_K;
             let unit = if POSSIBLE_C.contains(&kelvin) {
                 format!(" (as kelvin it would be {kelvin:.1} °C)")
@@ -125,32 +127,32 @@ pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
                 String::new()
             };
             format!(
-                "temperature sensor reads {celsius:.1} °C, which is impossible{unit}. The last good temperature is used, if \
-                 there is one"
+                "temperature sensor reads {celsius:.1} °C, which is impossible{unit}. The last good temperature is \
+                 used, if there is one"
             )
         }
-        Disbelief::Jump(from, to) => format!(
-            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather: another unit, or a broken or moved sensor. The last \
-             good temperature is used"
+        Implausible::Jump(from, to) => format!(
+            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather: another unit, or a \
+             broken or moved sensor. The last good temperature is used"
         ),
-        Disbelief::Missing(since) => format!(
+        Implausible::Missing(since) => format!(
             "temperature is missing since {}. The last one is used, so weather can look like a fault",
             utc(&since)
         ),
-        Disbelief::Stuck(celsius, since) => format!(
-            "temperature sensor has read exactly {celsius:.1} °C since {}: it is stuck, or the logger repeats a value. It is used \
-             all the same, so weather can look like a fault",
+        Implausible::Stuck(celsius, since) => format!(
+            "temperature sensor has read exactly {celsius:.1} °C since {}: it is stuck, or the logger repeats a \
+             value. It is used all the same, so weather can look like a fault",
             utc(&since)
         ),
-        Disbelief::Supply(volts) => {
+        Implausible::Supply(volts) => {
             let volts = brief(volts);
             format!(
                 "sensor of the supply voltage reads {volts} V, which is impossible. Checks with the voltage are omitted"
             )
         }
     };
-    let moved = match disbelief {
-        Disbelief::Jump(..) => " If it is right now, take a new baseline (rebaseline).",
+    let moved = match implausible {
+        Implausible::Jump(..) => " If it is right now, take a new baseline (rebaseline).",
         _ => "",
     };
     format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")
@@ -164,17 +166,17 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
     let (what, check) = match found {
         Unusable::Values(SensorChannel::Clock) => (
             "the recordings of its throws last longer than a point machine can move".to_owned(),
-            "sample_rate_hz in the logger, which may have another unit than Hz; throws_not_evaluated has the duration of each \
-             throw",
+            "sample_rate_hz in the logger, which may have another unit than Hz; throws_not_evaluated has the duration \
+             of each throw",
         ),
         Unusable::Values(channel) => (
             format!("the {channel} reads impossible, stuck or very noisy values"),
             if channel == SensorChannel::Current {
-                "the sensor, its cable and its supply, and that the logger sends A; throws_not_evaluated has the reason of each \
-                 throw"
+                "the sensor, its cable and its supply, and that the logger sends A; throws_not_evaluated has the \
+                 reason of each throw"
             } else {
-                "the sensor, its cable and its supply, and that the logger sends mm; throws_not_evaluated has the reason of each \
-                 throw"
+                "the sensor, its cable and its supply, and that the logger sends mm; throws_not_evaluated has the \
+                 reason of each throw"
             },
         ),
         Unusable::Missing => (
@@ -183,8 +185,8 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
         ),
         Unusable::Reversed => (
             "the position moves against the direction that the logger names, unlike before".to_owned(),
-            "whether the axis of the position or the names of the directions were changed. If both are right now, take a new \
-             baseline (rebaseline)",
+            "whether the axis of the position or the names of the directions were changed. If both are right now, \
+             take a new baseline (rebaseline)",
         ),
     };
     format!("Machine {name}: {what}, so the throws cannot be evaluated. Check {check}.")

@@ -1,4 +1,4 @@
-//! Texts about throws that are incomplete, slow or different, without an estimate of the causes.
+//! Texts about throws that are incomplete, slow or different; these alarms name no part.
 
 use super::{half_width_pct, subject};
 use crate::{
@@ -10,7 +10,8 @@ use crate::{
     throw::Direction,
 };
 
-/// Text of an incomplete throw, the `in_a_row`th in a row of the machine, or of a direction.
+/// Text of `in_a_row` consecutive incomplete throws, of one direction or of the machine. `is_usual_current`: the
+/// current was that of a complete throw.
 pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32, is_usual_current: bool) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
@@ -31,8 +32,8 @@ pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
 
 pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) -> String {
     format!(
-        "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then the \
-         drive for binding.",
+        "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then \
+         the drive for binding.",
         subject(name, direction)
     )
 }
@@ -41,7 +42,7 @@ pub(crate) fn fast_again(name: &str) -> String {
     format!("Machine {name}: throws are as fast as the baseline's again.")
 }
 
-/// Text for throws without an estimate whose features have changed.
+/// Text for changed features of throws without coefficients, over `throws` throws of a direction.
 pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String {
     let change = |change: &Change| {
         let what = match change.gauge {
@@ -60,13 +61,13 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
     };
     let changes: Vec<String> = changes.iter().map(change).collect();
     format!(
-        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. These features alone name no \
-         part. {check}",
+        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. These features alone name \
+         no part. {check}",
         changes.join(", ")
     )
 }
 
-/// Text for throws whose start has changed, over the last `throws`.
+/// Text for a changed start of the movement, over the last `throws`.
 pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String {
     let start::Change { delay, gain, running, .. } = change;
     let moves = if delay.value.abs() < 0.05 {
@@ -78,9 +79,9 @@ pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String
     let more = if gain.value < 0.0 { "less" } else { "more" };
     format!(
         "Machine {name}: the start of the movement has changed, over {throws} throws: {moves} after the start \
-         of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain this, so \
-         no running part is named. Check the brake, which may release late, play and lost motion in drive and rods, and whether \
-         the position sensor is loose or its values are late. Then look for added load.",
+         of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain \
+         this, so no running part is named. Check the brake, which may release late, play and lost motion in drive \
+         and rods, and whether the position sensor is loose or its values are late. Then look for added load.",
         percent(gain.value).abs(),
         half_width_pct(gain.value, gain.sd),
         percent(running.value)

@@ -1,4 +1,4 @@
-//! The courses of a drift over the last throws of each direction, and the direction that it concerns.
+//! The courses of a drift over the last throws of each direction, and whether only one direction has the drift.
 
 use nalgebra::Vector3;
 
@@ -16,21 +16,19 @@ use crate::throw::Direction;
 /// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
 const AGREE_SD: f64 = 2.0;
 
-/// A drift concerns one direction only if the other direction has less than this part of its size.
+/// Largest size of the other direction, as part of the size, of a drift in one direction only.
 const ONE_SIDED: f64 = 0.5;
-/// Least difference of the directions for this, in standard deviations.
+/// Least difference of the two sizes for this, in standard deviations.
 const ONE_SIDED_SD: f64 = 3.0;
-/// Age \[throws\] at which the drift must have existed, so that each direction has six throws with it.
+/// Age \[throws\] at which the drift must have existed for this, so that each direction has six throws with it.
 const ONE_SIDED_AGE: f64 = 11.0;
-/// Least part of its present size that the drift had then.
+/// Least size at that age, as part of the present size.
 const LASTED: f64 = 0.5;
 
 impl Tracks {
-    /// The course of a drift along `weights` over the last throws of `direction`, if the drift is known to be in this
-    /// direction only; `now` is the latest throw.
-    ///
-    /// Otherwise it is the course over both directions if they agree, and else over that with the larger drift: after a
-    /// step the other one may have one throw with the drift, or none.
+    /// The course of a drift along `weights` over the last throws. With `direction`, the course in this direction only.
+    /// Otherwise the course over both directions if they agree, or else that of the direction with the larger drift:
+    /// just after a step, the other direction has one throw with the drift, or none. `now`: number of the latest throw.
     pub(in crate::diagnose) fn course(
         &self,
         weights: &Vector3<f64>,
@@ -57,7 +55,7 @@ impl Tracks {
         let since = stream.since_counted(weights);
         let baselines = self.baselines();
         let recent = stream.points(weights, baselines, now - since);
-        // Blocks contain throws of both directions.
+        // The history consists of blocks, each with throws of both directions.
         let oldest = recent.first()?.age;
         let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
         let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
@@ -66,7 +64,7 @@ impl Tracks {
         Course::of(&points, noise(&mixed.scatter, centre_throws, weights, temperature_sd))
     }
 
-    /// The course of a drift along `weights` over the last throws of a side.
+    /// The course of a drift along `weights` over the last throws of the direction with index `at`.
     fn course_of(&self, at: usize, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>, now: u64) -> Option<Course> {
         let baselines = self.baselines();
         let baseline = baselines[at]?;
@@ -75,8 +73,8 @@ impl Tracks {
         Course::of(&points, noise(&baseline.scatter, baseline.centre_throws(), weights, temperature_sd))
     }
 
-    /// The direction that a drift along `weights` concerns; `None` for both, and until the drift has lasted for enough
-    /// throws. `now` is the latest throw.
+    /// The only direction that has a drift along `weights`. `None` if both have it, and until it has lasted for enough
+    /// throws. `now`: number of the latest throw.
     pub(in crate::diagnose) fn one_sided(
         &self,
         weights: &Vector3<f64>,
@@ -101,7 +99,7 @@ impl Tracks {
     }
 }
 
-/// Noise of the values along `weights`, of a baseline whose centre is a mean of `centre_throws` throws.
+/// Noise along `weights` of throws compared with the centre of a baseline, which is a mean of `centre_throws` throws.
 fn noise(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> Noise {
     let noise = scatter.along(weights, centre_throws);
     Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }

@@ -1,4 +1,4 @@
-//! How the baselines learn from throws that are free of suspicion, trend and rain.
+//! Learning of the baselines, from throws without suspicion, trend or rain.
 
 use std::mem;
 
@@ -19,31 +19,31 @@ use super::{
 };
 use crate::{estimate::Grade, throw::Direction};
 
-/// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
+/// Largest number of throws set aside in a direction: a longest window of throws shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
 
-/// Numbers of throws set aside in a direction at which they show the scatter.
+/// Numbers of throws set aside in a direction at which the scatter is computed again.
 const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
 
-/// Throws of a machine from one test for a trend to the next. A trend shows over dozens of throws, and the test is most of the
-/// work of learning.
+/// Throws of a machine from one test for a trend to the next. A trend shows over dozens of throws, and the test is most
+/// of the work of learning.
 const TREND_EVERY: u64 = 4;
 
-/// The suspicion against adding a throw to a baseline.
+/// Reason not to add a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::diagnose) enum Suspicion {
     /// No suspicion.
     None,
     /// The last throws may show a drift.
     Suspected,
-    /// The last throws show a drift above its limit without a stable name.
+    /// The last throws show a drift above its limit; its name is not stable yet.
     AboveLimit,
     /// A drift has an active alarm.
     Alarmed,
 }
 
 impl Track {
-    /// Takes the baseline from the learned throws without their known `changes`.
+    /// Takes the baseline from the learned throws; the known `changes` are subtracted from these.
     fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
         let baseline = Baseline::learn(&self.learned, self.sensor, self.of_ratios, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
@@ -52,11 +52,11 @@ impl Track {
         record
     }
 
-    /// Keeps the ratios of a throw before the first baseline; changes to a baseline of ratios, of the throws kept, if many of
-    /// them are rough. Rough throws cannot be compared closely with a baseline of coefficients, and a fault makes more throws
-    /// rough. Returns whether it changed.
+    /// Keeps the ratios of a throw before the first baseline. If many of the kept throws are rough, changes the
+    /// direction to a baseline of ratios, with the kept throws set aside. A rough throw cannot be compared closely with
+    /// a baseline of coefficients, and a fault makes more throws rough. Returns whether the direction changed.
     fn becomes_of_ratios(&mut self, order: u64, throw: &Evaluated, settings: &Settings) -> bool {
-        /// Least share of rough throws. A machine with one in ten has it in 3 of 100 dozens.
+        /// Least part of rough throws. A machine with one rough throw in ten reaches it in 3 % of its dozens of throws.
         const ROUGH_SHARE: f64 = 0.3;
         if self.of_ratios || self.baseline.is_some() {
             return false;
@@ -79,19 +79,19 @@ impl Track {
     }
 }
 
-/// The mean of `count` covariances of which `last` is one and `mean` that of the others.
+/// The mean of `count` covariances: `last`, and the others, whose mean is `mean`.
 fn mean_with(mean: Sym3, last: &Matrix3<f64>, count: usize) -> Sym3 {
     let mean = Matrix3::from(mean);
     (mean + (last - mean) / count as f64).into()
 }
 
 impl Tracks {
-    /// Adds a throw to an incomplete baseline; returns the records of baselines that became usable, better or complete.
+    /// Adds a throw to an incomplete baseline. Returns the records of baselines that became usable, better or complete.
     ///
-    /// A fault must not become part of the baseline, and chance must not stop the learning: throws with a suspected
-    /// drift are set aside. They are dropped if the drift raises an alarm, and added if it ends or stays below its
-    /// limit for a longest window. Before they are added, they show how much throws scatter around their own level: with
-    /// the few throws of the baseline alone a large drift may stay below its limit.
+    /// A fault must not become part of a baseline, and chance must not stop the learning. So throws with a suspected
+    /// drift are set aside. They are dropped if the drift raises an alarm. They are added if the drift ends, or stays
+    /// below its limit for a longest window. Before they are added, the scatter is computed from them too, around their
+    /// own level: the few throws of the baseline alone give so wide limits that a large drift may stay below.
     pub(in crate::diagnose) fn learn(
         &mut self,
         throw: &Evaluated,
@@ -141,7 +141,7 @@ impl Tracks {
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
-        // A trend that the last throws end was chance in the other baseline too, which would stay provisional.
+        // A trend that the last throws end was chance. It was chance in the other baseline too, which is taken again.
         let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];
@@ -154,33 +154,33 @@ impl Tracks {
         records
     }
 
-    /// Looks for a trend in the throws of the baselines, also those set aside.
+    /// Looks for a trend in the throws of the baselines and those set aside.
     fn follow_trend(&mut self, settings: &Settings) {
         let slopes = if self.are_comparable() { trend(&self.filling(&self.wet), settings) } else { [0.0; 3] };
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// Looks for wet spells in the same throws.
+    /// Looks for wet spells in these throws.
     fn follow_wet_spells(&mut self) {
         self.wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
     }
 
-    /// Whether the throws of both directions have the same values: the coefficients, or the ratios only.
+    /// Whether both directions are compared by the same values: all coefficients, or ratios only.
     fn are_comparable(&self) -> bool {
         let [normal, reverse] = &self.sides;
         normal.of_ratios == reverse.of_ratios
     }
 
-    /// The throws of the baselines, also those set aside, as in dry weather.
+    /// The throws of the baselines and those set aside; the effect of the spells `wet` is subtracted.
     fn filling(&self, wet: &[WetSpell]) -> Filling {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
-        // The errors of ratios are mostly equal in every throw: what differs is the scatter of the machine.
+        // Errors of ratios are mostly equal in every throw; differences are scatter of the machine.
         let differing = |track: &Track| if track.of_ratios { Matrix3::zeros() } else { Matrix3::from(track.sensor) };
         let sensor = self.sides.each_ref().map(differing);
         filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
-    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
+    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without
     /// trend.
     pub(in crate::diagnose) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete =
@@ -188,7 +188,7 @@ impl Tracks {
         self.slopes.filter(|_| incomplete)
     }
 
-    /// Computes the scatter of the throws of incomplete baselines and of those set aside, each around their own level.
+    /// Computes the scatter of the throws of incomplete baselines and of those set aside, each around its own level.
     fn learn_scatter_around_levels(&mut self, settings: &Settings) {
         let (mut all, mut sensor, mut centres, mut sides) = (Vec::new(), Matrix3::zeros(), 0, 0);
         for track in &mut self.sides {
@@ -235,7 +235,7 @@ mod tests {
 
     use super::*;
 
-    /// A trend by chance in one baseline, which the last throw of the other ends, must not leave wide limits without a statement.
+    /// A chance trend in one baseline, which the last throw of the other ends, must not leave wide limits unannounced.
     #[test]
     fn baselines_without_a_trend_are_complete() {
         let settings = Settings::default();

@@ -1,4 +1,4 @@
-//! The throws of each direction in the monitor: the baseline and its learning, and the last throws.
+//! The throws of each direction in the monitor: the baseline with its learning, and the last throws.
 
 mod courses;
 mod learning;
@@ -18,7 +18,7 @@ use super::{
     scatter::Scatter,
     settings::Settings,
     sym3::Sym3,
-    temperature::doubt,
+    temperature::covariance_of_effect,
     threshold::{Thresholds, WINDOWS},
     verdict::{Blindness, HidingTemperature},
     wet::{self, WetSpell},
@@ -26,15 +26,13 @@ use super::{
 };
 use crate::{estimate::Estimate, throw::Direction};
 
-/// The temperature hides a fault if, because of the uncertain effect of the temperature, only a size more than this
-/// many times larger would show.
+/// The temperature hides a fault if its uncertain effect makes the least visible size larger by more than this factor.
 const HIDES_FROM: f64 = 1.5;
 
 /// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
-    /// Throws of the baseline; kept until both directions are complete. Without spare memory, as a whole fleet may
-    /// learn at once.
+    /// Throws of the baseline, until both directions are complete. No spare memory, as a whole fleet may learn at once.
     learned: Box<[BaselineThrow]>,
     /// Throws set aside while a drift is suspected.
     aside: Vec<BaselineThrow>,
@@ -44,43 +42,45 @@ struct Track {
     thresholds: Option<Thresholds>,
     recent: RecentThrows,
     since_baseline: u64,
+    /// Present while the direction has no baseline and is not `of_ratios`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     undecided: Option<Box<Undecided>>,
-    /// Whether the throws are compared by their ratios only, as many have no complete coefficients.
+    /// Whether the throws are compared by their ratios only, as many throws have no reliable common scale.
     #[serde(default)]
     of_ratios: bool,
     #[serde(default)]
     rough: RoughErrors,
 }
 
-/// The throws of a direction without a baseline since the last decision about `of_ratios`, by their ratios.
+/// Throws of a direction before its first baseline. They decide whether the direction compares ratios only.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Undecided {
+    /// The ratios of these throws.
     throws: Vec<BaselineThrow>,
     /// Number of rough throws among them.
     rough: usize,
-    /// Mean covariance of their ratios.
+    /// Mean covariance of the ratios.
     sensor: Sym3,
 }
 
-/// The errors of throws of ratios beside a baseline of coefficients: their misfit of the model repeats, and healthy throws show
-/// how much it changes the ratios.
+/// Size of the errors of rough throws, whose ratios are compared with a baseline of coefficients. The misfit of the
+/// model is much the same in each of them, so their stated variance is too large, as healthy throws show.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct RoughErrors {
     throws: u32,
-    /// Sum of their squared departures from the baseline beyond the scatter of the machine, relative to the stated variance.
+    /// Sum of their squared departures from the baseline beyond the machine's scatter, in stated variances.
     squares: f32,
 }
 
 impl RoughErrors {
-    /// Number of healthy throws from which the errors are used, and up to which they are learned.
+    /// Number of healthy throws from which the errors are used, and number up to which they are learned.
     const THROWS: (u32, u32) = (6, 24);
-    /// Factor on the mean square, which a few throws show roughly, and its least value.
+    /// Factor on the mean square, as few throws determine it roughly, and least value of the mean square.
     const MARGIN: f64 = 3.0;
     const LEAST: f64 = 0.02;
 
-    /// Adds the squared departure of a throw beyond the scatter of the machine, relative to the stated variance. A larger one
-    /// than stated may be a fault that is not detected yet.
+    /// Adds the squared departure of a throw, beyond the scatter of the machine, relative to the stated variance. A
+    /// departure larger than stated is left out, as it may be a fault that is not detected yet.
     fn learn(&mut self, square: f64) {
         if self.throws < Self::THROWS.1 && square < 1.0 {
             #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
@@ -89,8 +89,8 @@ impl RoughErrors {
         }
     }
 
-    /// Variance of the errors relative to the stated one, at most 1: from the throws of both directions, whose misfit has the
-    /// same reasons.
+    /// Ratio of the variance of the errors to the stated variance, at most 1. Learned from both directions together, as
+    /// their misfit has the same reasons.
     fn share([one, other]: [Self; 2]) -> f64 {
         let throws = one.throws + other.throws;
         if throws < Self::THROWS.0 {
@@ -109,7 +109,7 @@ struct Mixed {
 }
 
 impl Mixed {
-    /// Every throw tests this stream and that of its direction, so each has half of the budget.
+    /// Every throw tests the mixed stream and that of its direction, so each of the two gets half of the budget.
     fn new(scatter: Scatter, settings: &Settings) -> Self {
         let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
         Self { scatter, thresholds }
@@ -129,19 +129,20 @@ pub(super) struct Tracks {
 }
 
 impl Tracks {
-    /// The throw as its direction compares it: its coefficients, or the ratios only.
+    /// The throw with the values that its direction compares: all coefficients, or ratios only.
     pub(super) fn compared(&self, throw: Evaluated) -> Evaluated {
         if self.sides[throw.direction.side()].of_ratios { throw.ratios() } else { throw }
     }
 
-    /// Residual of a throw from the baseline of its direction, with temperature compensation.
+    /// Residual of a throw from the baseline of its direction, with temperature compensation. `None` without a
+    /// baseline, or if the throw has ratios only.
     pub(super) fn residual(&self, throw: &Evaluated) -> Option<Vector3<f64>> {
         let baseline = self.sides[throw.direction.side()].baseline.as_ref().filter(|_| !throw.ratios_only)?;
         Some(baseline.compensated(baseline.residual(&throw.log, throw.temperature_c)))
     }
 
-    /// Adds a throw to the last throws of its direction; the throw that leaves them updates the temperature compensation.
-    /// Returns the residual, of ratios with the common scale of the last throw that has one; `None` without a baseline.
+    /// Adds a throw to the last throws of its direction; the throw that leaves them updates the temperature
+    /// compensation. Returns the residual (of ratios: with the last known common scale); `None` without a baseline.
     pub(super) fn push(
         &mut self,
         throw: &Evaluated,
@@ -157,8 +158,8 @@ impl Tracks {
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = if track.of_ratios { baseline.differing(throw.sensor) } else { throw.sensor };
         if throw.ratios_only && !track.of_ratios {
-            // The common scale is arbitrary: the middle coefficient stays, as a single fault leaves two of the three, and
-            // the others have the errors of their ratios to it.
+            // The common scale is unknown. The coefficient with the middle residual counts as unchanged, as a single
+            // fault leaves two of the three unchanged. The errors of the others are those of their ratios to this one.
             let mut order = [0, 1, 2];
             order.sort_by(|a, b| raw[*a].total_cmp(&raw[*b]));
             let fixed = order[1];
@@ -189,11 +190,11 @@ impl Tracks {
         Some(residual.add_scalar(scale))
     }
 
-    /// Side of a throw, its departure from the median of the previous throws of its direction, covariance of one throw,
-    /// and whether the baseline is complete. `None` with too few throws.
+    /// For a throw: index of its direction, departure from the median of the previous throws of this direction,
+    /// covariance of one throw, and whether the baseline is complete. `None` with too few throws.
     pub(super) fn departure(&self, throw: &Evaluated) -> Option<(usize, Vector3<f64>, Matrix3<f64>, bool)> {
-        /// Number of previous throws: few enough to follow the weather, and enough for a median that a third of
-        /// departures does not change.
+        /// Number of previous throws: few enough that the median follows the weather, and enough that a third of
+        /// departures does not change it.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
         let at = throw.direction.side();
         let track = &self.sides[at];
@@ -221,12 +222,12 @@ impl Tracks {
         track.baseline.is_some() && !track.of_ratios
     }
 
-    /// Covariance of a throw of a direction.
+    /// Covariance of one throw of a direction; `None` without a baseline.
     pub(super) fn of_one_throw(&self, direction: Direction) -> Option<Matrix3<f64>> {
         Some(self.sides[direction.side()].baseline.as_ref()?.scatter.of_one_throw())
     }
 
-    /// Version 1 stored residuals with temperature compensation.
+    /// Converts throws of snapshot version 1, whose residuals contain the temperature compensation.
     pub(super) fn add_temperature(&mut self) {
         for track in &mut self.sides {
             if let Some(baseline) = &track.baseline {
@@ -235,7 +236,7 @@ impl Tracks {
         }
     }
 
-    /// Changes baselines of ratios of an earlier version to the ratios to b0; no others.
+    /// Converts baselines of ratios of an earlier version of the program to ratios to b0; leaves others alone.
     pub(super) fn relate_to_b0(&mut self) {
         for track in self.sides.iter_mut().filter(|track| track.of_ratios) {
             track.learned.iter_mut().chain(&mut track.aside).for_each(BaselineThrow::relate_to_b0);
@@ -243,10 +244,10 @@ impl Tracks {
         }
     }
 
-    /// Whether a baseline may contain rain that had begun before it or lasted until its end. Such a spell is not taken out,
-    /// as its throws do not distinguish it from a fault; the rails are dry again within a longest spell.
+    /// Whether a baseline may contain rain that began before it or lasted until its end. Such a spell cannot be taken
+    /// out, as its throws do not distinguish it from a fault. Within the longest spell, the rails are dry again.
     pub(super) fn may_have_learned_rain(&self) -> bool {
-        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST as u64)
+        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST_SPELL as u64)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
@@ -272,8 +273,8 @@ impl Tracks {
         }
     }
 
-    /// The drift in the last throws; the latest is of `direction`. `wild`: the scatter has heavy tails.
-    pub(super) fn drift(&self, direction: Direction, wild: bool, known: &Known, settings: &Settings) -> Drift {
+    /// The drift in the last throws; the latest of them is in `direction`. `heavy_tails`: the scatter has heavy tails.
+    pub(super) fn drift(&self, direction: Direction, heavy_tails: bool, known: &Known, settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = self.baselines();
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
@@ -286,7 +287,7 @@ impl Tracks {
         // The strongest window, its scatter, and its side; `None` for the mixed stream.
         let mut best: Option<(Window, &Scatter, Option<usize>)> = None;
         for (side, tail, scatter, thresholds) in own.chain(mixed) {
-            if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
+            if let Some(window) = tail.strongest(heavy_tails, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, ..)| window.excess > best.excess)
             {
                 best = Some((window, scatter, side));
@@ -303,7 +304,7 @@ impl Tracks {
         let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
-        // The known level is the mean of both directions, in which a machine may have changed differently.
+        // The known level is a mean of both directions, but the machine may have changed differently in each of them.
         let of_side = || {
             let (window, _, side) = best?;
             Some(0.5 * (window.mean - level(1 - side?, window.throws)?.mean))
@@ -313,8 +314,8 @@ impl Tracks {
         Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
-    /// The cause and size \[%\] hidden most by the uncertain effect of the temperature on this side, if it hides a
-    /// change at the warning limit, with the mean temperature of these throws.
+    /// The cause that the uncertain effect of the temperature hides most in this direction, with its least visible
+    /// size, if this is above the warning limit; and the mean temperature of these throws.
     fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<Blindness> {
         let track = &self.sides[side];
         let thresholds =
@@ -324,7 +325,7 @@ impl Tracks {
         let over_limit = |cause: Cause| {
             let limit_pct = settings.limit_pct(cause)?;
             let visible = visible_pct(cause, window.tested(limit), limit)?;
-            let otherwise = visible_pct(cause, window.covariance - doubt(window.temperature_sd), limit)?;
+            let otherwise = visible_pct(cause, window.covariance - covariance_of_effect(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
         let (cause, below_pct, _) =
@@ -335,15 +336,15 @@ impl Tracks {
         Some(Blindness { cause, below_pct, temperature: Some(HidingTemperature { temperature_c, baseline_c }) })
     }
 
-    /// The cause and size \[%\] hidden most by the scatter of the throws of a direction, if no window shows a change at the
-    /// critical limit. Depends on the baselines only, so it does not change from throw to throw.
+    /// The cause that the scatter of the throws hides most, with its least visible size, if no window shows a change at
+    /// the critical limit. It depends on the baselines only, so it does not change from throw to throw.
     pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<Blindness> {
         let hidden = self.sides.iter().filter_map(|track| self.hidden_by_scatter_of(track, settings));
         let (cause, below_pct, _) = hidden.max_by(|a, b| a.2.total_cmp(&b.2))?;
         Some(Blindness { cause, below_pct, temperature: None })
     }
 
-    /// The same for one direction, also relative to the critical limit.
+    /// The same for one direction: cause, least visible size \[%\], and this size relative to the critical limit.
     fn hidden_by_scatter_of(&self, track: &Track, settings: &Settings) -> Option<(Cause, f64, f64)> {
         let baseline = track.baseline.as_ref().filter(|baseline| baseline.is_final(settings))?;
         let own = (&baseline.scatter, track.thresholds.as_ref()?, baseline.centre_throws());
@@ -371,10 +372,9 @@ impl Tracks {
         self.sides.iter().flat_map(|track| &track.baseline).all(|baseline| baseline.temperature.reference_c.is_none())
     }
 
-    /// Whether the last throws of the machine show only the ratios of the coefficients, so that a change of the inertia
-    /// does not show.
+    /// Whether the last throws of the machine show only ratios of coefficients; they do not show a change of inertia.
     pub(super) fn lacks_scale(&self) -> bool {
-        /// Throws of the machine that show it: rough throws of a machine with both kinds follow one another for less.
+        /// Consecutive throws without a scale that decide this: a machine with both kinds of throws has shorter runs.
         const LAST: usize = WINDOWS[2];
         let [normal, reverse] = &self.sides;
         let recent = Stream::all([&normal.recent, &reverse.recent]);
@@ -395,14 +395,14 @@ impl Tracks {
         self.sides.iter().any(|track| track.baseline.is_some())
     }
 
-    /// Whether throws of an incomplete baseline are kept.
+    /// Whether a baseline is incomplete and has throws already.
     pub(super) fn is_learning(&self, settings: &Settings) -> bool {
         let is_final = |track: &Track| track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let has_throws = |track: &Track| !track.learned.is_empty() || !track.aside.is_empty();
         self.sides.iter().any(|track| has_throws(track) && !is_final(track))
     }
 
-    /// Centres of the coefficients, or of the ratios, and of the duration \[s\] of the baselines of both directions.
+    /// Centres of the baselines of both directions: of coefficients or ratios, and of the duration \[s\].
     pub(super) fn centres(&self) -> [Option<([f64; 3], f64)>; 2] {
         self.baselines().map(|baseline| baseline.and_then(|of| Some((of.centre.map(f64::exp), of.duration_s?))))
     }
@@ -424,7 +424,7 @@ impl Tracks {
         track.baseline.as_ref().map(|baseline| baseline.record(direction, track.of_ratios))
     }
 
-    /// Evaluated throws of the machine per day since its baselines; `None` without any.
+    /// Evaluated throws of the machine per day, since its baselines; `None` without throws since.
     pub(super) fn throws_per_day(&self, at: Timestamp) -> Option<f64> {
         let rate = |track: &Track| {
             let days = at.duration_since(track.baseline.as_ref()?.taken_at).as_secs_f64() / 86_400.0;

@@ -1,7 +1,7 @@
 //! A motor in a closed loop: equation (12) with a current that depends on the movement.
 //!
-//! The instrument of SRIV is computed from the current. If the current depends on a disturbance of the position, the
-//! instrument correlates with the disturbance, and the estimate may be biased.
+//! SRIV computes its instrument from the current. If the current depends on a disturbance of the position, the
+//! instrument is correlated with this disturbance, and the estimate may be biased.
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -43,7 +43,7 @@ enum Current {
     Replayed,
 }
 
-/// Errors with a current that depends on the movement, and with one that does not.
+/// Errors of the estimates, with a current that depends on the movement and with one that does not.
 pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters::default();
     let mut plant = Plant { known: machine.coefficients()?, machine, replayed: Vec::new() };
@@ -91,7 +91,8 @@ impl Plant {
         std::f64::consts::TAU / self.machine.lead_mm
     }
 
-    /// Simulates a throw: recorded current \[A\] and screw angle \[rad\]. `load` is relative to the running torque.
+    /// Simulates a throw; returns the recorded current \[A\] and screw angle \[rad\]. `noise`: standard deviation of
+    /// the recorded angle \[rad\]; `load`: standard deviation of the random load, as part of the running torque.
     fn throw(&self, current: Current, noise: f64, load: f64, bench: &mut Bench) -> (Vec<f64>, Vec<f64>) {
         let Coefficients { b0, a1, a0, .. } = self.known;
         let mut normal = || bench.rng.sample::<f64, _>(StandardNormal);
@@ -117,7 +118,7 @@ impl Plant {
             let size = load * a1 * SPEED_RAD_S;
             disturbance = keeps * disturbance + (1.0 - keeps * keeps).sqrt() * size * normal();
             let h = INTERVAL_S / FINE as f64;
-            // Equation (12) with constant current.
+            // Equation (12); the current is constant between two samples.
             let acceleration = |[angle, speed]: [f64; 2]| b0 * driving - a1 * speed - a0 * angle - disturbance;
             for _ in 0..FINE {
                 [angle, speed] = midpoint([angle, speed], h, acceleration, acceleration);
@@ -130,12 +131,17 @@ impl Plant {
 /// A speed controller with a proportional and an integral part.
 #[derive(Default)]
 struct Controller {
+    /// Recorded position at the last sample \[rad\].
     before: f64,
+    /// Filtered speed \[rad/s\].
     speed: f64,
+    /// Integral of the speed error \[rad\].
     integral: f64,
 }
 
 impl Controller {
+    /// The current \[A\] at the next sample, from the recorded position \[rad\]. Its integral stops at the largest
+    /// current.
     fn current(&mut self, recorded: f64) -> f64 {
         self.speed += ((recorded - self.before) / INTERVAL_S - self.speed) * INTERVAL_S / SPEED_FILTER_S;
         self.before = recorded;

@@ -5,7 +5,7 @@ use serde::Serialize;
 /// Names of the coefficients, in the order of all arrays of three.
 pub const NAMES: [&str; 3] = ["b0", "a1", "a0"];
 
-/// One limit of the method, as a table of simulated cases.
+/// One limit of the method: a table of simulated cases.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
     /// Identifier, for file names and JSON.
@@ -20,7 +20,7 @@ pub struct Finding {
     pub rows: Vec<Row>,
 }
 
-/// The estimates of one case.
+/// One case of a finding: the errors of its estimates.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
     /// Value of the parameter.
@@ -31,14 +31,14 @@ pub struct Row {
     pub noisy: bool,
     /// Errors of b0, a1, a0 in each accepted throw \[%\].
     pub errors_pct: Vec<[f64; 3]>,
-    /// Standard deviations stated by the estimator, mean over the throws \[%\].
+    /// Mean of the standard deviations that the estimator states \[%\].
     pub stated_sd_pct: [f64; 3],
-    /// Code of the reason for the rejection of throws.
+    /// Code of the last rejection; `None` if every throw was accepted.
     pub refusal: Option<String>,
 }
 
 impl Row {
-    /// A case without estimates so far.
+    /// A case without estimates yet.
     pub(super) fn new(label: impl Into<String>, throws: usize, noisy: bool) -> Self {
         let (errors_pct, stated_sd_pct) = (Vec::new(), [0.0; 3]);
         Self { label: label.into(), throws, noisy, errors_pct, stated_sd_pct, refusal: None }
@@ -50,13 +50,13 @@ impl Row {
         (count > 0.0).then(|| std::array::from_fn(|at| self.errors_pct.iter().map(|e| e[at]).sum::<f64>() / count))
     }
 
-    /// Errors of largest magnitude of b0, a1, a0 \[%\]; `None` if every throw was rejected.
+    /// Largest errors of b0, a1, a0 by magnitude \[%\]; `None` if every throw was rejected.
     pub fn worst_pct(&self) -> Option<[f64; 3]> {
         let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
         self.errors_pct.iter().copied().reduce(|a, b| std::array::from_fn(|at| larger(a[at], b[at])))
     }
 
-    /// Standard deviation of the errors over the throws \[%\]; `None` for fewer than three.
+    /// Standard deviation of the errors over the throws \[%\]; `None` for fewer than three accepted throws.
     pub fn sd_pct(&self) -> Option<[f64; 3]> {
         let mean = self.mean_pct().filter(|_| self.errors_pct.len() > 2)?;
         let count = self.errors_pct.len() as f64;
@@ -64,6 +64,7 @@ impl Row {
         Some(std::array::from_fn(|at| (square(at) / (count - 1.0)).sqrt()))
     }
 
+    /// Adds the estimate `found` with its stated standard deviations; the error is counted from `reference`.
     pub(super) fn add(&mut self, found: [f64; 3], sd: [f64; 3], reference: [f64; 3]) {
         self.errors_pct.push(std::array::from_fn(|at| (found[at] / reference[at] - 1.0) * 100.0));
         for at in 0..3 {
@@ -71,7 +72,7 @@ impl Row {
         }
     }
 
-    /// Divides the sum of the stated standard deviations by the number of estimates.
+    /// Completes the row: turns the sum of the stated standard deviations into their mean.
     pub(super) fn finish(&mut self) {
         let count = self.errors_pct.len().max(1) as f64;
         self.stated_sd_pct = self.stated_sd_pct.map(|sum| sum / count);

@@ -8,13 +8,13 @@ use crate::throw::{Direction, OutOfRange};
 
 /// Sampling rates of loggers \[Hz\].
 const RATES_HZ: [f64; 9] = [25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 20_000.0];
-/// Cut-off of the anti-alias filter as share of the sampling rate.
+/// Cut-off of the anti-alias filter as part of the sampling rate.
 const CUT_OFF_SHARE: f64 = 0.4;
 
-/// Number of mains phases at the start of the motor.
+/// Number of phases of the mains at which the motor starts.
 const PHASES: u32 = 8;
 
-/// Effect of the sampling rate: raw, raw but declared as filtered, and filtered.
+/// Effect of the sampling rate: raw samples, raw samples declared as filtered, and filtered samples.
 pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
     let sensors = |rate: f64, filtered: bool| Sensors {
         anti_alias_hz: filtered.then_some(CUT_OFF_SHARE * rate),
@@ -97,7 +97,7 @@ pub(super) fn drive(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     })
 }
 
-/// Effect of the sensors' noise, with stated and observed standard deviations.
+/// Effect of the noise of the sensors; stated and observed standard deviations.
 pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (current_a, position_mm) in

@@ -1,4 +1,4 @@
-//! A constant load torque: its effect on the three coefficients, and as a fourth coefficient.
+//! A constant load torque: its effect on the three coefficients, and the load as a fourth coefficient.
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, Trial, fit, without_dry_friction};
@@ -8,7 +8,7 @@ use crate::throw::{Direction, OutOfRange};
 
 /// Loads against the movement, simulated as dry friction of the screw \[N m\].
 const LOADS_NM: [f64; 5] = [0.0, 0.2, 0.5, 1.0, 2.0];
-/// Load in the trial of the fourth coefficient \[N m\].
+/// Load for the fourth coefficient \[N m\].
 const TRIED_NM: f64 = 0.5;
 
 /// Effect of a constant load on the three coefficients.
@@ -32,7 +32,7 @@ pub(super) fn torque(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     })
 }
 
-/// Compares estimates with three coefficients and with the load as a fourth one, on the same throws.
+/// Estimates with three coefficients, and with the load as a fourth one, on the same throws.
 pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters { screw_dry_nm: TRIED_NM, ..without_dry_friction() };
     let known = machine.coefficients()?;

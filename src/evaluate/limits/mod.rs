@@ -19,7 +19,7 @@ pub struct Runs {
     pub seed: u64,
 }
 
-/// Computes every finding, in the order of this page.
+/// Computes every finding, in the order of the tables above.
 ///
 /// # Errors
 /// When a machine cannot be simulated.

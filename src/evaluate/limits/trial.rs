@@ -11,20 +11,20 @@ use crate::estimate::{
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw};
 
-/// The throws of one row.
+/// The throws of one row of a table.
 #[derive(Debug, Clone)]
 pub(super) struct Trial {
     pub machine: Parameters,
     pub sensors: Sensors,
     pub temperature_c: f64,
     pub settings: Settings,
-    /// Cut-off of the declared anti-alias filter \[Hz\].
+    /// Cut-off of the anti-alias filter that the throws declare \[Hz\]; `None`: no filter.
     pub declared_hz: Option<f64>,
     pub directions: Vec<Direction>,
-    /// Number of mains phases at the start of the motor, spread over half a period.
+    /// Number of phases of the mains at which the motor starts, evenly spread over half a period.
     pub phases: u32,
     pub repeats: usize,
-    /// Reference of the errors; `None` for the true coefficients.
+    /// Coefficients from which the errors are counted; `None` for the true ones.
     pub reference: Option<[f64; 3]>,
 }
 
@@ -44,12 +44,12 @@ impl Default for Trial {
     }
 }
 
-/// The default machine without dry friction, which equation (10) does not have. Its coefficients are known exactly.
+/// The default machine without dry friction, as in equation (10), so that its true coefficients are known exactly.
 pub(super) fn without_dry_friction() -> Parameters {
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() }
 }
 
-/// Runs trials with one random number generator.
+/// Runs trials, all with one random number generator.
 pub(super) struct Bench {
     pub rng: ChaCha12Rng,
     identifier: Identifier,
@@ -60,7 +60,7 @@ impl Bench {
         Self { rng: ChaCha12Rng::seed_from_u64(seed), identifier: Identifier::default() }
     }
 
-    /// Runs the throws of a trial; a rough estimate counts as rejected.
+    /// The row with the throws of a trial; a rough estimate counts as rejected.
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or(known.values());
@@ -81,7 +81,8 @@ impl Bench {
                 let quality = found.quality();
                 match found.outcome {
                     Ok(estimate) if estimate.grade == Grade::Good => {
-                        // The throws of a row differ by noise only, so the systematic part of the covariance is left out.
+                        // The throws differ by noise only, so the covariance without the error of the model is
+                        // compared.
                         let noise_sd = estimate.covariance.diagonal().map(f64::sqrt).into();
                         row.add(estimate.coefficients(), noise_sd, reference);
                     }
@@ -94,8 +95,8 @@ impl Bench {
     }
 }
 
-/// Adds the estimate of one throw without start and end, from inputs of which the first is the current; `current` and
-/// `position` are the variances of the noise.
+/// Adds the estimate of one throw to a row, by SRIV alone: without the detection of start and end. The first of
+/// `inputs` is the current. `current`, `position`: variances of their noise; `truth`: the true coefficients.
 pub(super) fn fit<const S: usize, const P: usize>(
     row: &mut Row,
     inputs: [Signal; S],
