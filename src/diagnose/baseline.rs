@@ -123,15 +123,6 @@ impl BaselineThrow {
 }
 
 impl Baseline {
-    /// Friction over the force of the spring at the end of the stroke, a1 / (a0 T): of equation (12) in a steady movement over the
-    /// stroke. `None` if the duration T is unknown.
-    pub(super) fn friction_of_spring(&self) -> Option<f64> {
-        /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
-        const MOST: f64 = 10.0;
-        let [_, a1, a0] = self.centre;
-        Some(((a1 - a0).exp() / self.duration_s?).min(MOST))
-    }
-
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
     /// estimates. With the slopes of a trend the centre is that of the first throw, when the machine was least worn.
     pub(super) fn learn(
@@ -243,6 +234,21 @@ impl Baseline {
             duration_s: self.duration_s,
         }
     }
+}
+
+/// Friction over the force of the spring at the end of the stroke, a1 / (a0 T), where T \[s\] is the duration: equation (12) in a
+/// steady movement over the stroke.
+pub(super) fn friction_over_spring([_, a1, a0]: [f64; 3], duration_s: f64) -> f64 {
+    a1 / a0 / duration_s
+}
+
+/// [`friction_over_spring`] of a machine: the geometric mean of its directions; 1 if no duration is known.
+pub(super) fn usual_friction_over_spring(baselines: [Option<&Baseline>; 2]) -> f64 {
+    /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
+    const MOST: f64 = 10.0;
+    let of_direction =
+        |baseline: &Baseline| Some(friction_over_spring(baseline.centre.map(f64::exp), baseline.duration_s?).min(MOST));
+    baselines.into_iter().flatten().filter_map(of_direction).reduce(|a, b| (a * b).sqrt()).unwrap_or(1.0)
 }
 
 /// The part of an error of ratios that differs from throw to throw, if their covariance is `sensor`. Such errors come from the

@@ -11,6 +11,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
+    baseline::{Baseline, usual_friction_over_spring},
     correlation::Correlation,
     event::{Cause, RunnerUp},
     explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
@@ -68,6 +69,7 @@ pub(super) struct Known<'a> {
     pub(super) level: Option<Vector3<f64>>,
     /// The gauges, which distinguish dry friction from a weak motor.
     pub(super) gauges: Option<&'a Gauges>,
+    pub(super) baselines: [Option<&'a Baseline>; 2],
 }
 
 impl Known<'_> {
@@ -123,6 +125,15 @@ pub(super) enum Rival {
     Together(Cause, Cause),
 }
 
+/// Evidence of the gauges that decides whether the motor changed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MotorEvidence {
+    back_emf: BackEmf,
+    /// Friction over the force of the spring at the end of the stroke, in the baselines: with this evidence, a rise of friction
+    /// may look like a stiffer spring in part.
+    friction_over_spring: f64,
+}
+
 /// A drift with its cause, and the figures for and against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Attribution {
@@ -141,8 +152,8 @@ pub(super) struct Attribution {
     pub(super) relevance: f64,
     /// Lead of a single name over all explanations without it.
     pub(super) lead: f64,
-    /// Change of the back-EMF, if it decides whether the motor changed.
-    pub(super) decides: Option<BackEmf>,
+    /// Evidence of the gauges, if it decides whether the motor changed.
+    pub(super) decides: Option<MotorEvidence>,
     /// Change of the back-EMF, if a gauge shows it directly.
     back_emf: Option<Level>,
 }
@@ -171,8 +182,10 @@ impl Attribution {
     pub(super) fn of(case: &Case) -> Self {
         let Case { window, of_one_throw, known, settings } = *case;
         let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
-        let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
-        let all = Explanations::of(window, &known.causes, back_emf, settings);
+        let decides = shown.filter(|shown| known.is_decided_by(shown, window, settings)).map(|back_emf| {
+            MotorEvidence { back_emf, friction_over_spring: usual_friction_over_spring(known.baselines) }
+        });
+        let all = Explanations::of(window, &known.causes, decides, settings);
         let [best, next, ..] = &all.singles;
         let [a, b] = all.pairs[0].parts;
         let correlation = Correlation::of(of_one_throw, &window.mean);
@@ -186,7 +199,7 @@ impl Attribution {
             of_ratios: !window.shows(Cause::Inertia),
             relevance: all.any.relevance(settings),
             lead: 0.0,
-            decides: back_emf,
+            decides,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
@@ -369,7 +382,7 @@ impl Attribution {
     pub(super) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
-        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?;
+        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?.back_emf;
         if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
             return Some(Cause::Kt);
         }
@@ -392,7 +405,7 @@ impl Attribution {
 
     /// Whether the back-EMF shows that the motor changed, however uncertain the size of the change is beside another part.
     pub(super) fn has_changed_motor(&self) -> bool {
-        let level = self.decides.and_then(BackEmf::of_motor);
+        let level = self.decides.and_then(|evidence| evidence.back_emf.of_motor());
         self.includes(Cause::Kt) && level.is_some_and(|level| level.value.abs() > CHANGED_SD * level.sd)
     }
 
@@ -419,7 +432,7 @@ impl Attribution {
 }
 
 impl Explanations {
-    fn of(window: &Window, open: &[Cause], back_emf: Option<BackEmf>, settings: &Settings) -> Self {
+    fn of(window: &Window, open: &[Cause], evidence: Option<MotorEvidence>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         let of_pair = |pair: [Cause; 2]| {
@@ -436,11 +449,11 @@ impl Explanations {
                 Cause::PHYSICAL.map(|cause| [cause]),
                 window,
                 |[cause]| if open.contains(&cause) { STICKY } else { 0.0 },
-                back_emf,
+                evidence,
                 settings,
             ),
-            pairs: ranked(pairs, window, of_pair, back_emf, settings),
-            any: explained([a, b, c], window, back_emf, settings),
+            pairs: ranked(pairs, window, of_pair, evidence, settings),
+            any: explained([a, b, c], window, evidence, settings),
         }
     }
 
@@ -459,13 +472,14 @@ impl Explanations {
 pub(super) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
-    back_emf: Option<BackEmf>,
+    evidence: Option<MotorEvidence>,
     settings: &Settings,
 ) -> Fit<K> {
-    let Window { mean, covariance, friction_of_spring, .. } = window;
-    let Some(BackEmf { level, of_duration, at_start }) = back_emf else {
+    let Window { mean, covariance, .. } = window;
+    let Some(MotorEvidence { back_emf, friction_over_spring }) = evidence else {
         return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
     };
+    let BackEmf { level, of_duration, at_start } = back_emf;
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
     // Coefficients with their scale have the acceleration at the start in b0.
     let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
@@ -475,7 +489,7 @@ pub(super) fn explained<const K: usize>(
         let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
         of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
     };
-    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(*friction_of_spring);
+    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(friction_over_spring);
     let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
     let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
     if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
@@ -510,11 +524,11 @@ fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
     bonus: impl Fn([Cause; K]) -> f64,
-    back_emf: Option<BackEmf>,
+    evidence: Option<MotorEvidence>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
-        let mut fit = explained(causes, window, back_emf, settings);
+        let mut fit = explained(causes, window, evidence, settings);
         fit.score -= bonus(causes);
         if !causes.iter().all(|cause| window.shows(*cause)) {
             fit.score = f64::INFINITY;

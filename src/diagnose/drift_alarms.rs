@@ -250,7 +250,8 @@ impl DriftAlarms {
         let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
         let before = |last: u32| self.history.mean(last..raised?);
         let level = before(2 * LONGEST_WINDOW).or_else(|| before(LONGEST_WINDOW));
-        Known { causes: alarms.drifts().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
+        let causes = alarms.drifts().map(|event| event.cause).collect();
+        Known { causes, level, gauges: Some(gauges), ..Known::default() }
     }
 
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
@@ -296,7 +297,7 @@ impl DriftAlarms {
         let LatestThrow { drift, settings, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
-        let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
+        let evidence = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
@@ -305,9 +306,9 @@ impl DriftAlarms {
                     return friction_of_sound_motor(&window.mean, &window.covariance);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
-                let together = pair.map(|pair| explained(pair, window, back_emf, settings));
+                let together = pair.map(|pair| explained(pair, window, evidence, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
-                part.unwrap_or_else(|| explained([cause], window, back_emf, settings).parts[0])
+                part.unwrap_or_else(|| explained([cause], window, evidence, settings).parts[0])
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {

@@ -46,9 +46,10 @@ const OF_MOTOR: &[Leak] =
     &[NO_LEAK, Leak::of_dry_load(0.25), Leak::of_dry_load(0.5), Leak::of_dry_load(0.75), Leak::of_dry_load(1.0)];
 /// The leaks that resemble no other fault.
 pub(super) const PLAIN_LEAKS: Leaks =
-    Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_of_spring: 1.0 };
+    Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_over_spring: 1.0 };
 /// All leaks. Some look like a fault of the motor or the stiffness, so they count only if gauges show the motor.
-pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_of_spring: 1.0 };
+pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
+    Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -93,8 +94,8 @@ impl Leak {
     }
 
     /// The same on a machine with this friction over the force of its spring.
-    fn beside_spring(self, friction_of_spring: f64) -> Self {
-        let factor = if self.of_spring { friction_of_spring } else { 1.0 };
+    fn beside_spring(self, friction_over_spring: f64) -> Self {
+        let factor = if self.of_spring { friction_over_spring } else { 1.0 };
         Self { parts: self.parts.map(|part| factor * part), sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
@@ -105,7 +106,7 @@ pub(super) struct Leaks {
     friction: &'static [Leak],
     motor: &'static [Leak],
     /// Friction over the force of the spring at the end of the stroke.
-    friction_of_spring: f64,
+    friction_over_spring: f64,
 }
 
 impl Leaks {
@@ -115,8 +116,8 @@ impl Leaks {
     }
 
     /// The leaks on a machine with this friction over the force of its spring.
-    pub(super) fn beside_spring(self, friction_of_spring: f64) -> Self {
-        Self { friction_of_spring, ..self }
+    pub(super) fn beside_spring(self, friction_over_spring: f64) -> Self {
+        Self { friction_over_spring, ..self }
     }
 }
 
@@ -206,7 +207,7 @@ pub(super) fn fit_beside<const K: usize>(
 ) -> Fit<K> {
     let of = |cause: Cause, leaks: &'static [Leak]| if causes.contains(&cause) { leaks } else { &leaks[..1] };
     let (of_friction, of_motor) = (of(Cause::Friction, leaks.friction), of(Cause::Kt, leaks.motor));
-    let of_friction = of_friction.iter().map(|leak| leak.beside_spring(leaks.friction_of_spring));
+    let of_friction = of_friction.iter().map(|leak| leak.beside_spring(leaks.friction_over_spring));
     let both = of_friction.flat_map(|friction| of_motor.iter().map(move |motor| [friction, *motor]));
     let with = |leaks| {
         let fit = fit_with_leaks(leaks, causes, m, v, settings);

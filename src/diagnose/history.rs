@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{course::Point, last::Last};
+use super::{condition::LONGEST_WINDOW, course::Point, last::Last};
 
 /// Means of consecutive blocks of throws since the baseline. When all places are full, neighbouring blocks are joined,
 /// and new blocks are twice as long: the history is complete, and gets coarser.
@@ -28,12 +28,11 @@ impl Default for History {
 impl History {
     /// Number of blocks; even, so that all blocks can be joined in pairs.
     const PLACES: usize = 48;
-    /// Blocks used for a course: the number right after a join.
+    /// Number of latest blocks in a course, so that courses have about the same length at all times: 24 blocks are left after a
+    /// join, and 47 before the next one.
     const LATEST: usize = 23;
     /// Initial length of a block \[throws\]: enough to average the scatter, few enough for a fast ramp.
     const FIRST_LENGTH: u32 = 4;
-    /// Throws of a mean: a longest window.
-    const MEAN_OF: u32 = 24;
 
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
     /// Adds the residual of the machine's throw number `order`.
@@ -57,13 +56,13 @@ impl History {
         }
     }
 
-    /// Mean of the latest throws with these ages \[throws\], in whole blocks; `None` with fewer than [`Self::MEAN_OF`].
+    /// Mean of the latest throws with these ages \[throws\], in whole blocks; `None` with fewer than [`LONGEST_WINDOW`].
     pub(super) fn mean(&self, ages: Range<u32>) -> Option<Vector3<f64>> {
         let (mut sum, mut count, mut age) = (Vector3::zeros(), 0, self.filling);
         for block in self.blocks.iter().rev() {
             let is_inside = age >= ages.start;
             age += self.length;
-            if age > ages.end || count >= Self::MEAN_OF {
+            if age > ages.end || count >= LONGEST_WINDOW {
                 break;
             }
             if is_inside {
@@ -71,7 +70,7 @@ impl History {
                 count += self.length;
             }
         }
-        (count >= Self::MEAN_OF).then(|| sum / f64::from(count))
+        (count >= LONGEST_WINDOW).then(|| sum / f64::from(count))
     }
 
     /// The latest blocks along `weights`, oldest first, each with its length and the age of its middle at the throw `now`

@@ -9,7 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    baseline::BaselineRecord,
+    baseline::{BaselineRecord, friction_over_spring},
     observation::{Evaluated, Observation, seeming_friction},
     robust::median,
 };
@@ -103,7 +103,7 @@ impl Neutral {
 
 /// a1 / (a0 T) and ln(a0 / b0).
 fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
-    [a1 / a0 / duration_s, (a0 / b0).ln()]
+    [friction_over_spring([b0, a1, a0], duration_s), (a0 / b0).ln()]
 }
 
 /// The share of the travel by a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show another neutral position.

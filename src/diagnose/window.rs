@@ -138,8 +138,6 @@ pub(super) struct Window {
     /// Whether a drift above its limit is more than an outlier that fades over the throws after it.
     pub(super) confirmed: bool,
     pub(super) scale: CommonScale,
-    /// Friction over the force of the spring at the end of the stroke, in the baselines.
-    pub(super) friction_of_spring: f64,
 }
 
 impl Window {
@@ -270,19 +268,15 @@ impl<'a> Stream<'a> {
             misfit = ratios * misfit * ratios.transpose();
         }
         covariance += doubt(temperature_sd);
-        let misfit = misfit.into();
-        let known = baselines.into_iter().flatten().filter_map(Baseline::friction_of_spring);
-        let friction_of_spring = known.reduce(|a, b| (a * b).sqrt()).unwrap_or(1.0);
         Some(Window {
             throws,
             mean,
             covariance,
             temperature_sd,
-            misfit,
+            misfit: misfit.into(),
             excess: 0.0,
             confirmed: false,
             scale,
-            friction_of_spring,
         })
     }
 
