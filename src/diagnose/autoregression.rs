@@ -1,6 +1,7 @@
-//! The likelihood of a series of throws, whose scatter is an autoregression of first order beside independent errors.
+//! The likelihood of a series of throws whose scatter is the sum of a first-order autoregression and independent
+//! errors.
 
-/// A first-order autoregression, and independent errors.
+/// A process: the sum of a first-order autoregression and independent errors.
 pub(super) struct Autoregression {
     /// Lag-1 correlation of the autoregression.
     pub(super) phi: f64,
@@ -10,9 +11,11 @@ pub(super) struct Autoregression {
     pub(super) error: f64,
 }
 
-/// The Kalman filter of an autoregression with errors; it is the same for all series of a length.
+/// The Kalman filter of an [`Autoregression`]. Its weights depend only on the length of the series, so one filter
+/// serves many series.
 pub(super) struct Whitening {
-    /// For each value the weights of mean and value in the next mean, and the standard deviation of the innovation.
+    /// For each value: the weights of its prediction and of the value itself in the next prediction, and the standard
+    /// deviation of the innovation (value minus prediction).
     steps: Vec<[f64; 3]>,
     /// Logarithm of the determinant of the covariance of a series.
     pub(super) ln_determinant: f64,
