@@ -217,7 +217,7 @@ impl Alarms {
 
     /// Replaces evidence and severity of an active alarm whose drift changed its sign; the alarm needs a new
     /// acknowledgement.
-    pub(super) fn turn(&mut self, event: AlarmEvent) {
+    pub(super) fn change_sign(&mut self, event: AlarmEvent) {
         self.activate(self.find(event.cause).filter(|_| self.is_active(event.cause)), Rule::Usual, event);
     }
 
@@ -357,16 +357,16 @@ impl Alarms {
 
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
-        self.in_force().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
+        self.active_alarms().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
     }
 
     /// The cause of the active alarm that `rule` owns.
     pub(super) fn owned_by(&self, rule: Rule) -> Option<Cause> {
-        self.in_force().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
+        self.active_alarms().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
     }
 
     /// Sets the owner of the alarm of `cause`, which snapshots of earlier versions store elsewhere.
-    pub(super) fn give(&mut self, cause: Cause, rule: Rule) {
+    pub(super) fn set_rule(&mut self, cause: Cause, rule: Rule) {
         if let Some(index) = self.find(cause) {
             self.open[index].rule = rule;
         }
@@ -381,19 +381,19 @@ impl Alarms {
         self.find_active(cause).map(|event| event.severity)
     }
 
-    fn in_force(&self) -> impl Iterator<Item = &Alarm> {
+    fn active_alarms(&self) -> impl Iterator<Item = &Alarm> {
         self.open.iter().filter(|alarm| alarm.state.is_active())
     }
 
     /// The latest events of the active alarms, oldest first.
     pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
-        self.in_force().map(|alarm| &alarm.last)
+        self.active_alarms().map(|alarm| &alarm.last)
     }
 
     /// The active alarms about a drift of the coefficients, oldest first.
     pub(super) fn drifts(&self) -> impl Iterator<Item = &AlarmEvent> {
         let is_of_coefficients = |alarm: &&Alarm| alarm.last.cause.is_drift() && !alarm.rule.knows_no_part();
-        self.in_force().filter(is_of_coefficients).map(|alarm| &alarm.last)
+        self.active_alarms().filter(is_of_coefficients).map(|alarm| &alarm.last)
     }
 
     /// The latest event of every open alarm, oldest first.

@@ -242,8 +242,8 @@ impl Baseline {
     }
 }
 
-/// Friction over the force of the spring at the end of the stroke, a1 / (a0 T), where T \[s\] is the duration: equation (12) in a
-/// steady movement over the stroke.
+/// Friction over the force of the spring at the end of the stroke, a1 / (a0 T), where T \[s\] is the duration: equation
+/// (12) in a steady movement over the stroke.
 pub(super) fn friction_over_spring([_, a1, a0]: [f64; 3], duration_s: f64) -> f64 {
     a1 / a0 / duration_s
 }
