@@ -144,7 +144,7 @@ impl Baseline {
         let temperature = Temperature::learn(&raw, settings);
         let compensated = |(x, celsius): &(Vector3<f64>, _)| x - temperature.effect(temperature.distance(*celsius));
         let logs: Vec<Vector3<f64>> = raw.iter().map(compensated).collect();
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         let centre = robust.map(|(centre, _)| centre);
         let residuals: Vec<Vector3<f64>> = logs.iter().map(|x| clip(x - Vector3::from(centre), robust)).collect();
         let mut sensor = sensor.into();
@@ -166,15 +166,15 @@ impl Baseline {
         }
     }
 
-    /// Residuals of throws from their own centre, which differs from that of the baseline, each with the number of its
-    /// throw.
+    /// Residuals of throws from their own centre, which may differ from that of the baseline, each with the number of
+    /// its throw.
     pub(super) fn around_own_level(&self, throws: &[BaselineThrow], wet: &[WetSpell]) -> Vec<(u32, Vector3<f64>)> {
         let compensated = |(throw, log): (&BaselineThrow, Vector3<f64>)| {
             self.compensated(self.residual(&log.into(), throw.temperature_c.map(f64::from)))
         };
         let dry = Changes { slopes: None, wet };
         let logs: Vec<Vector3<f64>> = throws.iter().zip(unchanged(throws, dry)).map(compensated).collect();
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         let level = Vector3::from(robust.map(|(centre, _)| centre));
         throws.iter().zip(logs).map(|(throw, log)| (throw.order, clip(log - level, robust))).collect()
     }
@@ -191,8 +191,8 @@ impl Baseline {
         self.differing.is_none()
     }
 
-    /// Covariance of the errors of a throw's ratios that differ from throw to throw; `sensor` is the covariance of all
-    /// its errors.
+    /// Covariance of the part of the errors of a throw's ratios that differs from throw to throw; `sensor` is the
+    /// covariance of all its errors.
     pub(super) fn differing(&self, sensor: Matrix3<f64>) -> Matrix3<f64> {
         self.differing.as_ref().map_or(sensor, |part| transformed(sensor, &Matrix3::from(**part)))
     }
@@ -320,13 +320,14 @@ pub(super) fn filling<'a>(
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];
     for (side, series) in sides.into_iter().enumerate() {
-        let series: Vec<(&BaselineThrow, Vector3<f64>)> = series.map(|throw| (throw, throw.dry(wet))).collect();
+        let (series, logs): (Vec<&BaselineThrow>, Vec<Vector3<f64>>) =
+            series.map(|throw| (throw, throw.dry(wet))).unzip();
         if series.is_empty() {
             continue;
         }
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|(_, log)| log[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
-        throws.extend(series.into_iter().map(|(throw, log)| TrendThrow {
+        throws.extend(series.into_iter().zip(logs).map(|(throw, log)| TrendThrow {
             order: throw.order,
             side,
             residual: log - Vector3::from(robust.map(|(centre, _)| centre)),
@@ -354,6 +355,11 @@ pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
             && (is_end || change_pct * WEAR_SIGN[i] > 0.0)
     };
     std::array::from_fn(|i| if matters(i) { slopes[i] } else { 0.0 })
+}
+
+/// Robust centre and standard deviation of each of the three logarithms.
+fn centres_and_sds(logs: &[Vector3<f64>]) -> [(f64, f64); 3] {
+    [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|log| log[i]).collect::<Vec<_>>()))
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {

@@ -46,7 +46,7 @@ struct Boot {
 /// Two loggers that publish as one machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct TwoLoggers {
-    /// Their boots.
+    /// The boot ids of the two loggers, the earlier boot first.
     pub(super) boots: [String; 2],
     /// Time of the first throw of the later boot.
     pub(super) since: Timestamp,
@@ -55,7 +55,7 @@ pub(super) struct TwoLoggers {
 /// The last boots of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Boots {
-    /// In the order of their last throws.
+    /// The boots in the order of their last throws.
     last: Vec<Boot>,
     /// Boxed, as few machines have turns.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -44,7 +44,8 @@ const CHANGED_SD: f64 = 3.0;
 const MOST_BACK_EMF_MISFIT: f64 = 40.0;
 /// Range of the part of a change of the motor that shows in the acceleration per ampere at the start.
 const MOTOR_AT_START: Range<f64> = 0.4..1.1;
-/// The same on a machine with a late brake, which is released by then and lets a faster motor start with less current.
+/// The same on a machine with a late brake. It is released when the acceleration is measured, and a faster motor then
+/// starts with less current.
 const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
 /// Largest part of a rise of friction that lowers this acceleration: dry friction behind the play of a soft drive.
 const FRICTION_AT_START: f64 = 0.4;
@@ -254,10 +255,7 @@ impl Attribution {
             let other = all.pairs.iter().find(|other| *other != pair && other.score < pair.score + CLOSE);
             other.map(|other| Rival::Together(other.parts[0].cause, other.parts[1].cause))
         };
-        let [mut a, mut b] = pair.parts;
-        if a.relevance(settings) < b.relevance(settings) {
-            (a, b) = (b, a);
-        }
+        let [a, b] = larger_first(pair, settings);
         let relevance = plausible.map(|pair| pair.relevance(settings)).fold(0.0, f64::max);
         Some(Self { naming: Naming::Both(a, b), rival, relevance, ..self })
     }
@@ -270,10 +268,7 @@ impl Attribution {
         let Case { known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let Some(pair) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
-        let [mut a, mut b] = pair.parts;
-        if a.relevance(settings) < b.relevance(settings) {
-            (a, b) = (b, a);
-        }
+        let [a, b] = larger_first(pair, settings);
         let (new, old) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
         let without_new = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
         let without_new =
@@ -518,6 +513,12 @@ pub(super) fn explained<const K: usize>(
         }
     }
     found
+}
+
+/// The parts of a pair, the larger one first, relative to the warning limits.
+fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
+    let [a, b] = pair.parts;
+    if a.relevance(settings) < b.relevance(settings) { [b, a] } else { [a, b] }
 }
 
 /// Whether `best` is a rise of friction, and `pair` is friction and a stiffer spring. Friction that grows along the

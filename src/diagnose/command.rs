@@ -188,15 +188,16 @@ impl Command {
                 events.map(|event| format!("{} {}", event.severity.as_str(), event.cause)).collect();
             names.join(", ")
         };
+        let (ended, active) = (named(false), named(true));
         match self {
-            Self::Rebaseline { .. } if !named(false).is_empty() => {
+            Self::Rebaseline { .. } if !ended.is_empty() => {
                 let in_maintenance = events.iter().any(|event| event.state == AlarmState::OutOfService);
                 let when = if in_maintenance { " when the maintenance ends" } else { "" };
-                format!(". This ends the alarms {}{when}; a fault that still exists is learned as normal", named(false))
+                format!(". This ends the alarms {ended}{when}; a fault that still exists is learned as normal")
             }
-            Self::Retire { .. } if !named(false).is_empty() => format!(". This ends the alarms {}", named(false)),
-            Self::MaintenanceEnd { .. } if !named(true).is_empty() => {
-                format!(". Alarms from before: {}; the next throws show whether they are over", named(true))
+            Self::Retire { .. } if !ended.is_empty() => format!(". This ends the alarms {ended}"),
+            Self::MaintenanceEnd { .. } if !active.is_empty() => {
+                format!(". Alarms from before: {active}; the next throws show whether they are over")
             }
             _ => String::new(),
         }

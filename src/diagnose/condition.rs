@@ -108,14 +108,14 @@ pub(super) enum Condition {
     Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
 }
 
-/// Numbers of consecutive throws for an alarm, and for a critical alarm.
+/// Numbers of consecutive throws that speak for an alarm, and for a critical alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Onset {
     pub(super) named: u32,
     pub(super) critical: u32,
 }
 
-/// Numbers of consecutive throws for the end of an active alarm.
+/// Numbers of consecutive throws that speak for the end of an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Ending {
     pub(super) healthy: u32,
@@ -263,7 +263,7 @@ impl Ending {
 mod tests {
     use super::*;
 
-    /// Throws until an alarm clears whose readings are all the same.
+    /// Number of throws until an alarm clears, if every throw has this reading.
     fn cleared_after(reading: Reading) -> Option<u32> {
         let settings = Settings::default();
         let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };

@@ -26,7 +26,7 @@ use super::{
     scatter::{Noise, SLOW_LAG1, inflation},
 };
 
-/// Forecast of the throws until a limit is reached.
+/// Forecast of the number of throws until a limit is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LimitForecast {
     /// Lower end of the 95 % interval.
@@ -184,7 +184,7 @@ impl<'a> Series<'a> {
         (self.slow_variance > 0.0).then(|| SLOW_LAG1.powf(before.age - self.points[at].age))
     }
 
-    /// Whether the noise of a point is correlated with that of the point before.
+    /// Whether the noise of a point counts as correlated with that of the point before: both are single throws.
     fn is_correlated(&self, at: usize) -> bool {
         self.points[at].throws <= 1.0 && self.points[at - 1].throws <= 1.0
     }

@@ -33,9 +33,9 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 /// Part of the warning limit for health: plain health if the size plus two standard deviations is below it, likely
 /// health if the size alone is.
 const HEALTHY_BELOW: f64 = 0.5;
-/// Largest change of another coefficient, as part of that of a1, if the weather may have changed the friction.
+/// Largest change of b0 or a0, relative to that of a1, in a change of friction, which the weather can cause.
 const BESIDE_WEATHER: f64 = 0.67;
-/// Least part of a change in the last few throws while it lasts.
+/// A change lasts while the last few throws have at least this part of it.
 const STILL_CHANGED: f64 = 0.5;
 
 /// A change of friction, as change of ln a1. Wear and cold raise the friction; rain and warmth lower it.
@@ -211,7 +211,7 @@ impl Drift {
         }
     }
 
-    /// Standard deviation of the effect of the temperature.
+    /// Standard deviation of the effect of the temperature on (ln b0, ln a1, ln a0) in the last throws.
     pub(super) fn temperature_sd(&self) -> Vector3<f64> {
         self.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default()
     }

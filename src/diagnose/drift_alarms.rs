@@ -171,8 +171,8 @@ impl DriftAlarms {
         self.renew(latest, step.alarms);
     }
 
-    /// Stores the change `shared` that the machine shares with its site, for each coefficient of which a warning might
-    /// follow.
+    /// Stores the change `shared` of this throw, which the machine shares with its site; 0 for a coefficient whose
+    /// change is too small for a warning.
     pub(super) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
         let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
@@ -234,7 +234,7 @@ impl DriftAlarms {
         found.apply(Rule::Intermittent, step);
     }
 
-    /// The suspicion for which the last throw may not be added to a baseline.
+    /// The reason not to add the last throw to a baseline.
     pub(super) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
         if alarms.active().any(|event| event.cause.is_drift()) {
             Suspicion::Alarmed
@@ -348,7 +348,7 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The present direction of an active alarm; the inner `None` is both.
+    /// The present direction of the drift of an active alarm; the inner `None` is both directions.
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
         let now = self.now.iter().find(|drifting| drifting.cause == cause);
@@ -394,7 +394,7 @@ impl DriftAlarms {
     }
 }
 
-/// The forecast of the critical limit for an alarm below it.
+/// Forecast of the number of throws until the critical limit; `None` for an alarm that is critical already.
 fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
     let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
     let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;

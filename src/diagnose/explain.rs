@@ -93,8 +93,8 @@ pub(super) struct Leak {
     /// Standard deviations of `parts`, which vary together; chosen so that the leaks of a list cover their range
     /// evenly.
     sd: [f64; 3],
-    /// Whether `parts` holds for a machine whose friction is as large as the force of its spring, and is proportional
-    /// to their ratio.
+    /// Whether the leak is proportional to the ratio of the friction to the force of the spring; `parts` and `sd` are
+    /// those at a ratio of 1.
     of_spring: bool,
 }
 
@@ -158,7 +158,7 @@ pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
     fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
 }
 
-/// Explains the drift `m` with covariance `v` of a machine whose motor has not changed by friction: Kf/KT = a1/b0. Dry
+/// Explains the drift `m` with covariance `v` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
 /// friction takes its part of the torque also when the machine starts, as if b0 were smaller. The ratio a1/b0 has no
 /// such error.
 pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
@@ -209,8 +209,8 @@ pub(super) fn fit<const K: usize>(
     fit_beside(leaks, causes, m, v, |_| 0.0, settings)
 }
 
-/// [`fit`] with further evidence: `misfit` is its misfit to the fit with given leaks, and counts in the odds of these
-/// leaks.
+/// [`fit`] with further evidence: `misfit` gives the misfit of this evidence to a fit with given leaks, and counts in
+/// the odds of these leaks.
 pub(super) fn fit_beside<const K: usize>(
     leaks: Leaks,
     causes: [Cause; K],

@@ -8,8 +8,7 @@ use super::{
     text,
 };
 
-/// Part of its limit below which a fault has ended. Between the two, a fault keeps its alarm, so that the alarm does
-/// not alternate.
+/// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
 const OVER_BELOW: f64 = 0.5;
 
 /// Counts the consecutive throws in which a fault has ended; `size` is the measured quantity as part of its limit. If

@@ -90,8 +90,7 @@ impl RecentThrow {
         self.has_scale() || weights.sum().abs() <= NO_SCALE * weights.amax()
     }
 
-    /// `residual` of this throw, if it has only ratios with the common scale of the other throws, or 0 if this is
-    /// unknown.
+    /// The residual of this throw. One of ratios gets the common scale of the other throws, or 0 if this is unknown.
     fn scaled(&self, residual: Vector3<f64>, scale: &CommonScale) -> Vector3<f64> {
         let (k, mean) = match scale {
             _ if self.has_scale() => return residual,
@@ -107,7 +106,7 @@ impl RecentThrow {
         (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
     }
 
-    /// Version 1 stored residuals with temperature compensation.
+    /// Converts a throw of a snapshot of version 1, which stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature.effect(distance);
@@ -311,7 +310,7 @@ impl<'a> Stream<'a> {
     /// T of the throws of `window` from their mean innovation, converted to a level, instead of their mean. An
     /// innovation is the part of a throw that the throw before it does not predict; each is clipped at `reach`. An
     /// outlier that affects the following throws too is a single innovation, so it counts once.
-    fn score(
+    fn t_of_innovations(
         &self,
         window: &Window,
         limit: f64,
@@ -337,7 +336,7 @@ impl<'a> Stream<'a> {
     /// T of the innovations of `window` along its mean, without the largest innovation; for scatter with heavy tails,
     /// without the two largest. The serial correlation is the highest that is plausible for the machine. An outlier
     /// that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
-    fn confirmation(
+    fn t_without_outliers(
         &self,
         window: &Window,
         heavy_tails: bool,
@@ -437,20 +436,21 @@ impl<'a> Stream<'a> {
             let limit = thresholds.of(at);
             let Some(inverse) = sym3::inverse(&window.tested(limit)) else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
-            let mut score = None;
+            let mut of_innovations = None;
             if t > 0.25 * limit {
                 let most_of_one = if heavy_tails { MOST_OF_ONE_WITH_HEAVY_TAILS } else { MOST_OF_ONE };
                 reach = reach.or_else(|| self.reach(most_of_one, thresholds.of(0), &shortest, scatter));
-                score = reach.and_then(|reach| self.score(&window, limit, &reach, scatter, baselines));
+                of_innovations =
+                    reach.and_then(|reach| self.t_of_innovations(&window, limit, &reach, scatter, baselines));
             }
-            window.excess = t.min(score.unwrap_or(t)) / limit;
+            window.excess = t.min(of_innovations.unwrap_or(t)) / limit;
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }
         }
         let mut best = best?;
         best.confirmed = best.excess > 1.0
-            && self.confirmation(&best, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
+            && self.t_without_outliers(&best, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
             && !self.fades(&best, scatter, baselines);
         Some(best)
     }

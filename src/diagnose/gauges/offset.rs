@@ -47,7 +47,7 @@ impl Gauges {
             }
             Offset::Position => {
                 let [level, travel] = [Gauge::Middle, Gauge::Travel].map(|gauge| self.level(gauge, throws));
-                let (level, changed, travel_mm) = (level?, travel?.value, self.normals(Gauge::Travel).next()?.exp());
+                let (level, changed, travel_mm) = (level?, travel?.value, self.normal_travel_mm()?);
                 // If the travel changed as much, only one end has moved, or the gain of the sensor has changed.
                 let is_shift = (travel_mm * changed).abs() < level.value.abs();
                 let least = if is_shift { SHIFT_SHARE * travel_mm } else { f64::INFINITY };
