@@ -77,6 +77,7 @@ pub(super) struct Known<'a> {
     pub(super) level: Option<Vector3<f64>>,
     /// The gauges, which distinguish dry friction from a weak motor.
     pub(super) gauges: Option<&'a Gauges>,
+    /// The baselines of both directions.
     pub(super) baselines: [Option<&'a Baseline>; 2],
 }
 

@@ -4,7 +4,8 @@
 //! An alarm is raised if the diagnosis names its cause, with a size above the limit, for `on_delay_throws` consecutive
 //! throws. If it names no single cause, or an uncertain one, it waits for more throws. The alarm is cleared after one
 //! of these:
-//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the limit;
+//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the
+//!   limit;
 //! - likely health for 24 throws, the longest window: the size is below half of the limit, and plus two standard
 //!   deviations below the limit, as on a repaired machine whose estimates scatter;
 //! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;

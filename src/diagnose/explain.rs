@@ -74,7 +74,8 @@ pub(super) struct Explanation {
     pub(super) size_sd: f64,
     /// Weights of the three logarithms in the size.
     pub(super) weights: Vector3<f64>,
-    /// Standard deviation of the size because of the unknown leaks and the error of the model; more throws do not change it.
+    /// Standard deviation of the size because of the unknown leaks and the error of the model; more throws do not
+    /// change it.
     pub(super) model_sd: f64,
 }
 

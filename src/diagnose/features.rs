@@ -38,7 +38,7 @@ const OF_SEASON: f64 = 2.0;
 const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
 /// Departures of the watched features from their normal values, beyond what supply and temperature explain, each with
-/// its standard deviation; both are changes of logarithms.
+/// its standard deviation; both as logarithms.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
 /// Changes of the watched features, as logarithms.
 type Changes = [f32; WATCHED.len()];
@@ -85,7 +85,7 @@ impl Earlier {
 pub(super) struct FeatureWatch {
     /// The last throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
-    /// Number of consecutive throws in which a change has ended.
+    /// Number of consecutive throws without a change.
     calm: u32,
     /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
     #[serde(default)]
@@ -100,7 +100,7 @@ pub(super) struct FeatureWatch {
 
 /// The departure of a feature in the last throws of a direction.
 struct Departure {
-    /// Size relative to the larger of the changes that matter and that are significant.
+    /// Size as a multiple of the least change that matters and is significant.
     size: f64,
     change: Change,
     /// Whether the change may come from the season.

@@ -32,8 +32,8 @@ impl Default for History {
 impl History {
     /// Number of blocks at which they are joined; even, so that all can be joined in pairs.
     const PLACES: usize = 48;
-    /// Number of latest blocks in a course, so that courses have about the same length at all times: 24 blocks are left after a
-    /// join, and 47 before the next one.
+    /// Number of latest blocks in a course, so that courses have about the same length at all times: 24 blocks are left
+    /// after a join, and 47 before the next one.
     const LATEST: usize = 23;
     /// Initial length of a block \[throws\]: enough throws to average the scatter, and few enough for a fast ramp.
     const FIRST_LENGTH: u32 = 4;

@@ -179,8 +179,8 @@ impl Gauges {
         let size_of = |level: Level| relative_size(level.value.abs(), level, knows_weather);
         let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
         let size = latest.min(size_of(longer));
-        // The inrush is at most V/R, so it falls with a higher resistance. An error of the position changes the computed resistance,
-        // but not the inrush.
+        // The inrush is at most V/R, so it falls with a higher resistance. An error of the position changes the
+        // computed resistance, but not the inrush.
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
         let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
         let by_air = if longer.value > 0.0 { to } else { -from };

@@ -72,8 +72,8 @@ pub(super) fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle \[mm\]
-/// and the temperature \[°C\].
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle
+/// \[mm\] and the temperature \[°C\].
 pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
     let ln = |value: Option<f64>| value.map(f64::ln);
