@@ -189,10 +189,11 @@ impl Gauges {
             lower - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
         });
         // With an elastic drive, the motor moves differently from the toe, whose position is measured.
-        let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
-        let is_idle = idle > ALIKE * level.value.abs();
+        let by_elasticity =
+            self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
+        let is_elastic = by_elasticity > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
-        let is_doubtful = is_motor || is_idle || is_inrush_as_before || self.falls_in_one_direction(longer);
+        let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
         is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false })
     }
 
