@@ -1,8 +1,8 @@
 //! The life cycle of alarms, after ISA-18.2 / IEC 62682 and OPC UA Part 9.
 //!
-//! There is one alarm per cause. Raised again while `cleared_unacknowledged`, it continues; after `normal` a new
-//! occurrence begins. The time `raised_at` identifies an occurrence; it is unique for the cause, also if the clock is
-//! set back.
+//! A machine has one alarm per cause. An occurrence of the alarm lasts from its raise until its state is `normal`. If
+//! the alarm is raised again while it is `cleared_unacknowledged`, the same occurrence continues. The time `raised_at`
+//! identifies an occurrence; it is unique for machine and cause, also if the clock is set back.
 
 use std::mem;
 
@@ -16,7 +16,7 @@ use super::{
     text,
 };
 
-/// The operator of an event, with the reason; both `None` for events of the monitor.
+/// The operator whose command causes an event, and the reason given; both `None` if the monitor causes it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Actor<'a> {
     pub(super) by: Option<&'a str>,
@@ -36,15 +36,15 @@ pub(super) struct Actor<'a> {
 ///     | acknowledge                            |
 ///     '----------------------------------------'
 ///
-///   shelve: any state -> Shelved (over that state), until the time, `unshelve` or rebaseline; events that come
-///   meanwhile change the state beneath. Maintenance shows every alarm as out_of_service, and changes none.
+///   shelve: any state -> Shelved, until the given time, `unshelve` or rebaseline. The shelved state is kept beneath,
+///   and events during the shelving change it. Maintenance changes no state; its events show `out_of_service`.
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum State {
     /// The condition exists.
     Active {
-        /// Acknowledgement since the last escalation.
+        /// `None` until an operator acknowledges the alarm, and again after an escalation.
         acknowledged: Option<Acknowledgement>,
     },
     /// The condition ended before an acknowledgement.
@@ -100,7 +100,7 @@ impl State {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Alarm {
     pub(super) state: State,
-    /// The rule that owns the alarm.
+    /// The rule that owns the alarm: only this rule may clear it.
     #[serde(default, skip_serializing_if = "is_usual")]
     pub(super) rule: Rule,
     /// Latest event, with cause, severity and identity.
@@ -127,7 +127,8 @@ pub(super) struct Alarms {
 }
 
 impl Alarms {
-    /// Removes and returns the new events, in order. A monitor does this at the end of every step, so none is in a snapshot.
+    /// Removes and returns the new events, in order. A monitor calls this at the end of every step, so that no snapshot
+    /// contains new events.
     pub(super) fn take_events(&mut self) -> Vec<AlarmEvent> {
         mem::take(&mut self.new)
     }
@@ -136,7 +137,8 @@ impl Alarms {
         self.open.iter().position(|alarm| alarm.last.cause == cause)
     }
 
-    /// Adds the event of a change of the alarm at `index`; removes the alarm if it is normal.
+    /// Adds an event with the present state of the alarm at `index`, during maintenance with the state `OutOfService`;
+    /// removes the alarm if the event has the state `Normal`.
     fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) {
         let alarm = &mut self.open[index];
         let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
@@ -150,7 +152,7 @@ impl Alarms {
             _ => None,
         };
         if let Some(text) = text {
-            // A command may add a sentence to the report of an earlier event.
+            // An operator's command may only append a sentence to the text of an earlier event, which keeps its time.
             if actor.by.is_none() || !text.starts_with(&alarm.last.text) {
                 alarm.last.text_at = Some(at);
             }
@@ -159,8 +161,8 @@ impl Alarms {
         self.new.push(if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() });
     }
 
-    /// A unique `raised_at`: the time of the clock. If the clock was set back, its millisecond with the count of
-    /// occurrences as microseconds.
+    /// A unique `raised_at`: `at`, if it is later than all before it. After the clock was set back, it is the
+    /// millisecond of `at`, with the number of occurrences (modulo 1000) as microseconds.
     fn unique(&mut self, at: Timestamp) -> Timestamp {
         self.occurrences += 1;
         let unique = if self.latest.is_none_or(|latest| at > latest) {
@@ -173,8 +175,9 @@ impl Alarms {
         unique
     }
 
-    /// Raises the alarm with the draft `event` of `rule`; no change if it is active already. The usual rule takes over the alarm
-    /// of a rule that knows no part. Returns whether the alarm changed.
+    /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
+    /// not change, with one exception: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
+    /// part. Returns whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let cause = event.cause;
         let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
@@ -189,8 +192,8 @@ impl Alarms {
         self.activate(Some(index), rule, event)
     }
 
-    /// Raises the alarm about a sensor or the supply. An alarm that is active about another sensor or by another rule changes to
-    /// this fault if the fault `is_new`, so that one alarm does not hide another fault.
+    /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
+    /// another rule, it changes to the new fault if that `is_new`. So one alarm does not hide another fault.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
         let cause = event.cause;
         let owner = self.rule(cause);
@@ -206,14 +209,16 @@ impl Alarms {
         self.find_active(Cause::Sensor)?.channel
     }
 
-    /// Escalates an active alarm to a higher severity; it needs a new acknowledgement.
+    /// Escalates an active alarm to the severity of `event`, if that is higher; the alarm needs a new acknowledgement
+    /// then. Returns whether it escalated.
     pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
         self.activate(self.find(event.cause).filter(|_| worse), rule, event)
     }
 
-    /// Gives an active alarm new evidence of any severity; it needs a new acknowledgement.
-    pub(super) fn turn(&mut self, event: AlarmEvent) {
+    /// Replaces evidence and severity of an active alarm whose drift changed its sign; the alarm needs a new
+    /// acknowledgement.
+    pub(super) fn change_sign(&mut self, event: AlarmEvent) {
         self.activate(self.find(event.cause).filter(|_| self.is_active(event.cause)), Rule::Usual, event);
     }
 
@@ -222,7 +227,7 @@ impl Alarms {
         if self.is_active(event.cause) { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
-    /// Gives an active alarm new evidence, without a change of its state.
+    /// Replaces the evidence of an active alarm, and keeps its state.
     pub(super) fn update(&mut self, event: AlarmEvent) {
         if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
             self.renew(index, Rule::Usual, event);
@@ -246,7 +251,8 @@ impl Alarms {
         self.event(index, at, Actor::default(), None);
     }
 
-    /// Takes over an open alarm of a lost monitor, as cleared; ends it if `cause` has an alarm already.
+    /// Takes over an open alarm of a monitor whose snapshot was lost. The alarm becomes a cleared one; it ends at once
+    /// if its cause has an open alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
         let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
         self.open.push(Alarm { state, rule: Rule::Usual, last });
@@ -260,7 +266,7 @@ impl Alarms {
         }
     }
 
-    /// Clears the alarm of `cause`.
+    /// Clears the alarm of `cause`, if it is active.
     pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) {
         let Some(index) = self.find(cause) else { return };
         let alarm = &mut self.open[index];
@@ -268,12 +274,12 @@ impl Alarms {
         let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
         *alarm.state.beneath_mut() = cleared;
         alarm.last.limit_in_throws = None;
-        // A throw may have been made before the alarm, and received after it.
+        // The throw may have been made before the raise, and received after it.
         let at = at.max(alarm.last.raised_at);
         self.event(index, at, Actor::default(), Some(text));
     }
 
-    /// Acknowledges an alarm.
+    /// Acknowledges an alarm; a cleared alarm ends with this.
     pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = self.open[index].state.beneath_mut();
@@ -325,7 +331,7 @@ impl Alarms {
         }
     }
 
-    /// Takes the machine out of service or back, with an event of every open alarm.
+    /// Takes the machine out of service or back into it, and adds an event to every open alarm.
     pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) {
         self.out_of_service = out;
         let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
@@ -338,7 +344,7 @@ impl Alarms {
         }
     }
 
-    /// Closes an alarm, acknowledged by `actor`.
+    /// Ends an alarm of any state, as acknowledged by `actor`.
     pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) {
         if let Some(index) = self.find(cause) {
             self.open[index].state = State::Normal;
@@ -352,16 +358,16 @@ impl Alarms {
 
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
-        self.in_force().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
+        self.active_alarms().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
     }
 
     /// The cause of the active alarm that `rule` owns.
     pub(super) fn owned_by(&self, rule: Rule) -> Option<Cause> {
-        self.in_force().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
+        self.active_alarms().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
     }
 
-    /// Gives the alarm of `cause` an owner, as read from a snapshot.
-    pub(super) fn give(&mut self, cause: Cause, rule: Rule) {
+    /// Sets the owner of the alarm of `cause`, which snapshots of earlier versions store elsewhere.
+    pub(super) fn set_rule(&mut self, cause: Cause, rule: Rule) {
         if let Some(index) = self.find(cause) {
             self.open[index].rule = rule;
         }
@@ -376,19 +382,19 @@ impl Alarms {
         self.find_active(cause).map(|event| event.severity)
     }
 
-    fn in_force(&self) -> impl Iterator<Item = &Alarm> {
+    fn active_alarms(&self) -> impl Iterator<Item = &Alarm> {
         self.open.iter().filter(|alarm| alarm.state.is_active())
     }
 
     /// The latest events of the active alarms, oldest first.
     pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
-        self.in_force().map(|alarm| &alarm.last)
+        self.active_alarms().map(|alarm| &alarm.last)
     }
 
     /// The active alarms about a drift of the coefficients, oldest first.
     pub(super) fn drifts(&self) -> impl Iterator<Item = &AlarmEvent> {
         let is_of_coefficients = |alarm: &&Alarm| alarm.last.cause.is_drift() && !alarm.rule.knows_no_part();
-        self.in_force().filter(is_of_coefficients).map(|alarm| &alarm.last)
+        self.active_alarms().filter(is_of_coefficients).map(|alarm| &alarm.last)
     }
 
     /// The latest event of every open alarm, oldest first.

@@ -1,6 +1,7 @@
-//! The likelihood of a series of throws, whose scatter is an autoregression of first order beside independent errors.
+//! The likelihood of a series of throws whose scatter is the sum of a first-order autoregression and independent
+//! errors.
 
-/// A first-order autoregression, and independent errors.
+/// A process: the sum of a first-order autoregression and independent errors.
 pub(super) struct Autoregression {
     /// Lag-1 correlation of the autoregression.
     pub(super) phi: f64,
@@ -11,12 +12,13 @@ pub(super) struct Autoregression {
 }
 
 /// Relative change of the variance from which the filter is stationary: the rounding error of a few steps.
-const SETTLED: f64 = 1e-15;
+const STATIONARY: f64 = 1e-15;
 
-/// The Kalman filter of an autoregression with errors; it is the same for all series of a length.
+/// The Kalman filter of an [`Autoregression`]. Its weights depend only on the length of the series, so one filter
+/// serves many series.
 pub(super) struct Whitening {
-    /// For each value the weights of mean and value in the next mean, and the standard deviation of the innovation; the
-    /// last ones are those of all further values.
+    /// For each value: the weights of its prediction and of the value itself in the next prediction, and the standard
+    /// deviation of the innovation (value minus prediction). The last entry serves all further values, too.
     steps: Vec<[f64; 3]>,
     /// Logarithm of the determinant of the covariance of a series.
     pub(super) ln_determinant: f64,
@@ -32,7 +34,7 @@ impl Autoregression {
             let gain = variance / of_innovation;
             steps.push([self.phi * (1.0 - gain), self.phi * gain, of_innovation.sqrt()]);
             let next = self.phi * self.phi * variance * (1.0 - gain) + self.natural * (1.0 - self.phi * self.phi);
-            if (next - variance).abs() <= SETTLED * variance {
+            if (next - variance).abs() <= STATIONARY * variance {
                 ln_determinant += (len - at) as f64 * of_innovation.ln();
                 break;
             }
@@ -52,8 +54,8 @@ impl Whitening {
             mean = of_mean * mean + of_value * value;
             innovation
         };
-        let settled = self.steps.last().into_iter().cycle();
-        series.iter().zip(self.steps.iter().chain(settled)).map(innovation).collect()
+        let stationary = self.steps.last().into_iter().cycle();
+        series.iter().zip(self.steps.iter().chain(stationary)).map(innovation).collect()
     }
 }
 

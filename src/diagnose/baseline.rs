@@ -26,16 +26,17 @@ pub struct BaselineRecord {
     pub taken_at: Timestamp,
     /// Number of throws of the baseline.
     pub throws: usize,
-    /// Whether it is complete; an incomplete one has wider limits. It is replaced, unless its throws have a trend.
+    /// Whether the baseline has all its throws, and these have no trend. An incomplete baseline has wider limits; it is
+    /// replaced when it has more throws, unless they have a trend.
     pub complete: bool,
-    /// Centre of b0, a1 and a0, in their units. For a baseline of ratios it is (1, a1/b0, a0/b0).
+    /// Centre of b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\] and a0 \[s⁻²\]. For a baseline of ratios it is (1, a1/b0, a0/b0).
     pub center: [f64; 3],
     /// Whether the baseline has the ratios of the coefficients only.
     #[serde(default)]
     pub ratios_only: bool,
     /// Throw-to-throw covariance of (ln b0, ln a1, ln a0).
     pub log_covariance: [[f64; 3]; 3],
-    /// Lag-1 correlation of the natural scatter of each coefficient.
+    /// Lag-1 correlation of the scatter of each coefficient from throw to throw, without the errors of the estimates.
     pub lag1: [f64; 3],
     /// Source of the temperature coefficients.
     pub temperature_source: TemperatureSource,
@@ -48,17 +49,18 @@ pub struct BaselineRecord {
 }
 
 impl BaselineRecord {
-    /// Changes of the ratios a1/b0 and a0/b0 from the centre \[%\], with the effect of the temperature.
+    /// Changes of the ratios a1/b0 and a0/b0 from the centre \[%\], without temperature compensation.
     pub fn ratio_changes_pct(&self, ratios: [f64; 2]) -> [f64; 2] {
         let [b0, a1, a0] = self.center;
         [100.0 * (ratios[0] * b0 / a1 - 1.0), 100.0 * (ratios[1] * b0 / a0 - 1.0)]
     }
 }
 
-/// A throw of a baseline; `order` counts the throws of the machine. Short names keep the snapshot small, and single
-/// precision a fleet that learns.
+/// A throw of a baseline. Short names keep the snapshot small; single precision keeps the memory of a fleet small while
+/// it learns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct BaselineThrow {
+    /// Number of the throw among those of the machine.
     #[serde(rename = "n")]
     order: u32,
     #[serde(rename = "x")]
@@ -83,7 +85,8 @@ pub(super) struct Baseline {
     pub(super) scatter: Scatter,
     /// Slopes of the logarithms per throw of the machine; `None` without a trend.
     slopes: Option<[f64; 3]>,
-    /// The part of an error of ratios that differs from throw to throw, by columns; `None` for all of it.
+    /// For a baseline of ratios: the matrix, by columns, that maps an error of ratios to the part of it that differs
+    /// from throw to throw. `None` if the whole error differs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     differing: Option<Box<[[f64; 3]; 3]>>,
 }
@@ -110,12 +113,12 @@ impl BaselineThrow {
         }
     }
 
-    /// The same for a throw of an earlier version as [`Baseline::relate_to_b0`].
+    /// [`Baseline::relate_to_b0`] for a throw of a baseline.
     pub(super) fn relate_to_b0(&mut self) {
         self.log = self.log.map(|log| log - self.log[0]);
     }
 
-    /// The logarithms in dry weather.
+    /// The logarithms without the friction that rain took away.
     fn dry(&self, wet: &[WetSpell]) -> Vector3<f64> {
         let change: f64 = wet.iter().map(|spell| spell.change_at(self.order)).sum();
         Vector3::from(self.log.map(f64::from)) - Vector3::y() * change
@@ -123,15 +126,6 @@ impl BaselineThrow {
 }
 
 impl Baseline {
-    /// Friction over the force of the spring at the end of the stroke, a1 / (a0 T): of equation (12) in a steady movement over the
-    /// stroke. `None` if the duration T is unknown.
-    pub(super) fn friction_of_spring(&self) -> Option<f64> {
-        /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
-        const MOST: f64 = 10.0;
-        let [_, a1, a0] = self.centre;
-        Some(((a1 - a0).exp() / self.duration_s?).min(MOST))
-    }
-
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
     /// estimates. With the slopes of a trend the centre is that of the first throw, when the machine was least worn.
     pub(super) fn learn(
@@ -150,7 +144,7 @@ impl Baseline {
         let temperature = Temperature::learn(&raw, settings);
         let compensated = |(x, celsius): &(Vector3<f64>, _)| x - temperature.effect(temperature.distance(*celsius));
         let logs: Vec<Vector3<f64>> = raw.iter().map(compensated).collect();
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         let centre = robust.map(|(centre, _)| centre);
         let residuals: Vec<Vector3<f64>> = logs.iter().map(|x| clip(x - Vector3::from(centre), robust)).collect();
         let mut sensor = sensor.into();
@@ -172,29 +166,33 @@ impl Baseline {
         }
     }
 
-    /// Residuals of throws around their own level, in which they differ from the centre.
+    /// Residuals of throws from their own centre, which may differ from that of the baseline, each with the number of
+    /// its throw.
     pub(super) fn around_own_level(&self, throws: &[BaselineThrow], wet: &[WetSpell]) -> Vec<(u32, Vector3<f64>)> {
         let compensated = |(throw, log): (&BaselineThrow, Vector3<f64>)| {
             self.compensated(self.residual(&log.into(), throw.temperature_c.map(f64::from)))
         };
         let dry = Changes { slopes: None, wet };
         let logs: Vec<Vector3<f64>> = throws.iter().zip(unchanged(throws, dry)).map(compensated).collect();
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         let level = Vector3::from(robust.map(|(centre, _)| centre));
         throws.iter().zip(logs).map(|(throw, log)| (throw.order, clip(log - level, robust))).collect()
     }
 
-    /// Changes a baseline of ratios of an earlier version, which had the logarithms without their mean, to the ratios to b0.
+    /// Converts a baseline of ratios of an earlier version, which stored the logarithms minus their mean, to ratios to
+    /// b0.
     pub(super) fn relate_to_b0(&mut self) {
         self.centre = self.centre.map(|log| log - self.centre[0]);
     }
 
-    /// Whether the throws had coefficients, and not only their ratios, whose errors are compared with those of the baseline.
+    /// Whether it is a baseline of complete coefficients. In one of ratios, the errors that repeat in every throw
+    /// cancel.
     pub(super) fn has_coefficients(&self) -> bool {
         self.differing.is_none()
     }
 
-    /// The covariance of the errors of a throw's ratios without those that are equal in every throw.
+    /// Covariance of the part of the errors of a throw's ratios that differs from throw to throw; `sensor` is the
+    /// covariance of all its errors.
     pub(super) fn differing(&self, sensor: Matrix3<f64>) -> Matrix3<f64> {
         self.differing.as_ref().map_or(sensor, |part| transformed(sensor, &Matrix3::from(**part)))
     }
@@ -210,18 +208,17 @@ impl Baseline {
         raw - self.temperature.effect(distance)
     }
 
-    /// Number of throws whose mean is as uncertain as the centre. The beginning of a line has four times the variance
-    /// of its middle.
+    /// Number of throws whose mean is as uncertain as the centre. With a trend, the centre is the beginning of a fitted
+    /// line, which has four times the variance of the middle of the line.
     pub(super) fn centre_throws(&self) -> f64 {
         self.throws as f64 / if self.slopes.is_none() { 1.0 } else { 4.0 }
     }
 
-    /// Whether the throws had a trend.
     pub(super) fn has_trend(&self) -> bool {
         self.slopes.is_some()
     }
 
-    /// Whether it has all its throws: complete, or with a trend.
+    /// Whether it has all its throws. With a trend it is not complete even then.
     pub(super) fn is_final(&self, settings: &Settings) -> bool {
         self.complete || self.throws >= settings.baseline_throws
     }
@@ -245,13 +242,31 @@ impl Baseline {
     }
 }
 
-/// The part of an error of ratios that differs from throw to throw, if their covariance is `sensor`. Such errors come from the
-/// misfit of the model, which repeats on most machines: then the ratios scatter less than the errors. Along each principal axis
-/// of the scatter relative to the errors, with the variance λ, the part is λ, and 1 if λ is larger. So it leaves most of the
-/// scatter to the machine, whose throws may depend on each other.
+/// Friction over the force of the spring at the end of the stroke, a1 / (a0 T), where T \[s\] is the duration: equation
+/// (12) in a steady movement over the stroke.
+pub(super) fn friction_over_spring([_, a1, a0]: [f64; 3], duration_s: f64) -> f64 {
+    a1 / a0 / duration_s
+}
+
+/// [`friction_over_spring`] of a machine: the geometric mean of its directions; 1 if no duration is known.
+pub(super) fn usual_friction_over_spring(baselines: [Option<&Baseline>; 2]) -> f64 {
+    /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
+    const MOST: f64 = 10.0;
+    let of_direction =
+        |baseline: &Baseline| Some(friction_over_spring(baseline.centre.map(f64::exp), baseline.duration_s?).min(MOST));
+    baselines.into_iter().flatten().filter_map(of_direction).reduce(|a, b| (a * b).sqrt()).unwrap_or(1.0)
+}
+
+/// The matrix that maps an error of ratios to the part of it that differs from throw to throw; `sensor` is the
+/// covariance of these errors. `None` if `sensor` cannot be inverted.
+///
+/// The errors come from the misfit of the model, which repeats on most machines. There the ratios scatter less than the
+/// errors would let them. The matrix multiplies an error along each principal axis of the scatter relative to the
+/// errors by the variance λ of this axis, at most by 1. So most of the scatter is left to the machine, whose throws may
+/// be correlated.
 fn differing_part(residuals: &[Vector3<f64>], sensor: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let seen = residuals.iter().map(|residual| residual * residual.transpose()).sum::<Matrix3<f64>>();
-    // Ratios have no common scale, so its variance stays.
+    // Residuals of ratios have no part along (1, 1, 1), so the variance that `sensor` has there is added.
     let seen = seen / residuals.len() as f64 + Matrix3::repeat(SCALE_VARIANCE);
     let root = sensor.cholesky()?.l();
     let inverse = root.try_inverse()?;
@@ -265,7 +280,7 @@ fn transformed(sensor: Matrix3<f64>, part: &Matrix3<f64>) -> Matrix3<f64> {
     part * sensor * part.transpose()
 }
 
-/// Scatter of the throws of both directions together, in their order.
+/// Scatter of the throws of both directions together, in the order in which the machine made them.
 pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline; 2], wet: &[WetSpell]) -> Scatter {
     let mut residuals: Vec<(u32, Vector3<f64>)> = Vec::new();
     let mut sensor = Matrix3::zeros();
@@ -281,22 +296,22 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
     learn_in_order(residuals, sensor, 2)
 }
 
-/// Scatter of residuals with the numbers of their throws; see [`Scatter::learn`].
+/// [`Scatter::learn`] for residuals in any order, each with the number of its throw.
 pub(super) fn learn_in_order(mut residuals: Vec<(u32, Vector3<f64>)>, sensor: Matrix3<f64>, centres: usize) -> Scatter {
     residuals.sort_unstable_by_key(|(order, _)| *order);
     let ordered: Vec<Vector3<f64>> = residuals.into_iter().map(|(_, residual)| residual).collect();
     Scatter::learn(&ordered, sensor, centres)
 }
 
-/// The logarithms of the throws without the changes since the first of them.
+/// The logarithms of the throws without the known `changes` since the first throw.
 fn unchanged(throws: &[BaselineThrow], changes: Changes) -> impl Iterator<Item = Vector3<f64>> {
     let first = throws.first().map_or(0, |throw| throw.order);
     let slopes = Vector3::from(changes.slopes.unwrap_or_default());
     throws.iter().map(move |throw| throw.dry(changes.wet) - slopes * f64::from(throw.order - first))
 }
 
-/// The throws of both directions while the baselines fill, as in dry weather; `sensor` is the mean covariance of their
-/// estimates.
+/// The throws of both directions while the baselines fill, without the effect of rain, for the search for a trend;
+/// `sensor` is the mean covariance of their estimates.
 pub(super) fn filling<'a>(
     sides: [impl Iterator<Item = &'a BaselineThrow>; 2],
     sensor: Matrix3<f64>,
@@ -305,13 +320,14 @@ pub(super) fn filling<'a>(
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];
     for (side, series) in sides.into_iter().enumerate() {
-        let series: Vec<(&BaselineThrow, Vector3<f64>)> = series.map(|throw| (throw, throw.dry(wet))).collect();
+        let (series, logs): (Vec<&BaselineThrow>, Vec<Vector3<f64>>) =
+            series.map(|throw| (throw, throw.dry(wet))).unzip();
         if series.is_empty() {
             continue;
         }
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|(_, log)| log[i]).collect::<Vec<_>>()));
+        let robust = centres_and_sds(&logs);
         variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
-        throws.extend(series.into_iter().map(|(throw, log)| TrendThrow {
+        throws.extend(series.into_iter().zip(logs).map(|(throw, log)| TrendThrow {
             order: throw.order,
             side,
             residual: log - Vector3::from(robust.map(|(centre, _)| centre)),
@@ -321,10 +337,11 @@ pub(super) fn filling<'a>(
     Filling::new(throws, variance, [0, 1, 2].map(|i| sensor[(i, i)]))
 }
 
-/// Slopes of the logarithms over the throws of both directions, 0 without a trend that matters.
+/// Slopes of the logarithms over the throws of both directions \[per throw of the machine\]; 0 without a trend that
+/// matters.
 pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
-    /// The stricter bound applies to this many last throws of both baselines together: one direction may complete its
-    /// baseline two throws before the other.
+    /// [`trend::AT_THE_END`] applies to this number of last throws of both baselines together: one direction may
+    /// complete its baseline two throws before the other.
     const LAST: usize = 4;
     /// Sign of wear: a weaker motor, more friction, more stiffness.
     const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
@@ -338,6 +355,11 @@ pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
             && (is_end || change_pct * WEAR_SIGN[i] > 0.0)
     };
     std::array::from_fn(|i| if matters(i) { slopes[i] } else { 0.0 })
+}
+
+/// Robust centre and standard deviation of each of the three logarithms.
+fn centres_and_sds(logs: &[Vector3<f64>]) -> [(f64, f64); 3] {
+    [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|log| log[i]).collect::<Vec<_>>()))
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {
@@ -363,7 +385,7 @@ mod tests {
         assert!((all - (stated - scale)).norm() < 1e-9, "as large as stated, or larger: {all}");
         let part = differing([0.05, 0.005]);
         assert!((part[(1, 1)] - 0.05_f64.powi(2)).abs() < 1e-9, "a1/b0 scatters as stated: {part}");
-        // A hundredth of the variance, of which a hundredth belongs to the errors.
+        // The scatter has a hundredth of the stated variance, and of that a hundredth belongs to the errors.
         assert!(part[(2, 2)] < 2e-4 * 0.05_f64.powi(2), "a0/b0 hardly scatters: {part}");
     }
 }

@@ -1,37 +1,40 @@
-//! Two loggers that publish as one machine, found from the boots of their throws.
+//! Detects two loggers that publish as one machine, from the boots of their throws. A boot is a run of a logger, from
+//! one start to the next.
 //!
-//! A logger makes the throws of a boot one after the other, and none in an older boot after its restart. So the boots of
-//! one logger do not take turns in the times at which their throws were made. They may do so in the order of reception: pages
-//! of a backlog, messages that a router kept and repetitions come late. The delay of a throw, from its date to its
-//! reception, distinguishes the two: a late throw has a longer one. Only delays within a boot are compared, so the clocks
-//! need not be right, and the jump of a clock is no evidence.
+//! After a restart, a logger makes no throws in an older boot. So the boots of one logger never alternate in the order
+//! in which their throws were made. In the order of reception they may: pages of a backlog, messages that a router kept
+//! and repeated messages arrive late. The delay of a throw, from its date to its reception, distinguishes the two
+//! cases: a late throw has a longer delay. Delays are compared only within a boot, so the clocks need not be right. A
+//! jump of a clock is no evidence.
 //!
-//! A throw is *live* if its delay is that of the last throw of its boot, which was received well before. Live throws of two
-//! boots that take turns, [`TURNS`] times, are of two loggers.
+//! A throw is *live* if it has the same delay as the throw of its boot before it, which was received well before. If
+//! live throws of two boots alternate [`TURNS`] times, they come from two loggers.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::throw::ThrowRef;
 
-/// Boots that are remembered: those of two loggers, and of a restart of each.
+/// Number of boots that are stored: two loggers with one restart each.
 const BOOTS: usize = 4;
-/// Largest difference between the delays of two live throws: one may take longer than the other, and wait for the link.
+/// Largest difference between the delays of two live throws: a throw may last longer than another, and its message may
+/// wait for the link.
 const SAME_DELAY: SignedDuration = SignedDuration::from_secs(30);
-/// Least time between the receptions of two throws whose delays are compared, and between the turns: within a shorter time
-/// throws of one page have equal delays.
+/// Least time between the receptions of two throws whose delays are compared, and between two turns. Within a shorter
+/// time, late throws of one page have equal delays too.
 const APART: SignedDuration = SignedDuration::from_mins(1);
-/// Number of turns of live throws that show two loggers. A late throw of an old boot has the delay of the throw before it
-/// by chance only, and gives two turns: its own, and that of the next throw of the new boot.
+/// Number of turns, from a live throw of one boot to a live throw of another, that show two loggers. A late throw of an
+/// old boot may have the delay of the throw before it by chance. It gives two turns: its own, and that of the next
+/// throw of the new boot.
 const TURNS: u32 = 3;
-/// Time without a turn after which one logger alone publishes: a machine in use makes throws on most days.
+/// Time without a turn after which only one logger publishes: a machine in use makes throws on most days.
 pub(super) const ALONE: SignedDuration = SignedDuration::from_hours(24);
 
 /// A boot and its last throw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Boot {
     id: Box<str>,
-    /// Time of its first throw, or of the reception if that is earlier.
+    /// Time of its first throw, or of the reception of this throw if that is earlier.
     since: Timestamp,
     started_at: Timestamp,
     received_at: Timestamp,
@@ -43,33 +46,33 @@ struct Boot {
 /// Two loggers that publish as one machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct TwoLoggers {
-    /// Their boots.
+    /// The boot ids of the two loggers, the earlier boot first.
     pub(super) boots: [String; 2],
-    /// Time of the first throw of the second of these boots.
+    /// Time of the first throw of the later boot.
     pub(super) since: Timestamp,
 }
 
 /// The last boots of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Boots {
-    /// In the order of their last throws.
+    /// The boots in the order of their last throws.
     last: Vec<Boot>,
     /// Boxed, as few machines have turns.
     #[serde(skip_serializing_if = "Option::is_none")]
     turns: Option<Box<Turns>>,
 }
 
-/// Live throws of the boots that took turns.
+/// The turns between live throws of different boots.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Turns {
     count: u32,
-    /// Reception of the last one.
+    /// Reception of the throw of the last turn.
     last_at: Timestamp,
     two: Option<TwoLoggers>,
 }
 
 impl Boots {
-    /// Applies a throw, in the order of judging.
+    /// Applies a throw; throws come in the order in which they are judged.
     pub(super) fn follow(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Timestamp) {
         let known = self.last.iter().position(|boot| *boot.id == throw.boot_id);
         let last = known.map(|at| self.last.remove(at));
@@ -140,9 +143,9 @@ mod tests {
             };
             assert!(turns(6) && !turns(5), "{first} {second}");
         }
-        // Both are at the same machine, and one is always the first.
+        // Both record every throw of the machine, and the same logger always publishes first.
         assert!(finds((0..10).flat_map(|k| [("a", 10 * k, 0), ("b", 10 * k, 0)])));
-        // The second one starts anew from time to time.
+        // The second logger restarts from time to time.
         let boots = ["b", "c", "d", "e"];
         let restarts = boots.into_iter().flat_map(|boot| ["a", boot, "a", boot, "a", boot]);
         assert!(finds((0..).zip(restarts).map(|(k, boot)| (boot, 10 * k, 0))));
@@ -151,7 +154,8 @@ mod tests {
     #[test]
     fn one_logger_is_one_whatever_comes_late() {
         let before = || (0..20).map(|k| ("a", 10 * k, 0));
-        // A new boot from minute 200 on, and what the throws of the old boot are like that are received in between.
+        // A new boot publishes from minute 200 on. `old` gives minute of reception and delay \[min\] of the throws of
+        // the old boot in between.
         let between = |old: fn(i64) -> (i64, i64)| -> Vec<_> {
             let new = (0..40).map(|k| ("b", 200 + 10 * k, 0));
             let old = (0..40).map(move |k| ("a", old(k).0, old(k).1));
@@ -182,7 +186,7 @@ mod tests {
         // The last turn is that of "a" at minute 80.
         assert!(finds(turns.clone().chain(alone(8 + 143))));
         assert!(!finds(turns.clone().chain(alone(8 + 144))));
-        // The other one publishes again: two turns may be those of a late throw, as at the beginning.
+        // The other logger publishes again: two turns may be those of a late throw, as at the beginning.
         let again = |throws: i64| (0..throws).map(|k| (if k % 2 == 0 { "b" } else { "a" }, 10 * (160 + k), 0));
         let alone_then = |throws| turns.clone().chain(alone(8 + 144)).chain(again(throws));
         assert!(!finds(alone_then(2)) && finds(alone_then(3)));

@@ -1,16 +1,18 @@
-//! Attribution of a drift to a cause: the best explanation, if it leads by a margin.
+//! Attribution of a drift to a cause.
 //!
-//! A cause is named if its score leads over every other name by a margin; otherwise two are too close to call. Pairs of
-//! causes are named if no single cause is nearly as good.
+//! Each explanation of the drift, by one cause or by two, has a score; see [`super::explain`]. A single cause is named
+//! if its score leads over every other cause by a margin; with a smaller lead, the two best causes are too close to
+//! call. A pair of causes is named if no single cause is nearly as good.
 //!
-//! The paper's cross-correlation rule changes the margin between inertia and the rest, unless the natural scatter would
-//! hide inertia of the drift's size from the rule.
+//! The paper's cross-correlation rule changes the margin between inertia and the other causes. It does not if the
+//! scatter of the throws would hide a change of inertia of this size from the rule.
 
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
+    baseline::{Baseline, usual_friction_over_spring},
     correlation::Correlation,
     event::{Cause, RunnerUp},
     explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
@@ -23,60 +25,70 @@ use super::{
 pub(super) const CLOSE: f64 = 6.0;
 /// Lead without doubt, needed for critical severity: odds of 1000 to 1.
 pub(super) const DECISIVE: f64 = 13.8;
-/// Factor on the margin: divides it if the cross-correlation rule agrees with the named cause, multiplies it if not.
+/// Factor of the cross-correlation rule on the margin: divides it if the rule agrees with the named cause, multiplies
+/// it if the rule speaks against it.
 const RULE_WEIGHT: f64 = 1.5;
-/// Bonus of an explanation for each of its causes that already has an alarm, so that the verdict does not alternate.
-const STICKY: f64 = 4.0;
-/// Lead of two causes that leave out one with an alarm before the alarm is doubted.
-const KNOWN: f64 = 20.0;
-/// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
+/// Bonus on the score of an explanation whose causes all have an alarm, for each cause, and of every pair while there
+/// is an unattributed alarm, so that the name does not alternate from throw to throw.
+const ALARM_BONUS: f64 = 4.0;
+/// Lead of a pair without the alarmed cause over the best pair with it, from which the alarm is doubted.
+const DOUBTING_LEAD: f64 = 20.0;
+/// Change of b0 since [`Known::level`] from which it is a new fault of the motor, as part of the motor's warning limit.
 const NEW_MOTOR_FAULT: f64 = 0.5;
-/// Least change of the back-EMF beside a known or new fault of the motor, as part of the change of the motor.
+/// Least change of the back-EMF that decides about the motor beside a known or new fault of it, as part of the change
+/// of the motor.
 const CHANGED: f64 = 0.5;
 /// Least significance of this change \[standard deviations\].
 const CHANGED_SD: f64 = 3.0;
-/// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
-const MOST_OF_GAUGE: f64 = 40.0;
-/// Part of a change of the motor that the acceleration per ampere at the start shows, without a late brake and with one, which is
-/// released by then and lets a faster motor start with less current.
+/// Upper bound of the misfit of the back-EMF, so that a change of the supply does not decide alone.
+const MOST_BACK_EMF_MISFIT: f64 = 40.0;
+/// Range of the part of a change of the motor that shows in the acceleration per ampere at the start.
 const MOTOR_AT_START: Range<f64> = 0.4..1.1;
+/// The same on a machine with a late brake. It is released when the acceleration is measured, and a faster motor then
+/// starts with less current.
 const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
-/// Largest part of a rise of friction by which it lowers this acceleration: dry friction behind the play of a soft drive.
+/// Largest part of a rise of friction that lowers this acceleration: dry friction behind the play of a soft drive.
 const FRICTION_AT_START: f64 = 0.4;
-/// Largest misfit of this acceleration, so that a brake or play that changes at the same time does not decide alone.
-const MOST_OF_START: f64 = 20.0;
-/// Penalty of a motor that loses torque without back-EMF: odds of 1 to 5 against weak magnets.
+/// Upper bound of the misfit of this acceleration, so that a brake or play that changes at the same time does not
+/// decide alone.
+const MOST_START_MISFIT: f64 = 20.0;
+/// Penalty of the explanation that a motor lost torque and kept its back-EMF: odds of 1 to 5 against weak magnets.
 const TORQUE_ALONE: f64 = 3.0;
-/// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
+/// Standard deviation of such a loss of torque, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
-/// Change of ln b0 from which a rise of friction may hide a loss of torque, and of the back-EMF from which magnets are not
-/// sound: the default warning limit of the motor.
+/// Change of ln b0 below which a rise of friction may hide a loss of torque, and change of the back-EMF below which the
+/// magnets are weak: the default warning limit of the motor.
 const LOST_TORQUE: f64 = -0.05;
-/// Change of ln(a0/b0) from which a rise of friction may hide one of the stiffness: about its default warning limit.
+/// Change of ln(a0/b0) from which a rise of friction may hide a stiffer spring: about the default warning limit of the
+/// stiffness.
 const RISEN_STIFFNESS: f64 = 0.1;
-/// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
+/// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
 const SHOWN_SD: f64 = 2.0;
 
-/// The known drifts of a machine, and its gauges.
+/// The drifts of a machine that have an alarm, with its gauges and baselines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Known<'a> {
     /// The causes with an active alarm.
     pub(super) causes: Vec<Cause>,
-    /// Changes of (ln b0, ln a1, ln a0) with these alarms, before the last throws; `None` if too short.
+    /// Mean change of (ln b0, ln a1, ln a0) over the throws since these alarms were raised, without the last throws;
+    /// `None` with too few throws.
     pub(super) level: Option<Vector3<f64>>,
     /// The gauges, which distinguish dry friction from a weak motor.
     pub(super) gauges: Option<&'a Gauges>,
+    /// The baselines of both directions.
+    pub(super) baselines: [Option<&'a Baseline>; 2],
 }
 
 impl Known<'_> {
-    /// Whether the change `back_emf` in `window` shows whether the motor changed. A change since the level that is the
-    /// motor's alone is a new fault: like a known one, it may change the torque without the back-EMF.
+    /// Whether the change `back_emf` decides whether the motor has a part in the drift of `window`. A fault of the
+    /// motor may change the torque without the back-EMF, so beside a known or a new fault of the motor a small change
+    /// decides nothing. A new fault is a change since the level that is mostly a change of b0.
     fn is_decided_by(&self, back_emf: &BackEmf, window: &Window, settings: &Settings) -> bool {
         let is_new = self.level.is_some_and(|level| {
             let since = window.mean - level;
-            // Ratios have no scale in common with the level; a change of the motor changes both alike.
+            // A window of ratios has another scale than the level. A change of the motor changes both ratios alike.
             let scale = if window.shows(Cause::Inertia) { 0.0 } else { f64::midpoint(since.y, since.z) };
             let since = since.add_scalar(-scale);
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
@@ -86,7 +98,7 @@ impl Known<'_> {
             return true;
         }
         let motor = |mean: &Vector3<f64>| single(Cause::Kt, mean, &window.covariance, settings).size.abs();
-        // Another fault beside a known one of the motor looks like more of it.
+        // Beside a known fault of the motor, another fault looks like a larger one of the motor.
         let before = self.level.filter(|_| is_known).map(|level| motor(&level));
         let others = self.causes.iter().filter(|cause| Cause::PHYSICAL.contains(cause) && **cause != Cause::Kt);
         let beside = others.map(|other| {
@@ -110,7 +122,8 @@ pub(super) enum Naming {
     Both(Explanation, Explanation),
     /// One cause in addition to a known one, which has an alarm.
     Another { new: Explanation, known: Explanation },
-    /// A known cause, which has an alarm, and something else: one of two causes, the better first, or none of the four.
+    /// A known cause, which has an alarm, and a further change: by one of two causes, the better first, or by none of
+    /// the four.
     Beside { known: Explanation, first: Explanation, second: Explanation },
     /// No one or two causes explain the drift; these two together do best.
     Neither(Explanation, Explanation),
@@ -123,11 +136,19 @@ pub(super) enum Rival {
     Together(Cause, Cause),
 }
 
+/// Evidence of the gauges that decides whether the motor has changed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MotorEvidence {
+    back_emf: BackEmf,
+    /// Friction over the force of the spring at the end of the stroke, from the baselines.
+    friction_over_spring: f64,
+}
+
 /// A drift with its cause, and the figures for and against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Attribution {
     pub(super) naming: Naming,
-    /// The rival of a naming with two causes.
+    /// The rival of a naming with two causes, if one is nearly as good.
     pub(super) rival: Option<Rival>,
     pub(super) runner_up: Option<RunnerUp>,
     pub(super) correlation: Correlation,
@@ -139,11 +160,11 @@ pub(super) struct Attribution {
     of_ratios: bool,
     /// Size relative to the warning limit; relevant above 1.
     pub(super) relevance: f64,
-    /// Lead of a single name over all explanations without it.
+    /// Lead of a single named cause over all explanations without it, as twice the logarithm of the odds.
     pub(super) lead: f64,
-    /// Change of the back-EMF, if it decides whether the motor changed.
-    pub(super) decides: Option<BackEmf>,
-    /// Change of the back-EMF, if a gauge shows it directly.
+    /// Evidence of the gauges, if it decides whether the motor changed.
+    pub(super) decides: Option<MotorEvidence>,
+    /// Change of the back-EMF, if a gauge shows it and not only a shorter duration.
     back_emf: Option<Level>,
 }
 
@@ -158,11 +179,11 @@ pub(super) struct Case<'a> {
     pub(super) settings: &'a Settings,
 }
 
-/// The explanations of a drift, each kind with the best first.
+/// The explanations of a drift, of each kind the best first.
 struct Explanations {
     singles: [Fit<1>; 4],
     pairs: [Fit<2>; 6],
-    /// Three free changes.
+    /// By motor, friction and stiffness together, which explain any drift.
     any: Fit<3>,
 }
 
@@ -171,8 +192,10 @@ impl Attribution {
     pub(super) fn of(case: &Case) -> Self {
         let Case { window, of_one_throw, known, settings } = *case;
         let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
-        let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
-        let all = Explanations::of(window, &known.causes, back_emf, settings);
+        let decides = shown.filter(|shown| known.is_decided_by(shown, window, settings)).map(|back_emf| {
+            MotorEvidence { back_emf, friction_over_spring: usual_friction_over_spring(known.baselines) }
+        });
+        let all = Explanations::of(window, &known.causes, decides, settings);
         let [best, next, ..] = &all.singles;
         let [a, b] = all.pairs[0].parts;
         let correlation = Correlation::of(of_one_throw, &window.mean);
@@ -186,7 +209,7 @@ impl Attribution {
             of_ratios: !window.shows(Cause::Inertia),
             relevance: all.any.relevance(settings),
             lead: 0.0,
-            decides: back_emf,
+            decides,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
@@ -202,8 +225,8 @@ impl Attribution {
             let relevance = main.relevance(settings).max(second.relevance(settings));
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
-        let strangers = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
-        let lead = strangers.map(|pair| pair.score - best.score).fold(margin, f64::min);
+        let pairs_without = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
+        let lead = pairs_without.map(|pair| pair.score - best.score).fold(margin, f64::min);
         let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
     }
@@ -214,14 +237,15 @@ impl Attribution {
         let cause = best.parts[0].cause;
         let plausible = all.pairs.iter().filter(|pair| pair.score < all.pairs[0].score + CLOSE);
         let is_sufficient_alone = |pair: &Fit<2>| pair.score > best.score - CLOSE;
-        // If the gauges decide about the motor, a second cause that may be zero is not named beside a sufficient one.
+        // If the gauges decide about the motor, a second cause whose size may be zero is not named beside one that is
+        // sufficient alone.
         let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
         let matters = |pair: &&Fit<2>| {
             let only_shown = self.decides.is_some() && is_sufficient_alone(pair);
             pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
         };
-        let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
-        let pair = plausible.clone().find(matters).or(stranger)?;
+        let best_without = all.pairs.first().filter(|pair| !pair.includes(cause));
+        let pair = plausible.clone().find(matters).or(best_without)?;
         let of_far_end = self.decides.is_some() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
         if pair.score >= best.score + CLOSE || of_far_end {
             return None;
@@ -232,31 +256,26 @@ impl Attribution {
             let other = all.pairs.iter().find(|other| *other != pair && other.score < pair.score + CLOSE);
             other.map(|other| Rival::Together(other.parts[0].cause, other.parts[1].cause))
         };
-        let [mut a, mut b] = pair.parts;
-        if a.relevance(settings) < b.relevance(settings) {
-            (a, b) = (b, a);
-        }
+        let [a, b] = larger_first(pair, settings);
         let relevance = plausible.map(|pair| pair.relevance(settings)).fold(0.0, f64::max);
         Some(Self { naming: Naming::Both(a, b), rival, relevance, ..self })
     }
 
-    /// Names the other of two causes, if one has an alarm and no other explanation is nearly as good; of two with alarms
-    /// the larger. If other explanations are as good, the change since the level of the known drifts may have a single
-    /// cause: a leak of friction and another cause can look like friction without a leak and a third cause, but the level
-    /// shows the leak.
+    /// Names the other of two causes, if one of them has an alarm and no other explanation is nearly as good. If both
+    /// have alarms, it names the larger one. If other explanations are as good, the change since the level of the known
+    /// drifts may still have a single cause. For example, friction that leaks and a second cause can look like friction
+    /// without a leak and a third cause, but the level shows the leak.
     fn beside_known(self, all: &Explanations, case: &Case) -> Self {
         let Case { known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
-        let Some(own) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
-        let [mut a, mut b] = own.parts;
-        if a.relevance(settings) < b.relevance(settings) {
-            (a, b) = (b, a);
-        }
+        let Some(pair) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
+        let [a, b] = larger_first(pair, settings);
         let (new, old) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
-        let strangers = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
-        let strangers = strangers.map(|pair| pair.score + if pair.includes(old.cause) { 0.0 } else { KNOWN });
+        let without_new = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
+        let without_new =
+            without_new.map(|pair| pair.score + if pair.includes(old.cause) { 0.0 } else { DOUBTING_LEAD });
         let alone = all.singles.iter().map(|single| single.score);
-        let lead = strangers.chain(alone).map(|score| score - own.score).fold(f64::INFINITY, f64::min);
+        let lead = without_new.chain(alone).map(|score| score - pair.score).fold(f64::INFINITY, f64::min);
         let another = |new: Explanation, lead: f64| {
             let naming = Naming::Another { new, known: old };
             Self { naming, rival: None, relevance: new.relevance(settings), lead, ..self }
@@ -268,9 +287,9 @@ impl Attribution {
         since.unwrap_or_else(|| self.beside_something(all, known, settings))
     }
 
-    /// Names a second cause by the change since the level of the known drifts: two faults one after the other may look like one
-    /// alone, of a third part or of the second. `None` if that change has no clear name, or if one cause explains level and
-    /// change, so that the known name was wrong.
+    /// Names a second cause by the change since the level of the known drifts. Without the level, two faults one after
+    /// the other may look like a single fault of a third part or of the second one. `None` if that change has no clear
+    /// name, or if one cause explains level and change, so that the known name was wrong.
     fn since_known(self, all: &Explanations, case: &Case) -> Option<Self> {
         let Case { window, known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
@@ -278,7 +297,8 @@ impl Attribution {
         let named = |mean, covariance| {
             Self::of(&Case { window: &Window { mean, covariance, ..*window }, known: &Known::default(), ..*case })
         };
-        // The level has less uncertainty than the window, whose baseline is the same.
+        // The level is less uncertain than the window, and has the same baseline, so twice the covariance is an upper
+        // bound.
         let since = named(window.mean - level, 2.0 * window.covariance);
         let Naming::One(found) = since.naming else { return None };
         if is_open(&found) || since.relevance < MATTERS {
@@ -286,13 +306,13 @@ impl Attribution {
         }
         if let Naming::One(main) = &self.naming {
             let is_known = || matches!(&named(level, window.covariance).naming, Naming::One(before) if is_open(before));
-            // A known cause that grows changes in its own direction.
+            // A known fault that grows changes the coefficients in the direction of its own cause.
             let is_growth = is_open(main) && since.runner_up.is_some_and(|next| next.margin < DECISIVE);
             if is_growth || main.cause == found.cause && !is_known() {
                 return None;
             }
         }
-        // The sizes are those of both together.
+        // The sizes are those of a fit of both causes together.
         let pair = all.pairs.iter().find(|pair| pair.includes(found.cause) && pair.parts.iter().any(is_open))?;
         let [a, b] = pair.parts;
         let (new, known) = if a.cause == found.cause { (a, b) } else { (b, a) };
@@ -300,17 +320,20 @@ impl Attribution {
         Some(Self { naming, rival: None, relevance: new.relevance(settings), lead: since.lead, ..self })
     }
 
-    /// Keeps the name of a cause that has an alarm, if the attribution has none of these, and names the two causes that explain
-    /// the rest best. An alarm that two other causes contradict clearly is doubted instead.
+    /// If the attribution names no cause that has an alarm, keeps the name of such a cause, and names the two causes
+    /// that explain the rest best. If two other causes contradict the alarm clearly, the attribution stays, which casts
+    /// doubt on the alarm.
     fn beside_something(self, all: &Explanations, known: &Known, settings: &Settings) -> Self {
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let keeps_one = matches!(&self.naming, Naming::Both(a, b) if is_open(a) || is_open(b));
-        let mut own = all.pairs.iter().filter_map(|pair| match &pair.parts {
+        let mut with_known = all.pairs.iter().filter_map(|pair| match &pair.parts {
             [known, new] | [new, known] if is_open(known) && !is_open(new) => Some((pair.score, *known, *new)),
             _ => None,
         });
-        let (Some((score, old, first)), Some((_, _, second))) = (own.next(), own.next()) else { return self };
-        let is_doubted = matches!(self.naming, Naming::Both(..)) && score > all.pairs[0].score + KNOWN;
+        let (Some((score, old, first)), Some((_, _, second))) = (with_known.next(), with_known.next()) else {
+            return self;
+        };
+        let is_doubted = matches!(self.naming, Naming::Both(..)) && score > all.pairs[0].score + DOUBTING_LEAD;
         if keeps_one || is_doubted {
             return self;
         }
@@ -318,7 +341,8 @@ impl Attribution {
         Self { naming: Naming::Beside { known: old, first, second }, rival: None, relevance, lead: 0.0, ..self }
     }
 
-    /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
+    /// The lead that `best` needs over `next`. The cross-correlation rule distinguishes only inertia from the other
+    /// causes.
     fn margin_needed(&self, best: Cause, next: Cause) -> f64 {
         match (self.rule, best == Cause::Inertia, next == Cause::Inertia) {
             (Some(true), true, _) | (Some(false), _, true) => CLOSE / RULE_WEIGHT,
@@ -363,21 +387,21 @@ impl Attribution {
         self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
     }
 
-    /// The part whose change would look the same beside a rise of friction alone. Dry friction lowers b0 as much as a relevant loss
-    /// of torque that leaves the back-EMF, which the gauges do not show; and where it grows along the stroke, it raises a0/b0 as a
-    /// stiffer spring does.
+    /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
+    /// would be the same. Dry friction lowers b0 as much as a loss of torque that leaves the back-EMF, and where it
+    /// grows along the stroke, it raises a0/b0 as a stiffer spring does.
     pub(super) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
-        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?;
+        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?.back_emf;
         if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
             return Some(Cause::Kt);
         }
         (self.mean.z - self.mean.x > RISEN_STIFFNESS).then_some(Cause::Stiffness)
     }
 
-    /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
-    /// without it.
+    /// Change of the back-EMF, if it shows that weak magnets are not the reason of a lost torque: gear, clutch and
+    /// brushes lose torque without a change of the back-EMF.
     pub(super) fn sound_magnets(&self) -> Option<Level> {
         let named = match &self.naming {
             Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
@@ -390,9 +414,10 @@ impl Attribution {
         self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs() && !is_weaker(level))
     }
 
-    /// Whether the back-EMF shows that the motor changed, however uncertain the size of the change is beside another part.
+    /// Whether the back-EMF shows that the motor changed, even if the size of the change is uncertain beside another
+    /// part.
     pub(super) fn has_changed_motor(&self) -> bool {
-        let level = self.decides.and_then(BackEmf::of_motor);
+        let level = self.decides.and_then(|evidence| evidence.back_emf.of_motor());
         self.includes(Cause::Kt) && level.is_some_and(|level| level.value.abs() > CHANGED_SD * level.sd)
     }
 
@@ -419,14 +444,14 @@ impl Attribution {
 }
 
 impl Explanations {
-    fn of(window: &Window, open: &[Cause], back_emf: Option<BackEmf>, settings: &Settings) -> Self {
+    fn of(window: &Window, open: &[Cause], evidence: Option<MotorEvidence>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         let of_pair = |pair: [Cause; 2]| {
             if pair.iter().all(|cause| open.contains(cause)) {
-                2.0 * STICKY
+                2.0 * ALARM_BONUS
             } else if open.contains(&Cause::Unattributed) {
-                STICKY
+                ALARM_BONUS
             } else {
                 0.0
             }
@@ -435,16 +460,16 @@ impl Explanations {
             singles: ranked(
                 Cause::PHYSICAL.map(|cause| [cause]),
                 window,
-                |[cause]| if open.contains(&cause) { STICKY } else { 0.0 },
-                back_emf,
+                |[cause]| if open.contains(&cause) { ALARM_BONUS } else { 0.0 },
+                evidence,
                 settings,
             ),
-            pairs: ranked(pairs, window, of_pair, back_emf, settings),
-            any: explained([a, b, c], window, back_emf, settings),
+            pairs: ranked(pairs, window, of_pair, evidence, settings),
+            any: explained([a, b, c], window, evidence, settings),
         }
     }
 
-    /// The best single cause, with its size from a fit with a second change if that explains more.
+    /// The best single cause. If the best pair includes it and has a better score, its size is that in the pair.
     fn freed_best(&self) -> Explanation {
         let alone = self.singles[0].parts[0];
         let [pair, ..] = &self.pairs;
@@ -453,29 +478,31 @@ impl Explanations {
     }
 }
 
-/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by
-/// less friction too. A motor that loses torque alone, as by its commutation, keeps its back-EMF and its speed; beside a rise
-/// of friction that is dry friction.
+/// Explains the drift of `window` by `causes`. A change of the motor must also explain that of the back-EMF; if only a
+/// shorter duration shows the back-EMF, less friction can explain it as well. A motor may also lose torque alone, for
+/// example by its commutation, and keep its back-EMF and speed. Together with a rise of friction this is not tried, as
+/// dry friction looks the same.
 pub(super) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
-    back_emf: Option<BackEmf>,
+    evidence: Option<MotorEvidence>,
     settings: &Settings,
 ) -> Fit<K> {
-    let Window { mean, covariance, friction_of_spring, .. } = window;
-    let Some(BackEmf { level, of_duration, at_start }) = back_emf else {
+    let Window { mean, covariance, .. } = window;
+    let Some(MotorEvidence { back_emf, friction_over_spring }) = evidence else {
         return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
     };
-    let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
-    // Coefficients with their scale have the acceleration at the start in b0.
+    let BackEmf { level, of_duration, at_start } = back_emf;
+    let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
+    // Complete coefficients contain the acceleration at the start in b0.
     let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
     let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
-    // The leaks of friction and motor differ in the motor's size, which the gauge shows too.
+    // With other leaks the motor has another size, which the gauge shows too, so it helps to choose the leaks.
     let beside = |fit: &Fit<K>| {
         let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
         of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
     };
-    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(*friction_of_spring);
+    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(friction_over_spring);
     let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
     let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
     if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
@@ -489,32 +516,41 @@ pub(super) fn explained<const K: usize>(
     found
 }
 
-/// Whether `best` is a rise of friction, and `pair` this and a stiffer spring: one that it seems to be where it grows along the
-/// stroke, as on a rail that bends. Dry slide chairs are commoner than two faults at once.
+/// The parts of a pair, the larger one first, relative to the warning limits.
+fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
+    let [a, b] = pair.parts;
+    if a.relevance(settings) < b.relevance(settings) { [b, a] } else { [a, b] }
+}
+
+/// Whether `best` is a rise of friction, and `pair` is friction and a stiffer spring. Friction that grows along the
+/// stroke, as on a rail that bends, looks like a stiffer spring. Dry slide chairs are more common than two faults at
+/// once.
 fn grows_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
     best.size_of(Cause::Friction) > 0.0 && pair.includes(Cause::Friction) && pair.size_of(Cause::Stiffness) > 0.0
 }
 
-/// Misfit of the acceleration per ampere at the start, which a weaker motor lowers by about its change, and friction by much less.
+/// Misfit of the acceleration per ampere at the start. A weaker motor lowers this acceleration by about its own change,
+/// friction by much less.
 fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, fit: &Fit<K>) -> f64 {
     let (motor, friction) = (fit.size_of(Cause::Kt), fit.size_of(Cause::Friction));
     let shown = if is_prompt { MOTOR_AT_START } else { MOTOR_AFTER_BRAKE };
     let [a, b] = [shown.start * motor, shown.end * motor];
     let of_friction = -FRICTION_AT_START * friction;
     let (least, most) = (a.min(b) + of_friction.min(0.0), a.max(b) + of_friction.max(0.0));
-    level.misfit(level.value.clamp(least, most), MOST_OF_START)
+    level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
 }
 
-/// The explanations with their bonus, the best first. Causes that the window does not show explain nothing.
+/// The explanations with their bonus, the best first. An explanation by a cause that the window does not show is the
+/// last.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
     bonus: impl Fn([Cause; K]) -> f64,
-    back_emf: Option<BackEmf>,
+    evidence: Option<MotorEvidence>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
-        let mut fit = explained(causes, window, back_emf, settings);
+        let mut fit = explained(causes, window, evidence, settings);
         fit.score -= bonus(causes);
         if !causes.iter().all(|cause| window.shows(*cause)) {
             fit.score = f64::INFINITY;
@@ -531,8 +567,8 @@ pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
     best.parts[0]
 }
 
-/// Verdict of the cross-correlation rule on inertia; `None` if natural scatter would hide inertia of this size from the
-/// rule.
+/// Verdict of the cross-correlation rule on inertia; `None` if the scatter of the throws would hide a change of inertia
+/// of this size from the rule.
 fn rule_verdict(
     correlation: &Correlation,
     window: &Window,

@@ -1,9 +1,10 @@
-//! The clock of a logger: a throw dated far ahead of its reception, long before the throw before it, or in 1970.
+//! Detects a wrong clock of a logger: one that dates a throw long after its reception, long before the previous throw,
+//! or before 2001.
 //!
-//! Throws of a backlog or a recording may be old, and simulated machines live faster than real time. So only a jump within a
-//! boot is wrong, and from then on every throw until the clock agrees again with the time of reception. A logger that starts
-//! again with an older clock shows no jump, as its boot may be an earlier one from its backlog: other loggers show whether
-//! it is behind.
+//! Throws of a backlog or a recording may be old, and the clock of simulated machines runs faster than real time. So
+//! only a jump of the clock is wrong, and every throw after it until the clock agrees again with the time of reception.
+//! A jump back counts only within a boot, as a boot with older dates may be an earlier one from the backlog. Other
+//! loggers show whether the clock of a restarted logger is behind.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -16,9 +17,9 @@ use super::{
 };
 use crate::throw::ThrowRef;
 
-/// A clock without a battery starts in 1970, 1980 or 2000.
+/// Earliest plausible date: a clock without a battery starts in 1970, 1980 or 2000.
 const FIRST: Timestamp = Timestamp::constant(978_307_200, 0);
-/// Largest difference that is no jump: a wrong time zone is half a day.
+/// Largest difference that is no jump: a wrong time zone makes half a day.
 const DAY: SignedDuration = SignedDuration::from_hours(24);
 /// Consecutive throws with a wrong clock that raise the alarm: most clocks are set soon after a start.
 const IN_A_ROW: u32 = 3;
@@ -28,8 +29,9 @@ const IN_A_ROW: u32 = 3;
 pub(super) struct LoggerClock {
     /// The last throw with a right clock.
     last: Option<Box<Stamp>>,
-    /// Consecutive throws with a wrong, and with a right clock.
+    /// Consecutive throws with a wrong clock.
     wrong: u32,
+    /// Consecutive throws with a right clock.
     right: u32,
 }
 
@@ -41,8 +43,9 @@ struct Stamp {
 }
 
 impl LoggerClock {
-    /// Compares the time of a throw with its reception; returns whether the logger's clock is wrong. Without `received_at` the
-    /// clock of this computer is not trusted, and shows nothing about that of the logger.
+    /// Compares the time of a throw with its reception; returns whether the logger's clock is wrong. `received_at` is
+    /// `None` if the clock of this computer is not trusted; it then shows nothing about the logger's clock.
+    /// `is_behind`: the throws of other loggers show that this clock is behind.
     pub(super) fn is_wrong(
         &mut self,
         throw: &ThrowRef,

@@ -25,7 +25,7 @@ pub enum Command {
     Shelve {
         /// Cause of the alarm.
         cause: Cause,
-        /// End of the shelving or maintenance.
+        /// End of the shelving, within `longest_shelving_days`.
         #[serde(deserialize_with = "until")]
         until: Timestamp,
         /// Name of the operator.
@@ -47,18 +47,18 @@ pub enum Command {
         /// Reason given by the operator.
         why: String,
     },
-    /// Take the machine out of the monitoring for good, as it was removed from the track: its alarms end, and its monitor is
-    /// given up. A later throw is that of a new machine.
+    /// End the monitoring of a machine that was removed from the track. Its alarms end, and its monitor is deleted; a
+    /// later throw counts as that of a new machine.
     Retire {
         /// Name of the operator.
         by: String,
         /// Reason given by the operator.
         why: String,
     },
-    /// Take the machine out of service: its throws are not diagnosed and not added to a baseline. During a maintenance
-    /// it replaces end, operator and reason.
+    /// Take the machine out of service: its throws are not diagnosed and not added to a baseline. During maintenance,
+    /// the command replaces end, operator and reason.
     MaintenanceStart {
-        /// End of the window, within `longest_shelving_days`.
+        /// End of the maintenance, within `longest_shelving_days`.
         #[serde(deserialize_with = "until")]
         until: Timestamp,
         /// Name of the operator.
@@ -179,7 +179,8 @@ impl Command {
         }
     }
 
-    /// A further sentence for the operator after the command, about the alarms that it ends or brings back; empty without any.
+    /// A further sentence for the operator, about the alarms that the command ended or brought back; empty without such
+    /// alarms. `events` are those of the command.
     pub fn consequence(&self, events: &[AlarmEvent]) -> String {
         let named = |are_active: bool| {
             let events = events.iter().filter(|event| event.state.is_active() == are_active);
@@ -187,23 +188,24 @@ impl Command {
                 events.map(|event| format!("{} {}", event.severity.as_str(), event.cause)).collect();
             names.join(", ")
         };
+        let (ended, active) = (named(false), named(true));
         match self {
-            Self::Rebaseline { .. } if !named(false).is_empty() => {
+            Self::Rebaseline { .. } if !ended.is_empty() => {
                 let in_maintenance = events.iter().any(|event| event.state == AlarmState::OutOfService);
                 let when = if in_maintenance { " when the maintenance ends" } else { "" };
-                format!(". This ends the alarms {}{when}; a fault that still exists is learned as normal", named(false))
+                format!(". This ends the alarms {ended}{when}; a fault that still exists is learned as normal")
             }
-            Self::Retire { .. } if !named(false).is_empty() => format!(". This ends the alarms {}", named(false)),
-            Self::MaintenanceEnd { .. } if !named(true).is_empty() => {
-                format!(". Alarms from before: {}; the next throws show whether they are over", named(true))
+            Self::Retire { .. } if !ended.is_empty() => format!(". This ends the alarms {ended}"),
+            Self::MaintenanceEnd { .. } if !active.is_empty() => {
+                format!(". Alarms from before: {active}; the next throws show whether they are over")
             }
             _ => String::new(),
         }
     }
 
-    /// One sentence for the operator after the command: the new state, its end, operator and reason. `learning`: the throws
-    /// in the baseline of each direction, and those that it needs, if the machine was learning before the command; then a
-    /// second sentence says that a new baseline discards them.
+    /// A sentence for the operator after the command: the new state, its end, operator and reason. `learning`: for a
+    /// machine that was learning before the command, the number of throws in the baseline of each direction, and the
+    /// number needed; a second sentence says that a new baseline discards these throws.
     pub fn confirmation(&self, machine: &MachineId, learning: Option<[(usize, usize); 2]>) -> String {
         match self {
             Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),
@@ -239,7 +241,7 @@ impl Command {
     /// # Errors
     /// When `by` or `why` is empty or too long, or `until` is past or too far ahead.
     pub fn validate(&self, now: Timestamp, settings: &Settings) -> Result<(), CommandError> {
-        // Control characters could contain commands to a terminal.
+        // Control characters could be commands to the terminal on which the text is shown.
         let fits = |text: &str| {
             (1..=Self::MAX_TEXT).contains(&text.trim().chars().count()) && !text.chars().any(char::is_control)
         };

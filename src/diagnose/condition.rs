@@ -1,33 +1,36 @@
 //! The condition of a drift alarm: when it is raised, escalated and cleared, with delays and a deadband counted in
 //! throws.
 //!
-//! An alarm is raised if the diagnosis names its cause, above the limit, for `on_delay_throws` consecutive throws;
-//! without a single name after a longer wait. It is cleared after one of these:
-//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the limit;
-//! - likely health for a longest window: the size is below half of the limit, and plus two standard deviations below the limit,
-//!   as of a repaired machine whose estimates scatter;
-//! - hovering for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
-//! - another name for a longest window: another cause explains the drift.
+//! An alarm is raised if the diagnosis names its cause, with a size above the limit, for `on_delay_throws` consecutive
+//! throws. If it names no single cause, or an uncertain one, it waits for more throws. The alarm is cleared after one
+//! of these:
+//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the
+//!   limit;
+//! - likely health for 24 throws, the longest window: the size is below half of the limit, and plus two standard
+//!   deviations below the limit, as on a repaired machine whose estimates scatter;
+//! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
+//! - another name for 24 throws: another cause explains the drift.
 //!
-//! So an alarm near its limit does not alternate: without plain health it lasts at least `hold_throws`.
+//! So an alarm near its limit does not alternate: without health it lasts at least `hold_throws`.
 
 use serde::{Deserialize, Serialize};
 
 use super::{event::Severity, settings::Settings, threshold::WINDOWS};
 
-/// A size of at least this part of the level still has the level: the scatter of a few throws can cause the difference.
+/// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
+/// cause the difference.
 const NEAR_LEVEL: f64 = 0.75;
 /// Part of the level below which a size has left it: more than half of the drift has ended.
 const LEFT_LEVEL: f64 = 0.5;
-/// Throws in which a repair shows: the last few throws of each direction.
+/// Number of throws within which the size falls after a repair: the last few throws of each direction.
 const REPAIR_SHOWS_WITHIN: u32 = 8;
 /// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
 const REPAIRABLE_LEVEL: f64 = 1.5;
-/// Least throws of plain health before an alarm is cleared: the levels, of up to as many throws of a direction, follow a
-/// step with this delay, so they still look healthy just after the raise.
+/// Least number of throws of plain health before an alarm is cleared. Sizes are judged from means over up to this
+/// number of throws of a direction; these follow a step with a delay, and still look healthy just after the raise.
 pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
-/// Throws of the machine that fill a longest window.
+/// Number of throws in the longest window of the detection.
 pub(super) const LONGEST_WINDOW: u32 = 24;
 const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
@@ -51,7 +54,7 @@ pub(super) struct Reading {
     /// Size relative to the warning limit if the name is beyond doubt, else 0: a critical alarm must not have a wrong
     /// name.
     pub(super) undoubted: f64,
-    /// Throws of waiting in addition to the on delay.
+    /// Number of throws to wait in addition to the on delay.
     pub(super) patience: u32,
     /// Whether the size plus two standard deviations is below half of the limit.
     pub(super) plain_health: bool,
@@ -59,11 +62,12 @@ pub(super) struct Reading {
     pub(super) likely_health: bool,
     /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(super) below: bool,
-    /// Whether the drift has another name.
+    /// Whether another cause explains the drift.
     pub(super) other_name: bool,
-    /// Whether the drift has this name, above its limit, in the other sense than the alarm.
+    /// Whether the drift has this cause and a size above the limit, but the opposite sign to the alarm.
     pub(super) turned: bool,
-    /// Size in the last few throws relative to the limit; `None` if they are of the other direction than the alarm.
+    /// Size in the last few throws relative to the warning limit; `None` if these throws are of the other direction
+    /// than the alarm.
     pub(super) latest: Option<f64>,
 }
 
@@ -74,7 +78,7 @@ pub(super) enum Transition {
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The drift has ended; `at_once`: within a few throws.
+    /// The drift has ended; `at_once`: its size fell within a few throws.
     Clear {
         at_once: bool,
     },
@@ -87,9 +91,9 @@ pub(super) enum Transition {
 /// State of the alarm about a cause, with the counters \[throws\] of the state.
 ///
 /// ```text
-///          named for the on delay, and its patience
+///          named for the on delay and the patience
 ///   Quiet -----------------------------------------> Raised --- critical for as long: escalates, stays Raised
-///     ^                                                |    --- named in the other sense for as long: turns, stays
+///     ^                                                |    --- named with the opposite sign for as long: turns, stays
 ///     '--- healthy, below or otherwise explained ------'
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -105,14 +109,14 @@ pub(super) enum Condition {
     Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
 }
 
-/// Numbers of consecutive throws for an alarm, and for a critical alarm.
+/// Numbers of consecutive throws that speak for an alarm, and for a critical alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Onset {
     pub(super) named: u32,
     pub(super) critical: u32,
 }
 
-/// Numbers of consecutive throws for the end of an active alarm.
+/// Numbers of consecutive throws that speak for the end of an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Ending {
     pub(super) healthy: u32,
@@ -124,7 +128,7 @@ pub(super) struct Ending {
     pub(super) turned: u32,
     /// Largest recent size relative to the warning limit.
     pub(super) level: f64,
-    /// Throws since the size was near `level`. Snapshots of version 1 have another name for it.
+    /// Throws since the size was near `level`. Snapshots of version 1 have another name for this field.
     #[serde(alias = "below_level")]
     pub(super) since_level: u32,
     /// Throws in which the size fell from `level` to less than half of it.
@@ -159,7 +163,8 @@ impl Condition {
         let is_critical = onset.critical >= delay;
         let Some(severity) = active else {
             if reading.claim == Claim::Named && onset.named >= delay {
-                // Counters from before the raise must not clear the alarm, as the levels follow a step with a delay.
+                // Counters from before the raise must not clear the alarm: the sizes in them follow a step with a
+                // delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
                 let ending = Box::new(Ending { restless, ..Ending::default() });
                 *self = Self::Raised { onset, since_raised: 0, ending };
@@ -259,7 +264,7 @@ impl Ending {
 mod tests {
     use super::*;
 
-    /// Throws until an alarm clears whose readings are all the same.
+    /// Number of throws until an alarm clears, if every throw has this reading.
     fn cleared_after(reading: Reading) -> Option<u32> {
         let settings = Settings::default();
         let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };

@@ -20,9 +20,10 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// The correlation over two halves with the scatter `of_one_throw`: around the baseline, and around `mean`. J =
-    /// exp(-residual); for small residuals its covariance is that of the logarithms. The shift between the halves is
-    /// computed in J.
+    /// The correlation over two halves of throws, one around the baseline and one around `mean` (ln b0, ln a1, ln a0,
+    /// relative to the baseline), both with the covariance `of_one_throw`. An inertia estimate is J = exp(-residual).
+    /// For small residuals its covariance is that of the logarithms; the shift between the halves is computed in J
+    /// itself.
     pub(super) fn of(of_one_throw: &Matrix3<f64>, mean: &Vector3<f64>) -> Self {
         let shift = mean.map(|log| (-log).exp() - 1.0);
         let level = mean.map(|log| (-log).exp());

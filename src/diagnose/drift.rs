@@ -16,49 +16,51 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// From this lead of one name over the others on (odds of 150 to 1) the name is certain enough that an alarm does not
-/// wait for further throws because of it.
+/// Lead of one name over the others (odds of 150 to 1) from which the name is certain enough that an alarm does not
+/// wait for more throws because of it.
 const SAFE: f64 = 10.0;
-/// Extra throws of waiting while the name is uncertain.
+/// Number of throws for which an alarm waits longer while the name is uncertain.
 const DOUBTED_PATIENCE: u32 = 2;
-/// Extra throws of waiting without a single name: more throws after a step usually give one.
+/// Number of throws for which an alarm waits longer without a single name: more throws after a step usually give one.
 const UNNAMED_PATIENCE: u32 = 6;
-/// Extra throws of waiting if two explanations are too close to call: a longest window distinguishes most of them.
+/// Number of throws for which an alarm waits longer if two explanations are too close to call: the longest window, of
+/// 24 throws, distinguishes most of them.
 const TOO_CLOSE_PATIENCE: u32 = 24;
 
-/// Factor on warning limits for a provisional baseline, which does not include the weather yet.
+/// Factor on warning limits while a baseline is incomplete, as its few throws do not include the weather yet.
 const PROVISIONAL_WIDENING: f64 = 1.5;
 
-/// Part of the warning limit below which a size plus two standard deviations is plain health, and a size likely health.
+/// Part of the warning limit for health: plain health if the size plus two standard deviations is below it, likely
+/// health if the size alone is.
 const HEALTHY_BELOW: f64 = 0.5;
-/// Largest change of another coefficient as part of a change of friction by weather.
+/// Largest change of b0 or a0, relative to that of a1, in a change of friction, which the weather can cause.
 const BESIDE_WEATHER: f64 = 0.67;
-/// Part of a change that the last few throws have while it lasts.
+/// A change lasts while the last few throws have at least this part of it.
 const STILL_CHANGED: f64 = 0.5;
 
 /// A change of friction, as change of ln a1. Wear and cold raise the friction; rain and warmth lower it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FrictionChange {
     pub(super) size: f64,
-    /// Whether the last few throws have it.
+    /// Whether the last few throws still have the change.
     pub(super) lasts: bool,
 }
 
-/// Relation of the name of a drift to the active alarms.
+/// Relation of the named cause of a drift to the active alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ToAlarms {
-    /// Its cause has no alarm.
+    /// The cause has no alarm.
     New,
-    /// Its cause has an active alarm.
+    /// The cause has an active alarm.
     Alarmed,
-    /// It is one part alone, while another part has an active alarm.
+    /// The drift is named as that of one part alone, while another part has an active alarm.
     Contradicts,
 }
 
 /// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
-    /// T of the strongest window over its limit.
+    /// T of the strongest window relative to its limit (see [`super::window`]).
     pub(super) excess: f64,
     /// Whether a baseline is still incomplete.
     pub(super) provisional: bool,
@@ -68,17 +70,17 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Origin of the drift, by the gauges.
     pub(super) origin: Origin,
-    /// Relation of its name to the active alarms.
+    /// Relation of the named cause to the active alarms.
     relation: ToAlarms,
     /// Whether a direction has a baseline, but too few throws for a level.
     is_half_seen: bool,
-    /// Present level of each direction.
+    /// Mean of the last throws of each direction, at most twelve.
     pub(super) levels: [Option<Window>; 2],
-    /// Level of each direction's last six throws.
+    /// Mean of the last throws of each direction, at most six.
     last_few: [Option<Window>; 2],
-    /// Side of the latest throw, and the level of its last few throws.
+    /// Direction of the latest throw as an index, and the mean of the last three throws of this direction.
     latest: (usize, Option<Window>),
-    /// The change hidden by the temperature, if it hides one at the warning limit.
+    /// The change that the uncertain effect of the temperature hides, if it is one at the warning limit.
     pub(super) hidden: Option<Blindness>,
 }
 
@@ -127,7 +129,7 @@ impl Drift {
         self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
     }
 
-    /// A drift above its limit as a change of friction, if it is mostly that.
+    /// The drift as a change of friction, if it is above its limit and mostly a change of a1.
     pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
         let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
         let beside = mean.x.abs().max(mean.z.abs());
@@ -135,13 +137,14 @@ impl Drift {
         (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange { size: mean.y, lasts })
     }
 
-    /// Whether a drift is detected and above its limit, with any name.
+    /// Whether a drift is detected and above its warning limit, whatever its cause.
     pub(super) fn matters(&self) -> bool {
         let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
         self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
     }
 
-    /// The evidence about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
+    /// The evidence about `cause`. `alarmed`: `None` without an active alarm about it, else the direction of this alarm
+    /// (inner `None`: both).
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let excused = self.origin.is_instrument();
@@ -156,7 +159,7 @@ impl Drift {
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
         // A level that is missing, or that the temperature hides, does not count as healthy.
         let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
-        // The size of a part is smaller or larger when a second part is fitted beside it.
+        // Fitted together with a second part, a part has another size.
         let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
         let extent = |window: &Window| extent(cause, other_part, window, settings);
         let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);
@@ -165,16 +168,16 @@ impl Drift {
         let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
         let latest = latest.map(|window| extent(window).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
-        // After a repair a longer window still has throws from before it, which no single part explains.
+        // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
         let has_ended =
             cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
         let claim = match named {
             Some(_) if self.matters() => {
-                // A step keeps its level in the next throw, an outlier does not.
+                // The next throw confirms a step, but not an outlier.
                 let is_confirmed = self.strongest.is_some_and(|window| window.confirmed);
                 if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
             }
-            // The name is not stable yet, also if throws in between had one.
+            // The name is not stable yet, so throws with a name count for an alarm without one.
             _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
                 Claim::Counts
             }
@@ -192,7 +195,7 @@ impl Drift {
             } else {
                 0
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
-                // Windows with throws before and after a second fault may look like a third part.
+                // A window with throws from before and after a second fault may look like a fault of a third part.
                 (Naming::One(_), _) if self.relation == ToAlarms::Contradicts => TOO_CLOSE_PATIENCE,
                 (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
                 (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
@@ -208,12 +211,13 @@ impl Drift {
         }
     }
 
-    /// Standard deviation of the effect of the temperature.
+    /// Standard deviation of the effect of the temperature on (ln b0, ln a1, ln a0) in the last throws.
     pub(super) fn temperature_sd(&self) -> Vector3<f64> {
         self.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default()
     }
 
-    /// Weights of the three logarithms in the size of `cause`; `None` if a window does not show it.
+    /// Weights of the three logarithms in the size of `cause`, from the window with the largest size; `None` if a
+    /// window does not show the cause.
     pub(super) fn weights(&self, cause: Cause, settings: &Settings) -> Option<Vector3<f64>> {
         let windows = self.levels.iter().chain(&self.last_few).flatten();
         if windows.clone().any(|window| !window.shows(cause)) {
@@ -228,15 +232,16 @@ impl Drift {
     }
 }
 
-/// Least visible size of `cause` \[%\] in a mean with this covariance and limit of T; `None` if no size shows.
+/// Least size of `cause` \[%\] that is detected in a mean with this covariance and this limit of T; `None` if no size
+/// is.
 pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
     let d = direction_of(cause)?;
     let visible = percent((limit / (d.transpose() * sym3::inverse(&covariance)? * d).x).sqrt());
     visible.is_finite().then_some(visible)
 }
 
-/// Size of `cause` in a window, beside another part if there is one, relative to the warning limit; and the same plus two
-/// standard deviations.
+/// Size of `cause` in a window relative to the warning limit, and the same for the size plus two standard deviations;
+/// with `beside`, in a fit of both parts together.
 fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
         let e = match beside {
@@ -254,15 +259,15 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
     }
 }
 
-/// The mean of the levels of both directions, in which dry friction may change the coefficients differently.
+/// The mean of both directions with equal weights, as dry friction may change the coefficients of each differently.
 fn mean_of_both(levels: &[Option<Window>; 2]) -> Option<Window> {
     let [a, b] = levels;
     let (a, b) = (a.as_ref()?, b.as_ref()?);
     Some(Window { mean: 0.5 * (a.mean + b.mean), covariance: 0.25 * (a.covariance + b.covariance), ..*a })
 }
 
-/// Whether `window` still has the level from before a new fault of the motor, which the last few throws show. The gauges, which
-/// are those of the last few throws, say nothing about such a window.
+/// Whether the last few throws show a new fault of the motor, and most of `window` is from before it. The gauges are
+/// those of the last few throws, so they do not apply to such a window.
 fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) -> bool {
     const SHOWN_SD: f64 = 3.0;
     if window.throws <= last.throws {
@@ -272,7 +277,7 @@ fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) ->
     since.cause == Cause::Kt && since.relevance(settings) > 1.0 && since.size.abs() > SHOWN_SD * since.size_sd
 }
 
-/// The physical causes of an alarm: its cause, or all of them.
+/// The physical causes of an alarm: its cause, or all four of an unattributed one.
 fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
     Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
 }

@@ -30,28 +30,30 @@ use super::{
 };
 use crate::throw::{Direction, ThrowRef};
 
-/// The causes that come from a drift, in the order of the conditions.
+/// The causes that come from a drift, in the order of [`DriftAlarms::conditions`].
 pub(super) const DRIFTS: [Cause; 5] =
     [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
-/// Part of the limit from which a drift is suspected: its throws are evidence and stay out of the baseline.
+/// Part of the limit of T from which a drift is suspected. Its throws are evidence, and are not added to a baseline.
 const SUSPECTED_FROM: f64 = 0.5;
-/// Factor on both parts while a baseline fills: its few throws make the limit high, and a fault must not be learned.
+/// Factor on [`SUSPECTED_FROM`] and [`FORGOTTEN_BELOW`] while a baseline fills: its few throws make the limit high, and
+/// a fault must not be learned.
 const SUSPECTED_EARLIER: f64 = 0.8;
-/// Part of the limit below which a suspicion ends.
+/// Part of the limit of T below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
 
-/// Rise of the friction when the rails dry, as its logarithm: rain takes hardly more than 30 %.
+/// Rise of the friction when wet rails dry, as a logarithm: rain lowers the friction by hardly more than 30 %.
 const DRYING: Range<f64> = 0.0..0.36;
-/// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
+/// Number of consecutive throws that must show that a drift is in one direction only, before its alarm says so: three
+/// throws of each direction.
 const ONE_SIDED_THROWS: u8 = 6;
 
-/// Least present size of a part that is named, in standard deviations: its 95 % interval excludes 0.
+/// Least present size of a part that is named, in standard deviations, so that its 95 % interval excludes 0.
 const SHOWN_SD: f64 = 1.96;
 
-/// Range of the size in the course as part of the size without the error of the model.
+/// Plausible range of the size from the course as part of the size without the error of the model.
 const MODEL_ERROR: Range<f64> = 0.5..2.0;
 
-/// Part of a warning limit from which a change that is shared with the site is stated.
+/// Part of a warning limit from which a change that the machine shares with its site is reported.
 const SHARED_FROM: f64 = 0.5;
 
 /// The first throw of a suspected drift.
@@ -71,17 +73,17 @@ pub(super) struct DriftAlarms {
     pub(super) conditions: [Condition; 5],
     /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(super) now: Vec<Drifting>,
-    /// Throws since the last one that was judged.
+    /// Number of throws since the last one that was judged.
     pub(super) unjudged: u32,
     pub(super) intermittent: Intermittent,
-    /// Time and number of the first throw of a fall of friction that lasts.
+    /// Time and number of the first throw of a fall of friction that still lasts.
     pub(super) fallen: Option<(Timestamp, u64)>,
-    /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
+    /// A slow change of the friction \[%\] that raises no alarm, as it may come from the season.
     pub(super) season_pct: Option<f64>,
-    /// The part of the last departure (ln b0, ln a1, ln a0) that the other machines of the site have too, and which is
-    /// subtracted.
+    /// The change of (ln b0, ln a1, ln a0) at the last throw that the other machines of the site have too; it is
+    /// subtracted from the throw.
     pub(super) shared: [f32; 3],
-    /// Consecutive throws in which a drift was known to be in one direction only, by cause.
+    /// For each cause, the number of consecutive throws in which its drift was known to be in one direction only.
     pub(super) one_sided: [u8; 5],
 }
 
@@ -104,7 +106,7 @@ impl DriftAlarms {
             }
             let rule = alarms.rule(cause);
             if is_rising || rule == Some(Rule::Intermittent) {
-                // Two faulty throws in a row are no drift.
+                // Two faulty throws in a row are no drift yet, so an alarm waits longer.
                 reading.patience += LEVELS_FOLLOW;
             }
             let active = alarms.severity(cause).filter(|_| !rule.is_some_and(Rule::knows_no_part));
@@ -114,7 +116,7 @@ impl DriftAlarms {
                 let size = now.relevance(settings);
                 let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
                 reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
-                // The window may contain throws in which the drift was larger.
+                // The window may contain throws with a larger drift, so the present size decides.
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
                 let least = 1.0 - settings.deadband_pct / 100.0;
                 // A part is named only if its change is significant.
@@ -139,7 +141,7 @@ impl DriftAlarms {
                     step.alarms.update(AlarmEvent { text, ..event });
                 }
                 (Transition::Raise(_), Some(event)) => _ = step.raise(event),
-                (Transition::Turn(_), Some(event)) => step.alarms.turn(event),
+                (Transition::Turn(_), Some(event)) => step.alarms.change_sign(event),
                 (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
                 // An alarm about an intermittent fault ends by its own rule.
                 (Transition::Clear { .. } | Transition::Withdraw, _) if rule != Some(Rule::Usual) => {}
@@ -169,7 +171,8 @@ impl DriftAlarms {
         self.renew(latest, step.alarms);
     }
 
-    /// Keeps the part `shared` of the departure of this throw, if a warning might be about it.
+    /// Stores the change `shared` of this throw, which the machine shares with its site; 0 for a coefficient whose
+    /// change is too small for a warning.
     pub(super) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
         let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
@@ -187,8 +190,8 @@ impl DriftAlarms {
             .map(|(cause, log)| (cause, percent(log.into())))
     }
 
-    /// The severity of an active alarm of both directions whose drift is known now to be in one direction only, which the first
-    /// throws after its begin do not show.
+    /// If the active alarm of a cause is about both directions, and the drift is now known to be in one direction only,
+    /// the severity of the alarm. The first throws of a drift do not show this.
     fn becomes_one_sided(&mut self, index: usize, direction: Option<Direction>, alarms: &Alarms) -> Option<Severity> {
         let cause = DRIFTS[index];
         let count = &mut self.one_sided[index];
@@ -198,8 +201,9 @@ impl DriftAlarms {
         alarms.severity(cause).filter(|_| is_known && is_of_both)
     }
 
-    /// Applies the departure of a throw from the previous ones: side, departure, covariance of one throw, and whether
-    /// the baseline is complete; `excused`: a sensor explains the drift.
+    /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults: side,
+    /// departure, covariance of one throw, and whether the baseline is complete. `excused`: a sensor explains the
+    /// drift.
     pub(super) fn judge_departure(
         &mut self,
         (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
@@ -230,7 +234,7 @@ impl DriftAlarms {
         found.apply(Rule::Intermittent, step);
     }
 
-    /// The suspicion against adding the last throw to a baseline.
+    /// The reason not to add the last throw to a baseline.
     pub(super) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
         if alarms.active().any(|event| event.cause.is_drift()) {
             Suspicion::Alarmed
@@ -243,14 +247,15 @@ impl DriftAlarms {
         }
     }
 
-    /// The drifts with an active alarm. Their level is that of the throws between the raise of the latest alarm and the
-    /// last throws: with a longest window of each direction, if there are as many, as the strongest window follows a new
-    /// fault with this delay.
+    /// The drifts with an active alarm. Their level is the mean of throws between the raise of the latest alarm and the
+    /// last throws, which may contain a new fault. Left out are the last 48 throws, the longest window of each
+    /// direction, or the last 24 if there are too few throws.
     pub(super) fn known<'a>(&self, alarms: &Alarms, gauges: &'a Gauges) -> Known<'a> {
         let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
         let before = |last: u32| self.history.mean(last..raised?);
         let level = before(2 * LONGEST_WINDOW).or_else(|| before(LONGEST_WINDOW));
-        Known { causes: alarms.drifts().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
+        let causes = alarms.drifts().map(|event| event.cause).collect();
+        Known { causes, level, gauges: Some(gauges), ..Known::default() }
     }
 
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
@@ -258,7 +263,7 @@ impl DriftAlarms {
         self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
     }
 
-    /// Counts a throw that cannot be judged. After a longest window of them the present sizes are unknown.
+    /// Counts a throw that cannot be judged. After 24 of them in a row the present sizes are unknown.
     pub(super) fn on_unjudged(&mut self) {
         self.unjudged = self.unjudged.saturating_add(1);
         if self.unjudged >= LONGEST_WINDOW {
@@ -274,7 +279,7 @@ impl DriftAlarms {
         self.season_pct = None;
     }
 
-    /// Resets the state after a change or maintenance, except the times since the last raises.
+    /// Resets the state after a rebaseline or maintenance, except the numbers of throws since the last raises.
     pub(super) fn reset(&mut self) {
         self.forget_history();
         self.conditions.iter_mut().for_each(Condition::reset);
@@ -296,7 +301,7 @@ impl DriftAlarms {
         let LatestThrow { drift, settings, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
-        let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
+        let evidence = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
@@ -305,11 +310,12 @@ impl DriftAlarms {
                     return friction_of_sound_motor(&window.mean, &window.covariance);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
-                let together = pair.map(|pair| explained(pair, window, back_emf, settings));
+                let together = pair.map(|pair| explained(pair, window, evidence, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
-                part.unwrap_or_else(|| explained([cause], window, back_emf, settings).parts[0])
+                part.unwrap_or_else(|| explained([cause], window, evidence, settings).parts[0])
             };
-            // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
+            // The size of a single cause that does not explain the drift means nothing, so a drift without a name is
+            // fitted with three causes.
             let free = |Window { mean, covariance, .. }: &Window| {
                 fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
             };
@@ -342,7 +348,7 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The present direction of an active alarm; the inner `None` is both.
+    /// The present direction of the drift of an active alarm; the inner `None` is both directions.
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
         let now = self.now.iter().find(|drifting| drifting.cause == cause);
@@ -388,20 +394,20 @@ impl DriftAlarms {
     }
 }
 
-/// The forecast of the critical limit for an alarm below it.
+/// Forecast of the number of throws until the critical limit; `None` for an alarm that is critical already.
 fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
     let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
     let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;
     if limit <= -1.0 {
         return None;
     }
-    // The course has the error of the model in proportion to the size.
+    // The course contains the error of the model in proportion to the size, so the limit is scaled as much.
     let of_course = course.now().0.ln_1p() / now.size;
     course.reaches(if MODEL_ERROR.contains(&of_course) { (of_course * limit.ln_1p()).exp_m1() } else { limit })
 }
 
-/// Drifts with their severity and size relative to the limit, in the order in which they are shown: named parts before
-/// `unattributed`, then the most severe, then the largest.
+/// Sorts drifts, with their severity and size relative to the limit, into the order in which they are shown: named
+/// parts before `unattributed`, then the most severe, then the largest.
 fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
     let is_named = |drifting: &Drifting| drifting.cause != Cause::Unattributed;
     drifts.sort_by(|(severity, size, one), (other_severity, other_size, other)| {

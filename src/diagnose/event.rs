@@ -18,7 +18,7 @@ use crate::{
 #[derive(strum::IntoStaticStr, strum::EnumString, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Cause {
-    /// Torque constant of the motor; messages and configuration may use its name for people too.
+    /// Torque constant of the motor. Messages and configuration may also say `motor`.
     #[serde(alias = "motor")]
     Kt,
     /// Friction of drive and slide chairs.
@@ -54,7 +54,7 @@ impl Cause {
         self.into()
     }
 
-    /// The cause with this word, or with its name for people; a space or hyphen counts as an underscore.
+    /// The cause with this name, that of messages or that for people; a space or hyphen counts as an underscore.
     pub fn named(text: &str) -> Option<Self> {
         let word = text.replace([' ', '-'], "_");
         let is_named = |cause: &&Self| cause.to_string().replace(' ', "_") == word;
@@ -182,12 +182,12 @@ impl AlarmState {
     }
 }
 
-/// The watched daemons that are away.
+/// The watched daemons that do not run or are not connected.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Away {
-    /// Name of each, and the time when it left; `None` if it was away at the start of this daemon.
+    /// Name of each, and the time when it disappeared; `None` if it was away at the start of this daemon.
     pub daemons: Vec<(MachineId, Option<Timestamp>)>,
-    /// Whether this daemon has a link to others itself.
+    /// Whether this daemon itself has a link to others; without one, the fault may be its own.
     pub has_link: bool,
 }
 
@@ -196,11 +196,11 @@ pub struct Away {
 pub struct RunnerUp {
     /// The second-best cause.
     pub cause: Cause,
-    /// Difference of its misfit to that of the named cause (chi-square units).
+    /// Lead of the named cause: twice the logarithm of the odds between the two.
     pub margin: f64,
 }
 
-/// An event of an alarm with its evidence. Its JSON is that of the alarm message, in snapshots and SQL too.
+/// An event of an alarm with its evidence. Alarm message, snapshots and SQL have the same JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AlarmEvent {
     /// Cause of the alarm.
@@ -236,8 +236,8 @@ pub struct AlarmEvent {
     pub last_throw: Option<ThrowRef>,
     /// Text for people: what happened, how certain it is, what to check.
     pub text: String,
-    /// Time of the text, which is that of an earlier event if an operator's command caused this one.
-    /// `None` in databases of earlier versions.
+    /// Time of the text. If an operator's command caused this event, the text is that of an earlier event. `None` in
+    /// databases of earlier versions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_at: Option<Timestamp>,
     /// Operator who acknowledged the alarm, if it is acknowledged. Not published.

@@ -1,27 +1,34 @@
 //! Explanations of a drift by causes, as directions in the space of the three logarithms.
 //!
 //! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the causes have the directions motor
-//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). For a drift m with covariance V, causes with the
-//! directions D explain it with sizes f = (D'U^-1 D)^-1 D'U^-1 m and leave the misfit (m - D f)' U^-1 (m - D f). U is V
-//! plus the error of the model, in proportion to f.
+//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). A drift m with covariance V is explained by
+//! causes, whose directions are the columns of D, with the sizes f = (D'U^-1 D)^-1 D'U^-1 m and the misfit (m - D f)'
+//! U^-1 (m - D f). U is V plus the error of the model, which grows in proportion to f.
 //!
 //! # Error of the model
-//! From estimates of simulated throws: a change of motor, stiffness or inertia changes each other coefficient by less
-//! than a tenth of it. Dry friction leaks: in a viscous model a rise increases all three coefficients by a common factor
-//! too, so its direction is (g, 1 + g, g), with g from 0 (viscous) over 0.1 to 0.3 (stiff toe drive, more for larger
-//! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged. On
-//! machines with little inertia, dry friction takes its part of the torque when the machine starts, as if b0 were
-//! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Friction at the far end of a rail that bends grows with the travel until
-//! that end slides, as if a spring became stiffer: by a part p of the rise of the friction at the end of the stroke, with p
-//! from 0.05 to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
-//! it is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a stroke of duration T.
+//! All figures are from estimates of simulated throws. A change of motor, stiffness or inertia changes each other
+//! coefficient by less than a tenth of its size.
 //!
-//! A motor with weaker magnets turns faster, and dry friction has the same torque at every speed, so in a viscous model its
-//! part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1 (dry load).
+//! Dry friction leaks into other coefficients, because the model has viscous friction only. A rise of it increases all
+//! three coefficients by a common factor too. So its direction is (g, 1 + g, g), with g = 0 for viscous friction, 0.1
+//! to 0.3 with a stiff toe drive (more for larger rises), and 0.67 with a soft toe drive. A fall hardly leaks. The g of
+//! a machine is unknown, so the results for several g are averaged. On machines with little inertia, dry friction takes
+//! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4.
+//!
+//! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
+//! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
+//! to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
+//! the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a
+//! stroke of duration T.
+//!
+//! A motor with weaker magnets turns faster. Dry friction has the same torque at every speed, so in a model with
+//! viscous friction the dry part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1
+//! (dry load).
 //!
 //! # Score
-//! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
-//! s^2, which penalises additional causes; coinciding faults have an extra penalty, as they are rarer than single ones.
+//! The score of an explanation by k causes is -2 ln of the probability of m, with a wide prior of scale s on the sizes
+//! (Laplace's approximation): misfit + ln det U + ln det(D'U^-1 D) + k ln s^2. It penalises additional causes. Two
+//! faults at once have an extra penalty, as they are rarer than one.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -29,10 +36,10 @@ use super::{event::Cause, settings::Settings, sym3};
 
 /// Prior scale s of a size, in logarithms: relevant faults are from a few per cent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
-/// Penalty of each additional cause: one in a dozen faults comes with a second one.
+/// Penalty on the score for each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Leaks of a rise of friction, each equally likely: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks,
-/// and dry on a machine with little inertia.
+/// Leaks of a rise of friction, all equally likely: viscous friction, then dry friction with a stiff toe drive, with a
+/// soft toe drive, on a rail whose far end sticks, and on a machine with little inertia.
 const OF_FRICTION: &[Leak] = &[
     Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], of_spring: false },
     Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], of_spring: false },
@@ -41,30 +48,34 @@ const OF_FRICTION: &[Leak] = &[
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
 ];
 const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], of_spring: false };
-/// Leaks of a change of the motor: a viscous load, and some that are dry in part, so close that the back-EMF can choose.
+/// Leaks of a change of the motor: with a viscous load, and with loads of which a part is dry, in steps so small that
+/// the back-EMF can choose between them.
 const OF_MOTOR: &[Leak] =
     &[NO_LEAK, Leak::of_dry_load(0.25), Leak::of_dry_load(0.5), Leak::of_dry_load(0.75), Leak::of_dry_load(1.0)];
-/// The leaks that resemble no other fault.
+/// The leaks that do not resemble another fault.
 pub(super) const PLAIN_LEAKS: Leaks =
-    Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_of_spring: 1.0 };
-/// All leaks. Some look like a fault of the motor or the stiffness, so they count only if gauges show the motor.
-pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_of_spring: 1.0 };
-/// Number of standard deviations in the setting `model_error`, an upper bound.
+    Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_over_spring: 1.0 };
+/// All leaks. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges show whether
+/// the motor changed.
+pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
+    Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
+/// The setting `model_error` is an upper bound; it counts as this number of standard deviations.
 const MODEL_ERROR_SD: f64 = 3.0;
-/// Model error of friction besides its leak, as part of that of other causes.
+/// Model error of friction beside its leak, as part of the model error of other causes.
 const FRICTION_ERROR: f64 = 0.3;
 
 /// The explanation of a drift, or of a part of it, by one cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Explanation {
     pub(super) cause: Cause,
-    /// Size in logarithms.
+    /// Size, as the change of a logarithm.
     pub(super) size: f64,
-    /// Standard deviation of the size.
+    /// Standard deviation of the size because of the scatter of the throws.
     pub(super) size_sd: f64,
     /// Weights of the three logarithms in the size.
     pub(super) weights: Vector3<f64>,
-    /// Standard deviation of the size because of the unknown leaks and the error of the model; more throws do not change it.
+    /// Standard deviation of the size because of the unknown leaks and the error of the model; more throws do not
+    /// change it.
     pub(super) model_sd: f64,
 }
 
@@ -72,7 +83,7 @@ pub(super) struct Explanation {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fit<const K: usize> {
     pub(super) parts: [Explanation; K],
-    /// Twice the negative logarithm of the probability.
+    /// Minus twice the logarithm of the probability: the smallest is the best.
     pub(super) score: f64,
 }
 
@@ -80,21 +91,23 @@ pub(super) struct Fit<const K: usize> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leak {
     parts: [f64; 3],
-    /// Standard deviations, of one error, so that the leaks together cover their range evenly.
+    /// Standard deviations of `parts`, which vary together; chosen so that the leaks of a list cover their range
+    /// evenly.
     sd: [f64; 3],
-    /// Whether the parts are those of a machine whose friction is as large as the force of its spring.
+    /// Whether the leak is proportional to the ratio of the friction to the force of the spring; `parts` and `sd` are
+    /// those at a ratio of 1.
     of_spring: bool,
 }
 
 impl Leak {
-    /// Of a motor whose load is dry in this part.
+    /// The leak of a motor of whose load this part is dry.
     const fn of_dry_load(part: f64) -> Self {
         Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], of_spring: false }
     }
 
-    /// The same on a machine with this friction over the force of its spring.
-    fn beside_spring(self, friction_of_spring: f64) -> Self {
-        let factor = if self.of_spring { friction_of_spring } else { 1.0 };
+    /// The leak on a machine with this ratio of the friction to the force of the spring.
+    fn beside_spring(self, friction_over_spring: f64) -> Self {
+        let factor = if self.of_spring { friction_over_spring } else { 1.0 };
         Self { parts: self.parts.map(|part| factor * part), sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
@@ -105,18 +118,18 @@ pub(super) struct Leaks {
     friction: &'static [Leak],
     motor: &'static [Leak],
     /// Friction over the force of the spring at the end of the stroke.
-    friction_of_spring: f64,
+    friction_over_spring: f64,
 }
 
 impl Leaks {
-    /// The leaks beside a motor whose speed has not changed.
+    /// The leaks on a machine whose motor has kept its speed.
     pub(super) fn at_equal_speed(self) -> Self {
         Self { motor: &self.motor[..1], ..self }
     }
 
-    /// The leaks on a machine with this friction over the force of its spring.
-    pub(super) fn beside_spring(self, friction_of_spring: f64) -> Self {
-        Self { friction_of_spring, ..self }
+    /// The leaks on a machine with this ratio of the friction to the force of the spring.
+    pub(super) fn beside_spring(self, friction_over_spring: f64) -> Self {
+        Self { friction_over_spring, ..self }
     }
 }
 
@@ -131,7 +144,7 @@ pub(super) fn direction_of(cause: Cause) -> Option<Vector3<f64>> {
     }
 }
 
-/// Size of a change in percent.
+/// Size of a change of a logarithm \[%\].
 pub(super) fn percent(log: f64) -> f64 {
     100.0 * log.exp_m1()
 }
@@ -146,8 +159,9 @@ pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
     fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
 }
 
-/// The friction of a machine whose motor has not changed, and its change `m` with covariance `v`: Kf/KT = a1/b0. Dry
-/// friction takes its part of the torque also when the machine starts, as if b0 were smaller; the ratio has no such error.
+/// Explains the drift `m` with covariance `v` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
+/// friction takes its part of the torque also when the machine starts, as if b0 were smaller. The ratio a1/b0 has no
+/// such error.
 pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
     let weights = Vector3::new(-1.0, 1.0, 0.0);
     let variance = (weights.transpose() * v * weights).x;
@@ -184,7 +198,8 @@ impl<const K: usize> Fit<K> {
     }
 }
 
-/// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over their leaks by the odds.
+/// Explains the drift `m` with covariance `v` by `causes`, at most three. The result is the mean over their possible
+/// leaks, weighted by the odds.
 pub(super) fn fit<const K: usize>(
     leaks: Leaks,
     causes: [Cause; K],
@@ -195,7 +210,8 @@ pub(super) fn fit<const K: usize>(
     fit_beside(leaks, causes, m, v, |_| 0.0, settings)
 }
 
-/// The same beside other evidence, whose misfit to the fit with given leaks counts in its odds.
+/// [`fit`] with further evidence: `misfit` gives the misfit of this evidence to a fit with given leaks, and counts in
+/// the odds of these leaks.
 pub(super) fn fit_beside<const K: usize>(
     leaks: Leaks,
     causes: [Cause; K],
@@ -206,7 +222,7 @@ pub(super) fn fit_beside<const K: usize>(
 ) -> Fit<K> {
     let of = |cause: Cause, leaks: &'static [Leak]| if causes.contains(&cause) { leaks } else { &leaks[..1] };
     let (of_friction, of_motor) = (of(Cause::Friction, leaks.friction), of(Cause::Kt, leaks.motor));
-    let of_friction = of_friction.iter().map(|leak| leak.beside_spring(leaks.friction_of_spring));
+    let of_friction = of_friction.iter().map(|leak| leak.beside_spring(leaks.friction_over_spring));
     let both = of_friction.flat_map(|friction| of_motor.iter().map(move |motor| [friction, *motor]));
     let with = |leaks| {
         let fit = fit_with_leaks(leaks, causes, m, v, settings);
@@ -234,7 +250,7 @@ pub(super) fn fit_beside<const K: usize>(
     mean
 }
 
-/// The same for given leaks of friction and motor.
+/// [`fit`] with given leaks of friction and motor.
 fn fit_with_leaks<const K: usize>(
     [of_friction, of_motor]: [Leak; 2],
     causes: [Cause; K],
@@ -254,7 +270,7 @@ fn fit_with_leaks<const K: usize>(
     for _ in 0..ROUNDS {
         let mut u = *v;
         let mut d = Matrix3::zeros();
-        // Rows without a cause have no effect, and the size 0.
+        // The rows without a cause have no effect, and get the size 0.
         let mut information = Matrix3::identity();
         for (at, part) in fit.parts.iter().enumerate() {
             let leak = match part.cause {
@@ -285,8 +301,8 @@ fn fit_with_leaks<const K: usize>(
     fit
 }
 
-/// Fit of an effect `d` to the drift `m` with covariance `v`: size, standard deviation of the size, and score,
-/// comparable with that of causes.
+/// Fit of an effect `d` to the drift `m` with covariance `v`: size, standard deviation of the size, and a score that
+/// can be compared with that of causes.
 pub(super) fn fit_along(
     d: &Vector3<f64>,
     m: &Vector3<f64>,
@@ -308,8 +324,8 @@ pub(super) fn fit_along(
     found
 }
 
-/// Effect of a cause with this leak on the coefficients, per unit of its size; of a size of 0, which is the first guess, that of a
-/// rise. A fall of friction hardly leaks.
+/// Effect of a cause with this leak on the logarithms of the coefficients, per unit of its size. A fall of friction
+/// hardly leaks. A size of 0, the first guess, counts as a rise.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     let own = direction_of(part.cause).unwrap_or_else(Vector3::zeros);
     if part.cause == Cause::Friction && part.size < 0.0 { own } else { own + Vector3::from(leak.parts) }

@@ -1,6 +1,6 @@
-//! The features of throws whose coefficients cannot be judged: of machines with a current sensor only, of machines
-//! whose throws are rejected one after the other, and of machines whose throws are all rough, so that they have no
-//! baseline. A rejection concerns the data: the features may still show a fault.
+//! Watches the features of throws whose coefficients cannot be judged: on machines with a current sensor only, on
+//! machines whose throws are rejected one after the other, and on machines whose throws are all rough, so that there is
+//! no baseline. A rejection is a verdict on the data: the features may still show a fault of the machine.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -18,36 +18,40 @@ use super::{
 };
 use crate::{estimate::Features, throw::Direction};
 
-/// The watched features, with the change that matters as a logarithm; `critical_factor` times it is critical. The running
-/// current of a healthy machine follows the weather by some percent; the duration and the travel hardly change.
+/// The watched features, each with the change that matters, as a logarithm; `critical_factor` times this change is
+/// critical. The running current of a healthy machine changes by some percent with the weather, its duration and travel
+/// hardly change.
 const WATCHED: [(Gauge, f64); 4] =
     [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
-/// Throws of a direction in a level.
+/// Number of throws of a direction in a level, which is their median.
 const LEVEL: usize = 6;
-/// Significant change of a level, in standard deviations of one throw: the standard deviation comes from a dozen throws
-/// or two, and consecutive throws are correlated.
+/// Least significant change of a level, in standard deviations of one throw: this standard deviation comes from 12 to
+/// 24 throws only, and consecutive throws are correlated.
 const SIGNIFICANT_SD: f64 = 4.0;
 
 /// A change that has grown by this factor since it was last reported is reported again.
 const LARGER: f64 = 1.5;
-/// Factor on the limit of a slow change of a current without a temperature: a season of 20 K up and down changes it by
-/// 0.16, and the baseline may be at one end of it.
+/// Factor on the limit of a slow change of a current on a machine without a temperature. Seasons of 20 K above and
+/// below the mean change the current by 0.16 (as a logarithm), and the baseline may be from one end of this range.
 const OF_SEASON: f64 = 2.0;
 /// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
 const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
-/// Departures of the watched features from normal, beyond what supply and temperature explain, and their standard deviations.
+/// Departures of the watched features from their normal values, beyond what supply and temperature explain, each with
+/// its standard deviation; both as logarithms.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
-/// Changes of the watched features.
+/// Changes of the watched features, as logarithms.
 type Changes = [f32; WATCHED.len()];
 
-/// The changes of a direction some time ago, as those of a season come slowly.
+/// The changes of a direction at two earlier times. A change by the season comes slowly, so it existed then too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Earlier {
     since: Timestamp,
+    /// Time of the last throw.
     last: Timestamp,
+    /// Number of throws after `since`.
     throws: u32,
-    /// At `since`, and at least as long before.
+    /// Changes at `since`, and at the value of `since` before it.
     changes: [Changes; 2],
 }
 
@@ -65,11 +69,12 @@ impl Earlier {
         }
     }
 
-    /// Whether the newer changes are old enough for a comparison.
+    /// Whether the changes at `since` are old enough for a comparison.
     fn is_past(&self) -> bool {
         self.last.duration_since(self.since) >= EARLIER.0
     }
 
+    /// The newest changes that are old enough for a comparison.
     fn changes(&self) -> &Changes {
         &self.changes[usize::from(!self.is_past())]
     }
@@ -78,26 +83,27 @@ impl Earlier {
 /// The features of the last throws without an estimate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct FeatureWatch {
-    /// The throws of each direction, the newest last.
+    /// The last throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
+    /// Number of consecutive throws without a change.
     calm: u32,
-    /// Largest change when it was last reported, as multiple of the change that matters.
+    /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
     #[serde(default)]
     reported: f64,
-    /// Of each direction, if the machine has no temperature.
+    /// The earlier changes of each direction, if the machine has no temperature.
     #[serde(default)]
     earlier: [Option<Box<Earlier>>; 2],
-    /// Change of a current \[%\] that raises no alarm, as it is slow enough for the season's.
+    /// Change of a current \[%\] that raises no alarm, as it is slow enough to come from the season.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) season_pct: Option<f32>,
 }
 
 /// The departure of a feature in the last throws of a direction.
 struct Departure {
-    /// Size relative to what is significant and relevant.
+    /// Size as a multiple of the least change that matters and is significant.
     size: f64,
     change: Change,
-    /// Whether it may be the season's.
+    /// Whether the change may come from the season.
     is_slow: bool,
 }
 
@@ -139,7 +145,7 @@ impl FeatureWatch {
         Found::Nothing
     }
 
-    /// Applies a throw with an estimate: the drift rule judges its direction again.
+    /// Applies a throw with an estimate, after which the drift rule judges this direction again.
     pub(super) fn on_estimate(&mut self, direction: Option<Direction>) -> Found {
         if let Some(direction) = direction {
             self.sides[direction.side()].pop_oldest();
@@ -156,7 +162,7 @@ impl FeatureWatch {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
-    /// Keeps the earlier changes of a side of a machine without a temperature.
+    /// Stores the earlier changes of a side of a machine without a temperature.
     fn follow_season(&mut self, side: usize, celsius: Option<f64>, at: Timestamp) {
         if celsius.is_some() {
             self.earlier[side] = None;
@@ -168,12 +174,12 @@ impl FeatureWatch {
         self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
     }
 
-    /// The departure of a feature in the direction with the larger one; `None` if it is unknown.
+    /// The departure of a watched feature in the direction with the larger one; `None` if neither is known.
     fn largest(&self, at: usize) -> Option<Departure> {
         [0, 1].into_iter().filter_map(|side| self.level(side, at)).max_by(|a, b| a.size.total_cmp(&b.size))
     }
 
-    /// The departure of a feature in the last throws of a side.
+    /// The departure of a watched feature in the last throws of a side; `None` with too few throws.
     fn level(&self, side: usize, at: usize) -> Option<Departure> {
         let (gauge, limit) = WATCHED[at];
         let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
@@ -187,7 +193,7 @@ impl FeatureWatch {
         let size = median(&mut values);
         let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
         let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
-        // An alarm about a change that came at once does not end because it lasts.
+        // Only without an alarm: one about a change that came at once must not end because the change lasts.
         let is_slow = gauge.follows_weather()
             && self.reported == 0.0
             && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes()[at]) / size > SLOW_FROM);

@@ -8,12 +8,11 @@ use super::{
     text,
 };
 
-/// Part of its limit below which a fault has ended. One that is raised above its limit stays between the two, so its alarm
-/// does not alternate.
+/// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
 const OVER_BELOW: f64 = 0.5;
 
-/// Counts the consecutive throws in which a fault has ended; `size` is that of the measured quantity, as part of its limit.
-/// Without a size the count stays.
+/// Counts the consecutive throws in which a fault has ended; `size` is the measured quantity as part of its limit. If
+/// it is `None`, the count stays.
 pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
     *over = match size {
         Some(size) if size < OVER_BELOW => over.saturating_add(1),
@@ -27,16 +26,16 @@ pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
 pub(super) enum Found {
     /// A fault.
     Fault(Box<AlarmEvent>),
-    /// A fault that is much larger than when it was last reported.
+    /// A fault that is much larger than at its last report.
     Larger(Box<AlarmEvent>),
     /// No fault, for long enough to end an alarm.
     Nothing,
-    /// Neither.
+    /// The last throws show neither a fault nor its end.
     Unclear,
 }
 
 impl Found {
-    /// Raises or ends the alarm of `rule`. A fault that a present alarm explains raises none.
+    /// Raises, escalates or ends the alarm of `rule`. A fault that an active alarm explains raises no alarm.
     pub(super) fn apply(self, rule: Rule, step: &mut Step) {
         let Step { alarms, name, .. } = step;
         match (alarms.owned_by(rule), self) {
@@ -62,7 +61,7 @@ impl Found {
     }
 }
 
-/// Ends the alarm of a rule that knows no part, when another alarm names the part or the sensor.
+/// Ends the alarm of a rule that cannot name the faulty part, if another active alarm names the part or the sensor.
 pub(super) fn withdraw_explained(step: &mut Step) {
     let alarms = &step.alarms;
     let part = alarms.active().find(|event| explains(event, alarms)).map(|event| event.cause);
@@ -72,9 +71,9 @@ pub(super) fn withdraw_explained(step: &mut Step) {
     }
 }
 
-/// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed supply
-/// explains some of them and not all, so the features are compared without what it explains. An offset of a
-/// sensor does not change them.
+/// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed
+/// supply does not count: the features are compared without the change that it explains. Nor does an offset of a
+/// sensor, which does not change them.
 fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
     Cause::PHYSICAL.contains(&event.cause)

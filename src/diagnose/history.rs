@@ -1,21 +1,25 @@
-//! The history since the baseline in bounded memory, for the course of slow drifts.
+//! The residuals of the throws since the baseline, averaged in blocks so that the memory is bounded; for the course of
+//! slow drifts.
 
 use std::ops::Range;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{course::Point, last::Last};
+use super::{condition::LONGEST_WINDOW, course::Point, last::Last};
 
-/// Means of consecutive blocks of throws since the baseline. When all places are full, neighbouring blocks are joined,
-/// and new blocks are twice as long: the history is complete, and gets coarser.
+/// Means of consecutive blocks of throws since the baseline. When there are [`History::PLACES`] blocks, neighbouring
+/// blocks are joined in pairs, and new blocks are twice as long. So the history stays complete, and becomes coarser.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct History {
+    /// Length of a block \[throws\].
     length: u32,
     blocks: Last<[f32; 3], { History::PLACES }>,
+    /// Number of throws in the block that is not complete yet.
     filling: u32,
+    /// Sum of the residuals in this block.
     sum: [f64; 3],
-    /// Number of the machine's throw at the first push.
+    /// Number of the first throw of the history among those of the machine.
     since: Option<u64>,
 }
 
@@ -26,17 +30,16 @@ impl Default for History {
 }
 
 impl History {
-    /// Number of blocks; even, so that all blocks can be joined in pairs.
+    /// Number of blocks at which they are joined; even, so that all can be joined in pairs.
     const PLACES: usize = 48;
-    /// Blocks used for a course: the number right after a join.
+    /// Number of latest blocks in a course, so that courses have about the same length at all times: 24 blocks are left
+    /// after a join, and 47 before the next one.
     const LATEST: usize = 23;
-    /// Initial length of a block \[throws\]: enough to average the scatter, few enough for a fast ramp.
+    /// Initial length of a block \[throws\]: enough throws to average the scatter, and few enough for a fast ramp.
     const FIRST_LENGTH: u32 = 4;
-    /// Throws of a mean: a longest window.
-    const MEAN_OF: u32 = 24;
 
-    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
     /// Adds the residual of the machine's throw number `order`.
+    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
     pub(super) fn push(&mut self, residual: &Vector3<f64>, order: u64) {
         self.since.get_or_insert(order);
         for (sum, value) in self.sum.iter_mut().zip(residual.iter()) {
@@ -57,13 +60,14 @@ impl History {
         }
     }
 
-    /// Mean of the latest throws with these ages \[throws\], in whole blocks; `None` with fewer than [`Self::MEAN_OF`].
+    /// Mean of the latest throws with ages in this range \[throws of the history\]: of the fewest whole blocks that
+    /// have at least [`LONGEST_WINDOW`] throws. `None` with fewer throws.
     pub(super) fn mean(&self, ages: Range<u32>) -> Option<Vector3<f64>> {
         let (mut sum, mut count, mut age) = (Vector3::zeros(), 0, self.filling);
         for block in self.blocks.iter().rev() {
             let is_inside = age >= ages.start;
             age += self.length;
-            if age > ages.end || count >= Self::MEAN_OF {
+            if age > ages.end || count >= LONGEST_WINDOW {
                 break;
             }
             if is_inside {
@@ -71,11 +75,12 @@ impl History {
                 count += self.length;
             }
         }
-        (count >= Self::MEAN_OF).then(|| sum / f64::from(count))
+        (count >= LONGEST_WINDOW).then(|| sum / f64::from(count))
     }
 
-    /// The latest blocks along `weights`, oldest first, each with its length and the age of its middle at the throw `now`
-    /// \[throws of the machine\]. Throws without a residual count as evenly distributed.
+    /// The latest blocks along `weights`, oldest first, each with its length and the age of its middle at the throw
+    /// `now` \[throws of the machine\]. Throws without a residual, which the blocks do not contain, count as evenly
+    /// distributed.
     pub(super) fn along(&self, weights: &Vector3<f64>, now: u64) -> impl Iterator<Item = Point> {
         let throws = f64::from(self.length);
         let pushed = throws * self.blocks.len() as f64 + f64::from(self.filling);
@@ -108,7 +113,7 @@ mod tests {
         }
     }
 
-    /// The ages join those of the last throws, which count all throws of the machine.
+    /// The ages must fit to those of the single last throws, which count all throws of the machine.
     #[test]
     fn ages_count_rejected_throws_too() {
         let mut history = History::default();

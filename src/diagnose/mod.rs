@@ -1,4 +1,4 @@
-//! The diagnosis: from the estimates of a machine to alarms with one named cause. Time is a parameter.
+//! The diagnosis: from the estimates of a machine to alarms with one named cause. It has no clock; time is a parameter.
 
 mod alarm;
 mod autoregression;

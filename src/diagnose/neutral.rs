@@ -1,36 +1,39 @@
-//! The neutral position of the spring, as the throws of both directions show it.
+//! The neutral position, at which the spring of the rails is unstressed, as the throws of both directions show it.
 //!
-//! With another neutral position than the configured one the spring has a constant force more, which helps one direction
-//! and hinders the other. In a steady movement (equation 12 without acceleration) it seems to be friction: with the share g of
-//! the travel between the two positions, a1 of the throws to reverse is smaller by g a0 T, that of the throws to normal larger, T
-//! being the duration. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in both, while
-//! a0 / b0 is the same, as it is not in a machine whose load differs in other ways.
+//! If the true neutral position is not the configured one, the spring has an additional constant force, which helps the
+//! movement in one direction and hinders it in the other. In a steady movement (equation 12 without acceleration) this
+//! force looks like friction. Let g be the distance from the configured to the true position as a part of the travel,
+//! and T the duration of a throw. Then a1 of the throws to reverse is smaller by g a0 T, and a1 of the throws to normal
+//! is larger by as much. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in
+//! both. a0 / b0 is the same in both directions, unlike in a machine whose load differs for another reason.
 
 use serde::{Deserialize, Serialize};
 
 use super::{
-    baseline::BaselineRecord,
+    baseline::{BaselineRecord, friction_over_spring},
     observation::{Evaluated, Observation, apparent_friction},
     robust::median,
 };
 
-/// Throws of each direction that show the neutral position, half of those of the earliest baseline.
+/// Number of throws of each direction from which the neutral position is learned: half of those of the earliest
+/// baseline.
 const FIRST: usize = 6;
-/// Ratio of the friction of both directions from which it shows another neutral position: dry chairs and the weight of rods differ
-/// less in a machine that is new or adjusted.
+/// Ratio of the larger to the smaller friction of both directions from which the neutral position is another one: dry
+/// chairs and the weight of rods make less difference in a machine that is new or adjusted.
 const RATIO: f64 = 1.5;
-/// Largest difference of ln(a0 / b0) between the directions: a neutral position at the other end of the stroke changes b0 by 2 % in
-/// each of them.
+/// Largest difference of ln(a0 / b0) between the directions that counts as none: a neutral position at the other end of
+/// the stroke changes b0 by 2 % in each direction.
 const SAME_SPRING: f64 = 0.06;
 
 /// Evidence of the throws about the neutral position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Neutral {
-    /// a1 / (a0 T) and ln(a0 / b0) of the first throws of each direction; boxed, as most monitors of a fleet have learned it.
+    /// Not learned yet: a1 / (a0 T) and ln(a0 / b0) of the first throws of each direction. Boxed, as most monitors of a
+    /// fleet have learned the position.
     Unknown(Box<[Vec<[f32; 2]>; 2]>),
-    /// Near the configured one, or with baselines that do not correct it.
+    /// The neutral position is near the configured one, or the baselines were learned without a correction.
     Configured,
-    /// At this distance from the configured one towards reverse, as part of the travel.
+    /// The neutral position is at this distance from the configured one towards reverse, as part of the travel.
     Elsewhere(f32),
 }
 
@@ -41,8 +44,8 @@ impl Default for Neutral {
 }
 
 impl Neutral {
-    /// Adds a throw of a machine without a baseline; returns whether the neutral position was found elsewhere, so that the throws
-    /// before must not be part of a baseline.
+    /// Adds a throw of a machine without a baseline. Returns whether it shows that the neutral position is elsewhere;
+    /// then the throws until now must not be part of a baseline.
     pub(super) fn learn(&mut self, throw: &Observation) -> bool {
         let Self::Unknown(sides) = self else { return false };
         let coefficients = throw.estimate.as_ref().map(|(estimate, _)| *estimate).or(throw.not_positive);
@@ -68,14 +71,14 @@ impl Neutral {
         matches!(self, Self::Elsewhere(_))
     }
 
-    /// Ends the learning, as a machine has a baseline.
+    /// Ends the learning, when the machine has a baseline.
     pub(super) fn settle(&mut self) {
         if matches!(self, Self::Unknown(_)) {
             *self = Self::Configured;
         }
     }
 
-    /// The throw with the friction that it has without the force of the spring.
+    /// The throw without the seeming friction of a neutral position elsewhere.
     pub(super) fn corrected(&self, throw: Evaluated) -> Evaluated {
         if let Self::Elsewhere(share) = self { throw.without_shift((*share).into()) } else { throw }
     }
@@ -89,8 +92,9 @@ impl Neutral {
         record
     }
 
-    /// The neutral position elsewhere, as corrected, or as the baselines of both directions show it that do not correct it. These have
-    /// the centres b0, a1, a0 and the duration \[s\].
+    /// Distance of the neutral position from the configured one as part of the travel: the corrected one, else the one
+    /// that uncorrected baselines show. `centres`: b0, a1, a0 and the duration \[s\] of the baselines of both
+    /// directions. `None` if the position is the configured one, or unknown.
     pub(super) fn elsewhere(&self, centres: [Option<([f64; 3], f64)>; 2]) -> Option<f32> {
         if let Self::Elsewhere(share) = self {
             return Some(*share);
@@ -103,10 +107,11 @@ impl Neutral {
 
 /// a1 / (a0 T) and ln(a0 / b0).
 fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
-    [a1 / a0 / duration_s, (a0 / b0).ln()]
+    [friction_over_spring([b0, a1, a0], duration_s), (a0 / b0).ln()]
 }
 
-/// The share of the travel by a1 / (a0 T) and ln(a0 / b0) of both directions; `None` if they do not show another neutral position.
+/// Distance of the neutral position from the configured one as part of the travel, from a1 / (a0 T) and ln(a0 / b0) of
+/// both directions; `None` if they do not show another position.
 fn elsewhere([[to_reverse, spring], [to_normal, other_spring]]: [[f64; 2]; 2]) -> Option<f32> {
     let (less, more) = (to_reverse.min(to_normal), to_reverse.max(to_normal));
     let is_shown = more > RATIO * less.max(0.0) && (spring - other_spring).abs() < SAME_SPRING;

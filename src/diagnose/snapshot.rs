@@ -136,7 +136,7 @@ impl Stamp {
         ];
         for (cause, rule) in owners {
             if let Some(cause) = cause {
-                alarms.give(cause, rule);
+                alarms.set_rule(cause, rule);
             }
         }
     }

@@ -1,7 +1,10 @@
-//! Detection of drifts: windows of 3, 6, 12 and 24 throws, with T = m' V^-1 m compared with its limit.
+//! Detection of drifts in the last 3, 6, 12 and 24 throws. For each of these windows, T = m' V^-1 m is compared with
+//! its limit, where m is the mean of the residuals (ln b0, ln a1, ln a0, relative to the baseline) and V is its
+//! covariance.
 //!
-//! There are three streams: each direction, and both in the order of the throws. The mixed stream shows a fault of the
-//! machine first, the stream of a direction shows a fault of this direction only.
+//! There are three streams of throws: one for each direction, and the mixed stream of both in the order of the throws.
+//! The mixed stream is the first to show a fault of the machine; the stream of a direction shows a fault of this
+//! direction only.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -19,33 +22,36 @@ use super::{
 };
 use crate::estimate::Estimate;
 
-/// Largest part of the limit of T that a single innovation may have: two throws show a step.
+/// Largest part of the limit of T that a single innovation may contribute to a window of three throws: two throws show
+/// a step.
 const MOST_OF_ONE: f64 = 0.4;
-/// The same with heavy tails: four throws show a step.
-const MOST_OF_ONE_WILD: f64 = 0.08;
-/// Least T of the innovations beside an outlier along the drift: 0.1 % of healthy ones have more, and the sign of the drift.
+/// The same for scatter with heavy tails: four throws show a step.
+const MOST_OF_ONE_WITH_HEAVY_TAILS: f64 = 0.08;
+/// Least T, along the drift, of the innovations without an outlier. Of healthy innovations, 0.1 % have more and the
+/// sign of the drift.
 const CONFIRMED: f64 = 9.5;
-/// Last throws in which a change that fades shows.
+/// Number of last throws in which the test for a fading change looks.
 const FADES_WITHIN: usize = WINDOWS[2];
-/// Standard deviations of a change between two throws from which a drift fades, and which one of them has at most: two show
-/// it, and an outlier between throws with a drift does not.
+/// Limit of the test for a fading change, in standard deviations of a change between two throws. Each change is clipped
+/// to it, so at least two changes must show that the drift fades: an outlier between throws with a drift does not.
 const FADING_SD: f64 = 3.0;
-/// Number of stored throws of each direction: the longest window.
+/// Number of stored throws of each direction: those of the longest window.
 const KEPT: usize = WINDOWS[3];
-/// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
-/// for all its throws of ratios.
+/// Least number of throws with the common scale for a window that shows it ([`CommonScale`]): with fewer, a single
+/// outlier would count for all its throws of ratios.
 const LEAST_SCALED: usize = WINDOWS[0];
-/// Standard deviations of an error that a healthy machine has once for ever, in the test of T: of the effect of the temperature,
-/// one slope a machine, which physics bounds at 2.5 of them before anything is learned; and of the misfit of rough throws,
-/// which repeats. The limit of T, which rules out chance in thousands of throws, would multiply them by six or seven.
+/// Number of standard deviations that a lasting error counts for in the test of T. A lasting error is the same in all
+/// throws of a machine: the effect of the temperature, which has one slope per machine, bounded by physics at 2.5
+/// standard deviations before any learning; and the misfit of rough throws, which repeats. The limit of T must rule out
+/// chance in thousands of throws, and would multiply these errors by six or seven.
 const MOST_OF_LASTING_SD: f64 = 3.0;
-/// Standard deviation of the logarithm of the common scale in a window that does not show it: far more than any fault.
+/// Standard deviation of the common scale, as a logarithm, in a window that does not show it: far more than any fault.
 pub(super) const UNKNOWN_SCALE_SD: f64 = 1.0;
-/// A size has no part in the common scale if its weights sum to less than this part of the largest of them. Weights
-/// from windows that do not show the scale sum to less than a fiftieth, others to some tenths or more.
+/// A size does not depend on the common scale if its weights sum to less than this part of the largest weight. Weights
+/// from windows that do not show the scale sum to less than a fiftieth, other weights to some tenths or more.
 const NO_SCALE: f64 = 0.05;
 
-/// A throw after the baseline, as residual. Short names keep the snapshot small.
+/// A throw after the baseline, as its residual from the baseline. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct RecentThrow {
     /// Number of the throw among those of the machine. 32 bits keep the memory of a fleet small.
@@ -58,7 +64,7 @@ pub(super) struct RecentThrow {
     /// Distance from the reference temperature \[K\].
     #[serde(rename = "k")]
     distance_k: f32,
-    /// Whether only the ratios are known: residual and covariance have an arbitrary common scale.
+    /// Whether only the ratios of the coefficients are known: residual and covariance have an arbitrary common scale.
     #[serde(rename = "s", default, skip_serializing_if = "std::ops::Not::not")]
     ratios_only: bool,
 }
@@ -78,12 +84,13 @@ impl RecentThrow {
         !self.ratios_only
     }
 
-    /// Whether the throw has a value along `weights`.
+    /// Whether the throw has a value along `weights`: one of ratios has none along weights that depend on the common
+    /// scale.
     fn counts_along(&self, weights: &Vector3<f64>) -> bool {
         self.has_scale() || weights.sum().abs() <= NO_SCALE * weights.amax()
     }
 
-    /// A residual of this throw: of ratios with the common scale of the others, or 0 if it is unknown.
+    /// The residual of this throw. One of ratios gets the common scale of the other throws, or 0 if this is unknown.
     fn scaled(&self, residual: Vector3<f64>, scale: &CommonScale) -> Vector3<f64> {
         let (k, mean) = match scale {
             _ if self.has_scale() => return residual,
@@ -99,7 +106,7 @@ impl RecentThrow {
         (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
     }
 
-    /// Version 1 stored residuals with temperature compensation.
+    /// Converts a throw of a snapshot of version 1, which stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature.effect(distance);
@@ -110,14 +117,16 @@ impl RecentThrow {
 /// The last throws of one direction.
 pub(super) type RecentThrows = Last<RecentThrow, KEPT>;
 
-/// The common scale of the throws of a window along the weights `k` of [`Scatter::of_scale`].
+/// The common scale of the throws of a window. If only the ratios of the coefficients of a throw are known, its three
+/// logarithms have an unknown term in common: their common scale, which a change of the inertia shifts. It is the mean
+/// of the logarithms with the weights `k` of [`Scatter::of_scale`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum CommonScale {
-    /// All throws have it, as on most machines.
+    /// All throws have their own scale, as on most machines.
     OfAll,
-    /// Its mean over the throws that have it.
+    /// The mean scale of the throws that have one.
     OfSome { k: Vector3<f64>, mean: f64 },
-    /// Too few throws have it.
+    /// Too few throws have a scale.
     Unknown { k: Vector3<f64> },
 }
 
@@ -129,39 +138,39 @@ pub(super) struct Window {
     pub(super) mean: Vector3<f64>,
     /// Covariance of the mean, with the uncertainty of the baseline.
     pub(super) covariance: Matrix3<f64>,
-    /// Standard deviation of the temperature's effect on the mean; part of the covariance.
+    /// Standard deviation of the uncertain effect of the temperature on the mean; contained in the covariance.
     pub(super) temperature_sd: Vector3<f64>,
-    /// Covariance of the misfit of the model in rough throws, which repeats; part of the covariance.
+    /// Covariance of the misfit of the model in rough throws, which repeats; contained in the covariance.
     pub(super) misfit: Sym3,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
-    /// Whether a drift above its limit is more than an outlier that fades over the throws after it.
+    /// Whether a drift above its limit is confirmed: it is no outlier that fades over the throws after it.
     pub(super) confirmed: bool,
     pub(super) scale: CommonScale,
-    /// Friction over the force of the spring at the end of the stroke, in the baselines.
-    pub(super) friction_of_spring: f64,
 }
 
 impl Window {
-    /// Whether the window shows `cause`. Ratios of the coefficients are the same at every inertia.
+    /// Whether the window shows `cause`. The ratios of the coefficients do not depend on the inertia.
     pub(super) fn shows(&self, cause: Cause) -> bool {
         cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
     }
 
-    /// The covariance with which T has this limit: lasting errors count up to [`MOST_OF_LASTING_SD`].
+    /// The covariance for a test of T with this limit, in which lasting errors count for at most
+    /// [`MOST_OF_LASTING_SD`].
     pub(super) fn tested(&self, limit: f64) -> Matrix3<f64> {
         let counts = (MOST_OF_LASTING_SD * MOST_OF_LASTING_SD / limit).min(1.0);
         self.covariance - (covariance_of_effect(self.temperature_sd) + Matrix3::from(self.misfit)) * (1.0 - counts)
     }
 }
 
-/// A change of ratios with the common scale that keeps the middle coefficient: a single fault leaves two of the three.
+/// A change of ratios, with the common scale at which the middle of the three changes is 0: a single fault leaves two
+/// coefficients unchanged.
 pub(super) fn with_middle_kept(change: Vector3<f64>) -> Vector3<f64> {
     change.add_scalar(-change.sum() + change.max() + change.min())
 }
 
-/// Number of throws whose mean is as uncertain as the centres of the directions of `throws` together, as these have
-/// independent errors.
+/// Number of throws whose mean is as uncertain as the baselines' centres in the mean of `throws`; the centres of the
+/// two directions have independent errors.
 fn centre_throws(throws: &[(usize, &RecentThrow)], baselines: [Option<&Baseline>; 2]) -> Option<f64> {
     let mut spread = 0.0;
     for side in 0..2 {
@@ -213,13 +222,14 @@ impl<'a> Stream<'a> {
         self.0.len()
     }
 
-    /// The window of the last `throws`, without the test. `None` with fewer throws, or if a mixed stream has hardly any
-    /// of one direction.
+    /// The window of the last `throws`, without the test of T. `None` with fewer throws, or without the baseline of one
+    /// of them.
     ///
-    /// Throws of ratios have no information about the common scale. Along `k`, the mean of the logarithms that has no
-    /// correlation with the ratios, the least-squares mean of the window is that of the other throws; the ratios have
-    /// the mean of all. So the throws of ratios get this mean as their scale, and the covariance along (1, 1, 1) is that
-    /// of the other throws only.
+    /// Throws of ratios contain no information about the common scale. The scale is the mean of the logarithms with
+    /// weights `k`, chosen so that it has no correlation with the ratios. So the least-squares scale of the window is
+    /// the mean over the other throws, while the least-squares ratios are the mean over all throws. Therefore the
+    /// throws of ratios get the mean scale of the others, and the covariance along (1, 1, 1) is that of the other
+    /// throws only.
     pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
         let last = self.0.get(..throws)?;
         let sensor = mean_sensor(last);
@@ -251,7 +261,7 @@ impl<'a> Stream<'a> {
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
         let mut misfit = self.mean_misfit(throws, baselines) / n;
         let of_scale = match scale {
-            // The throw before the window may be the only one of ratios.
+            // The only throw of ratios may be the one before the window, which the common scale includes.
             _ if last.iter().all(|(_, throw)| throw.has_scale()) => None,
             CommonScale::OfAll => None,
             CommonScale::OfSome { k, .. } => {
@@ -270,25 +280,21 @@ impl<'a> Stream<'a> {
             misfit = ratios * misfit * ratios.transpose();
         }
         covariance += covariance_of_effect(temperature_sd);
-        let misfit = misfit.into();
-        let known = baselines.into_iter().flatten().filter_map(Baseline::friction_of_spring);
-        let friction_of_spring = known.reduce(|a, b| (a * b).sqrt()).unwrap_or(1.0);
         Some(Window {
             throws,
             mean,
             covariance,
             temperature_sd,
-            misfit,
+            misfit: misfit.into(),
             excess: 0.0,
             confirmed: false,
             scale,
-            friction_of_spring,
         })
     }
 
     /// The common scale of the last throws with these residuals.
     fn common_scale(&self, residuals: &[Vector3<f64>], scatter: &Scatter) -> CommonScale {
-        // The score also needs the throw before the window.
+        // The test of the innovations also needs the throw before the window.
         if self.0.iter().take(residuals.len() + 1).all(|(_, throw)| throw.has_scale()) {
             return CommonScale::OfAll;
         }
@@ -301,10 +307,10 @@ impl<'a> Stream<'a> {
         CommonScale::OfSome { k, mean: clipped_mean(&mut values, scatter.sd_along(&k)) }
     }
 
-    /// T of the last throws of `window`, from their mean innovation (converted to a level) instead of their mean; each
-    /// innovation is clipped at `reach`. An outlier that affects the following throws too is one innovation, so it
-    /// counts once.
-    fn score(
+    /// T of the throws of `window` from their mean innovation, converted to a level, instead of their mean. An
+    /// innovation is the part of a throw that the throw before it does not predict; each is clipped at `reach`. An
+    /// outlier that affects the following throws too is a single innovation, so it counts once.
+    fn t_of_innovations(
         &self,
         window: &Window,
         limit: f64,
@@ -327,22 +333,22 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// T along the mean of `window` of its innovations without the largest of them, with heavy tails without the two largest,
-    /// at the highest plausible serial correlation of the machine. An outlier that fades over the next throws has a level too,
-    /// but only a drift keeps it.
-    fn confirmation(
+    /// T of the innovations of `window` along its mean, without the largest innovation; for scatter with heavy tails,
+    /// without the two largest. The serial correlation is the highest that is plausible for the machine. An outlier
+    /// that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
+    fn t_without_outliers(
         &self,
         window: &Window,
-        wild: bool,
+        heavy_tails: bool,
         scatter: &Scatter,
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
-        // A misfit that repeats is in no innovation, except for its part in one throw.
+        // The misfit that repeats is in no innovation; only the part that differs from throw to throw is.
         let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / Estimate::LONGEST_WINDOW);
         let sensor = mean_sensor(&self.0[..window.throws]) - repeated;
-        // The correlation of the machine alone: beside a large outlier the errors of the estimates are small.
+        // The correlation is that of the machine alone: beside a large outlier, the errors of the estimates are small.
         let phi = scatter.highest_lag1();
-        let outliers = if wild { 2 } else { 1 };
+        let outliers = if heavy_tails { 2 } else { 1 };
         let inverse = sym3::inverse(&scatter.of_innovations(1, 0, &phi, &sensor))?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
         let mut innovations = Vec::with_capacity(KEPT);
@@ -360,8 +366,8 @@ impl<'a> Stream<'a> {
         Some(along.dot(&sum).max(0.0).powi(2) / along.dot(&window.mean))
     }
 
-    /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: the regression of its changes
-    /// between the throws of a direction on its size before them.
+    /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: by the regression of
+    /// its differences between consecutive throws of a direction on its size in the earlier throw.
     fn fades(&self, window: &Window, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> bool {
         let covariance = scatter.of_change(&mean_sensor(&self.0[..window.throws]));
         let Some(inverse) = sym3::inverse(&covariance) else { return false };
@@ -380,27 +386,29 @@ impl<'a> Stream<'a> {
         sum < -FADING_SD * f64::sqrt(squares)
     }
 
-    /// Residual of a throw with the common scale of `window`; `None` without this throw or its baseline.
+    /// Residual of the throw at this index, with the common scale of `window`; `None` without this throw or its
+    /// baseline.
     fn residual(&self, at: usize, window: &Window, baselines: [Option<&Baseline>; 2]) -> Option<Vector3<f64>> {
         let (side, throw) = self.0.get(at)?;
         Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
     }
 
-    /// For each coefficient: the single innovation that would give `window` the part `most` of its limit.
+    /// For each coefficient, the innovation that alone would give `window` the part `most` of its limit.
     fn reach(&self, most: f64, limit: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
         let (rho, inverse) = self.innovation(window, limit, scatter)?;
         Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (most * limit / inverse[(i, i)]).sqrt()))
     }
 
-    /// Lag-1 correlations of the last throws of `window`, and the inverse covariance of their mean innovation as a level, in
-    /// a test with this limit.
+    /// Lag-1 correlations of the throws of `window`, and the inverse covariance of their mean innovation, converted to
+    /// a level, for a test with this limit.
     fn innovation(&self, window: &Window, limit: f64, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let sensor = mean_sensor(&self.0[..window.throws]);
         let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
         Some((scatter.lag1_of_one(&sensor), sym3::inverse(&covariance)?))
     }
 
-    /// The part of the mean covariance that is the misfit of rough throws beside a baseline of coefficients, which repeats.
+    /// The part of the mean covariance of the last `throws` that comes from the misfit of rough throws, which repeats;
+    /// only with a baseline of complete coefficients.
     fn mean_misfit(&self, throws: usize, baselines: [Option<&Baseline>; 2]) -> Matrix3<f64> {
         let repeats = |(side, throw): &&(usize, &RecentThrow)| {
             throw.ratios_only && baselines[*side].is_some_and(Baseline::has_coefficients)
@@ -409,12 +417,13 @@ impl<'a> Stream<'a> {
         rough.map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
     }
 
-    /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean
-    /// innovation must agree; a single innovation counts for at most a part of the shortest window's limit. So an outlier is
-    /// no drift, however heavy the tails, and with high limits too a step shows. `wild`: the scatter has heavy tails.
+    /// The window with the largest `excess`, also if that is below 1. If T of the mean is above a quarter of the limit,
+    /// the smaller of this T and that of the mean innovation counts. A single innovation counts for at most a part of
+    /// the shortest window's limit. So an outlier is no drift, however heavy the tails are, and a step is detected even
+    /// if the limits are high.
     pub(super) fn strongest(
         &self,
-        wild: bool,
+        heavy_tails: bool,
         scatter: &Scatter,
         thresholds: &Thresholds,
         baselines: [Option<&Baseline>; 2],
@@ -427,26 +436,27 @@ impl<'a> Stream<'a> {
             let limit = thresholds.of(at);
             let Some(inverse) = sym3::inverse(&window.tested(limit)) else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
-            let mut score = None;
+            let mut of_innovations = None;
             if t > 0.25 * limit {
-                let most_of_one = if wild { MOST_OF_ONE_WILD } else { MOST_OF_ONE };
+                let most_of_one = if heavy_tails { MOST_OF_ONE_WITH_HEAVY_TAILS } else { MOST_OF_ONE };
                 reach = reach.or_else(|| self.reach(most_of_one, thresholds.of(0), &shortest, scatter));
-                score = reach.and_then(|reach| self.score(&window, limit, &reach, scatter, baselines));
+                of_innovations =
+                    reach.and_then(|reach| self.t_of_innovations(&window, limit, &reach, scatter, baselines));
             }
-            window.excess = t.min(score.unwrap_or(t)) / limit;
+            window.excess = t.min(of_innovations.unwrap_or(t)) / limit;
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }
         }
         let mut best = best?;
         best.confirmed = best.excess > 1.0
-            && self.confirmation(&best, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED)
+            && self.t_without_outliers(&best, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
             && !self.fades(&best, scatter, baselines);
         Some(best)
     }
 
-    /// The throws along `weights` with temperature compensation, oldest first; ages count the throws of the machine
-    /// from the latest. Throws of ratios are left out of a size in which the common scale has a part.
+    /// The values of the throws along `weights` with temperature compensation, oldest first; ages count the throws of
+    /// the machine back from `now`. Throws of ratios are left out if the size depends on the common scale.
     pub(super) fn points(&self, weights: &Vector3<f64>, baselines: [Option<&Baseline>; 2], now: u64) -> Vec<Point> {
         let point = |(side, throw): &(usize, &RecentThrow)| {
             if !throw.counts_along(weights) {
@@ -464,18 +474,18 @@ impl<'a> Stream<'a> {
         points
     }
 
-    /// Throws of the machine since the newest that counts along `weights`, up to the newest of all.
+    /// Number of throws of the machine from the newest throw that has a value along `weights` to the newest of all.
     pub(super) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
         let counted = self.0.iter().find(|(_, throw)| throw.counts_along(weights));
         counted.zip(self.0.first()).map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
     }
 
-    /// Whether all of the last `throws` have only ratios.
+    /// Whether the last `throws` all have only ratios.
     pub(super) fn is_without_scale(&self, throws: usize) -> bool {
         self.0.iter().take(throws).all(|(_, throw)| !throw.has_scale())
     }
 
-    /// Whether the last few throws include both directions.
+    /// Whether the last throws are balanced: at least three, and at least a quarter of each direction.
     pub(super) fn is_balanced(&self) -> bool {
         let last = self.0.iter().take(KEPT);
         let (total, reverse) = last.fold((0, 0), |(total, reverse), (side, _)| (total + 1, reverse + side));

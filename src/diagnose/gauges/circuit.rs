@@ -1,4 +1,5 @@
-//! The circuit of the motor: errors of the published voltage, the back-EMF without them, and the resistance.
+//! The electrical circuit of the motor: errors of the published voltage, and changes of the back-EMF and the
+//! resistance.
 
 use super::{
     gauge::{Gauge, heat},
@@ -6,44 +7,46 @@ use super::{
 };
 use crate::diagnose::threshold::WINDOWS;
 
-/// Largest temperature of a winding above the air \[K\]: in a yard with a throw every few minutes. The limit of its
-/// insulation is 80 K.
+/// Largest difference of the temperatures of winding and air \[K\], in a yard with a throw every few minutes. The
+/// insulation allows 80 K.
 const HEATED_K: f64 = 60.0;
-/// Largest temperature of the air above that of the baseline \[K\], where it is not measured.
+/// Largest difference of the temperature of the air to that of the baseline \[K\], if it is not measured.
 const WEATHER_K: f64 = 30.0;
 /// Least reported error of a published voltage, as a logarithm.
 const VOLTAGE_ERROR: f64 = 0.08;
-/// Least significance of such an error \[standard deviations\].
+/// Least significance of an error of a published voltage \[standard deviations\].
 const VOLTAGE_ERROR_SD: f64 = 4.0;
-/// Largest difference of two changes that are the same, as part of them.
+/// Largest difference of two changes that count as equal, as part of their size.
 const ALIKE: f64 = 0.5;
 /// Significance of a shorter duration, in standard deviations.
 const SHORTER_SD: f64 = 3.0;
 /// Significance of a changed resistance, in standard deviations of a level.
 const CIRCUIT_SD: f64 = 4.0;
-/// Largest change of the logarithm of the resistance with the delay of the start \[1/ms\]: a soft drive that very dry chairs
-/// wind up delays the toe by 25 ms or more, and unwinds while the resistance is measured, which changes it by 0.25. Play, lost
-/// motion and a late position change it by 0.1 at most.
+/// Largest change of the logarithm of the measured resistance with the delay of the start \[1/ms\]. Very dry chairs
+/// wind up a soft drive, which delays the toe by 25 ms or more and unwinds while the resistance is measured; this
+/// changes it by 0.25. Play, lost motion and a late position change it by 0.1 at most.
 const OHMS_OF_DELAY: f64 = 0.01;
-/// Least change of the inrush with the resistance, as logarithms: the inductance of an armature limits it, to 0.33 to 0.5 on an
-/// independent drive of 20 mH.
+/// Least fall of the inrush with a rise of the resistance, as part of the rise (both logarithms). The inductance of an
+/// armature limits this part, to 0.33 to 0.5 on an independent drive of 20 mH.
 const INRUSH_OF_OHMS: f64 = 0.15;
-/// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
+/// Largest uncertainty of a resistance that is judged, as a logarithm: a resistance that hardly shows in the inrush may
+/// have any value.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 
-/// Largest increase of the duration as part of the lost inrush. A lower voltage slows the motor by at least as much as it
-/// lowers the inrush; a resistance by its share of the voltage, 0.4 to 0.7 of the inrush on motors whose load takes a fifth.
+/// Largest increase of the duration by a higher resistance, as part of the fall of the inrush (both logarithms). A
+/// lower voltage slows the motor by at least as much as it lowers the inrush. A higher resistance slows it by less: by
+/// 0.4 to 0.7 of the fall, on motors whose load takes a fifth of the voltage.
 const SLOWER_OF_INRUSH: f64 = 0.85;
 
-/// Largest normal delay of the start in a direction without a late brake \[ms\]: one of 10 ms delays by 2 ms in both directions, and
-/// an elastic drive, which is never late in both, by -17 to 6 ms.
+/// Largest normal delay of the start in a direction without a late brake \[ms\]. A brake that is late by 10 ms delays
+/// the start by 2 ms in both directions. An elastic drive delays it by -17 to 6 ms, and never in both directions.
 const PROMPT_MS: f64 = 1.0;
 
 /// Change of the back-EMF of the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::diagnose) struct BackEmf {
     pub(in crate::diagnose) level: Level,
-    /// Whether it is only that of the duration, which less friction shortens too.
+    /// Whether the change is only concluded from a shorter duration, which less friction causes too.
     pub(in crate::diagnose) of_duration: bool,
     /// Change of the acceleration at the start; `None` if it is unknown.
     pub(in crate::diagnose) at_start: Option<AtStart>,
@@ -58,7 +61,7 @@ pub(in crate::diagnose) struct AtStart {
 }
 
 impl BackEmf {
-    /// The change, if it is not only that of the duration.
+    /// The change, if it is not only concluded from a shorter duration.
     pub(in crate::diagnose) fn of_motor(self) -> Option<Level> {
         (!self.of_duration).then_some(self.level)
     }
@@ -68,29 +71,30 @@ impl BackEmf {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::diagnose) struct Circuit {
     pub(in crate::diagnose) level: Level,
-    /// Size relative to what heat explains, and to the scatter.
+    /// Size relative to the largest change that heat explains, or to the scatter if that is larger.
     pub(in crate::diagnose) size: f64,
-    /// The same in the last few throws only.
+    /// The same size in the last three throws only.
     pub(in crate::diagnose) latest: f64,
-    /// Whether it may be something else that changed, as the motor, the play or the position sensor.
+    /// Whether something else may have changed instead: motor, play or position sensor.
     pub(in crate::diagnose) is_doubtful: bool,
-    /// Whether the resistance is unknown, and the level is that of the lost inrush, at most as large.
+    /// Whether the resistance is unknown. Then the level is the fall of the inrush, which is at most as large.
     pub(in crate::diagnose) of_inrush: bool,
 }
 
 impl Circuit {
-    /// The change beside a change of b0, as a logarithm, that may be a sensor's: the sensor changes the resistance as much.
+    /// The change of the resistance if a sensor may explain a change of b0 (a logarithm): the fault of this sensor
+    /// would change the resistance as much.
     pub(in crate::diagnose) fn beside(self, change: f64) -> Self {
         Self { is_doubtful: self.is_doubtful || change.abs() > ALIKE * self.level.value.abs(), ..self }
     }
 }
 
 impl Gauges {
-    /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
-    /// and the no-load speed is not: the voltage changed, and the speed did not follow. A voltage that is not changed, but
-    /// should be, as with a sensor that is stuck, has the same error in both too, beyond what heat does to a resistance.
-    /// Weaker magnets do not change the resistance, and draw more current; a motor with another winding too. The level is
-    /// that of the last few throws; the longer window must show it too.
+    /// Error of the published supply voltage, as a logarithm. Resistance and back-EMF constant are computed from this
+    /// voltage, so both have its error. Either the published voltage has changed as much, while the speed of the motor
+    /// has not; or it has not changed and should have, as with a stuck sensor, and both changes are larger than heat
+    /// explains. Weaker magnets do not change the resistance, and draw more current; so does a motor with another
+    /// winding. The level is that of the last three throws; six throws must show the error too.
     pub(in crate::diagnose) fn voltage_error(&self) -> Option<Level> {
         self.voltage_error_in(WINDOWS[1]).and_then(|_| self.voltage_error_in(WINDOWS[0]))
     }
@@ -107,15 +111,15 @@ impl Gauges {
         (is_shown && is_alone && running < ALIKE * size).then_some(back_emf)
     }
 
-    /// Size of the back-EMF, in which an error of the voltage shows, relative to the least error that is named; `None` if it
-    /// is unknown.
+    /// Size of the change of the back-EMF, in which an error of the voltage shows, relative to the least reported
+    /// error; `None` if it is unknown.
     pub(in crate::diagnose) fn voltage_error_size(&self) -> Option<f64> {
         let [back_emf, ohms] = [Gauge::BackEmf, Gauge::Resistance].map(|gauge| self.level(gauge, WINDOWS[0]));
         Some(error_size(back_emf?, ohms?))
     }
 
-    /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
-    /// a stroke that unlocks, from a shorter duration.
+    /// Change of the back-EMF over the last `throws`: of its constant, without a supply voltage from the no-load speed,
+    /// and without both, as with a stroke that unlocks, from a shorter duration.
     pub(in crate::diagnose) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
         let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
         let of_constant = self.level(Gauge::BackEmf, throws).filter(|_| self.voltage_error().is_none());
@@ -128,23 +132,25 @@ impl Gauges {
         Some(BackEmf { level, of_duration: shown.is_none(), at_start })
     }
 
-    /// Range of the change of the winding's resistance with the temperature of the air, as logarithms, that may have changed the
-    /// inrush: it is limited by the inductance too, so by all of the resistance or none of it.
+    /// Range of the change of the inrush, as logarithms, by the change of the resistance of the winding with the
+    /// temperature of the air. The inductance limits the inrush too, so the inrush may follow this change completely,
+    /// or not at all.
     pub(in crate::diagnose) fn winding_of_air(&self, throws: usize) -> [f64; 2] {
         let warmer = self.level(Gauge::Air, throws).map(|air| heat(air.value));
         warmer.map_or([-heat(WEATHER_K), heat(WEATHER_K)], |warmer| [warmer.min(0.0), warmer.max(0.0)])
     }
 
-    /// Change of the resistance between supply and motor that heat does not explain; `knows_weather`: the resistance is
-    /// known at the temperature of the air. The level is that of the last few throws; the longer window must show it too, so
-    /// that a single throw does not. A wrong voltage explains it. `None` if it is unknown.
+    /// Change of the resistance between supply and motor that heat does not explain. `knows_weather`: the effect of the
+    /// temperature of the air is compensated. The level is that of the last three throws; six throws must show the
+    /// change too, so a single throw does not. If the published voltage is wrong, this explains the change. `None` if
+    /// the change is unknown.
     pub(in crate::diagnose) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
         self.circuit_of_resistance(knows_weather).or_else(|| self.circuit_of_inrush(knows_weather))
     }
 
-    /// The same by the inrush, where the resistance is unknown, as without a supply voltage: a higher resistance lowers the
-    /// inrush, slows the motor less than a lower voltage would, and leaves the running current, which a wrong gain of the
-    /// current sensor changes as well.
+    /// [`Self::circuit`] from the inrush, where the resistance is unknown, as without a supply voltage. A higher
+    /// resistance lowers the inrush, slows the motor less than a lower voltage would, and does not change the running
+    /// current. A wrong gain of the current sensor would change the running current too.
     fn circuit_of_inrush(&self, knows_weather: bool) -> Option<Circuit> {
         let lost = |throws: usize| {
             if self.level(Gauge::Resistance, throws).is_some() {
@@ -173,8 +179,8 @@ impl Gauges {
         let size_of = |level: Level| relative_size(level.value.abs(), level, knows_weather);
         let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
         let size = latest.min(size_of(longer));
-        // The inrush is at most V/R, so it falls with a higher resistance. An error of the position changes the computed resistance,
-        // but not the inrush.
+        // The inrush is at most V/R, so it falls with a higher resistance. An error of the position changes the
+        // computed resistance, but not the inrush.
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
         let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
         let by_air = if longer.value > 0.0 { to } else { -from };
@@ -182,29 +188,32 @@ impl Gauges {
             let lower = (volts.value - inrush.value) * longer.value.signum();
             lower - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
         });
-        // An elastic drive turns otherwise than the toe.
-        let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
-        let is_idle = idle > ALIKE * level.value.abs();
+        // With an elastic drive, the motor moves differently from the toe, whose position is measured.
+        let by_elasticity =
+            self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
+        let is_elastic = by_elasticity > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
-        let is_doubtful = is_motor || is_idle || is_inrush_as_before || self.falls_in_one_direction(longer);
+        let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
         is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false })
     }
 
-    /// Whether a resistance with this level is lower in one direction only. A contact of one direction may be bad, but the
-    /// winding is that of both; where a stiff spring takes the drive through its play, a resistance is computed too low.
+    /// Whether a resistance with this level has fallen in one direction only. A bad contact may raise it in one
+    /// direction, but a fault of the winding lowers it in both. Where a stiff spring pushes the drive through its play,
+    /// the computed resistance is too low.
     fn falls_in_one_direction(&self, level: Level) -> bool {
         let departures = self.departures(Gauge::Resistance, WINDOWS[1]).unwrap_or_default();
-        // A direction without departures has no mean above anything.
+        // The mean of a direction without departures is NaN, which is not greater.
         level.value < 0.0 && by_side(&departures).iter().any(|own| mean(own) > ALIKE * level.value)
     }
 }
 
-/// Size of an error of the voltage relative to the least one that is named.
+/// Size of an error of the voltage relative to the least reported error.
 fn error_size(back_emf: Level, ohms: Level) -> f64 {
     back_emf.value.abs() / VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd))
 }
 
-/// The change `shown` of a level relative to what heat explains, and to the scatter.
+/// The change `shown` relative to the largest change that heat explains, or to the scatter of `level` if that is
+/// larger.
 fn relative_size(shown: f64, level: Level, knows_weather: bool) -> f64 {
     let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
     shown / heat.max(CIRCUIT_SD * level.sd)

@@ -10,27 +10,28 @@ pub(in crate::diagnose) enum Gauge {
     Resistance,
     Duration,
     Volts,
-    /// The largest current, about the supply voltage over the resistance.
+    /// The largest current: about the supply voltage divided by the resistance.
     Inrush,
-    /// The mean current from the half to nine tenths of the time of the motor.
+    /// The mean current between 50 % and 90 % of the time in which the motor is on.
     Running,
-    /// The integral of the current; the energy of the motor over the supply voltage.
+    /// The integral of the current, which is the energy of the motor divided by the supply voltage.
     Charge,
-    /// Supply voltage over back-EMF constant, known without the supply voltage.
+    /// Supply voltage divided by back-EMF constant; it can be measured without the supply voltage.
     NoLoadSpeed,
     /// Delay of the start \[ms\], as a difference and not as a logarithm, as it has either sign.
     StartDelay,
-    /// b0 of the start alone.
+    /// Acceleration per ampere at the start of the movement: b0 of the start alone.
     StartGain,
     /// Mean current at rest \[A\], as a difference and not as a logarithm, as it has either sign.
     Rest,
-    /// Middle between the positions at the begin and at the end \[mm\], as a difference: it shifts with the sensor's zero.
+    /// Middle between the positions at start and end \[mm\], as a difference: it shifts with the zero of the position
+    /// sensor.
     Middle,
     /// Published temperature \[°C\], as a difference.
     Air,
 }
 
-/// Logarithms of a throw; `None` for unknown ones.
+/// The gauges of a throw, in the order of [`Gauge`], as [`values`] gives them; `None` for unknown ones.
 pub(super) type Values = [Option<f32>; Gauge::COUNT];
 
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
@@ -56,7 +57,7 @@ impl Gauge {
         matches!(self, Self::Running | Self::Charge)
     }
 
-    /// Sign of the change with the field of the magnets; 0 without one.
+    /// Sign of the gauge's change when the field of the magnets grows; 0 if the field has no effect.
     pub(super) fn sign_of_magnets(self) -> f64 {
         match self {
             Self::BackEmf => 1.0,
@@ -66,13 +67,13 @@ impl Gauge {
     }
 }
 
-/// Change of the logarithm of a resistance by a temperature.
+/// Change of the logarithm of a copper resistance with a change of its temperature.
 pub(super) fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle \[mm\]
-/// and the temperature \[°C\].
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle
+/// \[mm\] and the temperature \[°C\].
 pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
     let ln = |value: Option<f64>| value.map(f64::ln);
@@ -81,7 +82,7 @@ pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
         ln(features.back_emf_v_s_per_rad),
         ln(features.resistance_ohm.map(|ohm| ohm / warm)),
         ln(features.duration_s),
-        // With a failed sensor the voltage is unknown.
+        // The voltage of a failed sensor counts as unknown.
         ln(features.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))),
         ln(features.peak_current_a),
         ln(features.running_current_a),

@@ -18,12 +18,14 @@ use crate::{
 
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
-/// Relative error of an expected effect on a gauge.
+/// Standard deviation of an expected value of a gauge, as part of it.
 const EXPECTED_ERROR: f64 = 0.08;
-/// Change of the field of a magnet with its temperature \[1/K\], and its standard deviation: -0.2 % per K for ferrite, -0.1 % for
-/// rare earths, hardly any for Alnico and for a wound field. The air is the magnet's temperature, as a throw warms the winding.
+/// Change of the field of a magnet with its temperature \[1/K\], and the standard deviation of this change: -0.2 % per
+/// K for ferrite, -0.1 % for rare earths, hardly any for Alnico and for a wound field. The magnet has the temperature
+/// of the air, as a throw warms only the winding.
 const MAGNETS: (f64, f64) = (-0.001, 0.0006);
-/// Largest change of running current and charge of a usual current, as logarithms: that of the weather.
+/// Largest change of running current and charge at which a current is usual, as logarithms: the weather changes them by
+/// this.
 const USUAL_CURRENT: f64 = 0.15;
 
 /// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
@@ -34,7 +36,8 @@ pub(in crate::diagnose) struct Level {
 }
 
 impl Level {
-    /// Misfit to an expected value, at most `most`, so that a change for another reason does not decide alone.
+    /// Misfit to an expected value (chi-square), limited to `most`, so that a change for another reason does not decide
+    /// alone.
     pub(in crate::diagnose) fn misfit(self, expected: f64, most: f64) -> f64 {
         ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
     }
@@ -44,8 +47,9 @@ impl Level {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::diagnose) struct Change {
     pub(in crate::diagnose) gauge: Gauge,
-    /// Median change of the last throws, as a logarithm, and its standard deviation.
+    /// Median change of the last throws, as a logarithm.
     pub(in crate::diagnose) size: f64,
+    /// Standard deviation of the size.
     pub(in crate::diagnose) size_sd: f64,
 }
 
@@ -53,7 +57,7 @@ pub(in crate::diagnose) struct Change {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(from = "(u16, Vec<f32>)", into = "(u16, Vec<f32>)")]
 struct Shown {
-    /// The direction in bit 0, and whether gauge `at` is known in bit `at + 1`.
+    /// Bit 0 is the direction; bit `at + 1` says whether gauge `at` is known.
     bits: u16,
     /// Values of the gauges, 0 for unknown ones.
     values: [f32; Gauge::COUNT],
@@ -101,7 +105,7 @@ pub(in crate::diagnose) struct Gauges {
 }
 
 impl Gauges {
-    /// Adds a throw; that of a `suspicious` machine is not used for the normal values.
+    /// Adds a throw. If the machine is `suspicious`, the throw is not used for the normal values.
     pub(in crate::diagnose) fn push(
         &mut self,
         direction: Direction,
@@ -116,13 +120,15 @@ impl Gauges {
         self.recent.push(Shown::new(side, values));
     }
 
-    /// Throws from which the normal duration of a direction is learned so far, and those that it needs.
+    /// Number of throws from which the normal duration of a direction is learned so far, and the number that this
+    /// needs.
     pub(in crate::diagnose) fn progress(&self, direction: Direction) -> (usize, usize) {
         self.sides[direction.side()].progress(Gauge::Duration)
     }
 
-    /// Departures of some gauges of this throw from normal that its supply and its temperature do not explain, as logarithms,
-    /// with the standard deviation of one throw; `None` if the gauge or its normal value is unknown.
+    /// For some gauges of a throw: the part of the departure from normal that supply and temperature of the throw do
+    /// not explain, as a logarithm, and the standard deviation of one throw. `None` if the gauge or its normal value is
+    /// unknown.
     pub(in crate::diagnose) fn unexplained<const N: usize>(
         &self,
         gauges: [Gauge; N],
@@ -141,7 +147,7 @@ impl Gauges {
         })
     }
 
-    /// Whether the current of a throw is as in a normal one: it is as large, and flows as long.
+    /// Whether the current of a throw is as in a normal throw: as large, and flowing as long.
     pub(in crate::diagnose) fn is_usual_current(
         &self,
         direction: Direction,
@@ -152,8 +158,9 @@ impl Gauges {
         changes.iter().all(|change| change.is_some_and(|(change, _)| f64::from(change.abs()) < USUAL_CURRENT))
     }
 
-    /// Level of a gauge over the last `throws` that show it, without the effect of the temperature on magnets: their mean, or in
-    /// the shortest window their median; `None` if hardly any do, or its normal value is unknown.
+    /// Level of a gauge over the last `throws` that contain it, without the effect of the temperature on magnets. It is
+    /// the mean of their departures, for the shortest window the median. `None` if too few throws contain the gauge, or
+    /// its normal value is unknown.
     pub(in crate::diagnose) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures = self.departures(gauge, throws)?;
         let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
@@ -166,23 +173,24 @@ impl Gauges {
         Some(Level { value: value - of_magnets * MAGNETS.0 * warmer_k, sd: sd.hypot(MAGNETS.1 * warmer_k) })
     }
 
-    /// The same, with the scatter of these throws if it is larger than normal, as behind a sensor that has become noisy.
+    /// [`Self::level`] with a standard deviation from the scatter of these throws, if that is larger than normal, as
+    /// with a sensor that has become noisy.
     pub(in crate::diagnose) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let (level, departures) = (self.level(gauge, throws)?, self.departures(gauge, throws)?);
-        // The directions may change otherwise.
+        // The two directions may have changed by different amounts, so the scatter is that within each direction.
         let sd = sd_of_mean(gauge, moving_range_sd(&by_side(&departures)), departures.len() as f64);
         Some(Level { sd: level.sd.max(sd), ..level })
     }
 
-    /// Side, departure from normal, and standard deviation of one throw, of the last `throws` that show a gauge, newest first;
-    /// `None` if hardly any do, or its normal value is unknown.
+    /// The last `throws` that contain a gauge, newest first: side, departure from normal, and standard deviation of one
+    /// throw. `None` if too few throws contain the gauge, or its normal value is unknown.
     pub(super) fn departures(&self, gauge: Gauge, throws: usize) -> Option<Vec<(usize, f64, f64)>> {
         let departure = |shown: &Shown| {
             let (centre, sd) = self.sides[shown.side()].of(gauge)?;
             Some((shown.side(), f64::from(shown.value(gauge)? - centre), f64::from(sd)))
         };
         let departures: Vec<_> = self.recent.iter().rev().filter_map(departure).take(throws).collect();
-        // The throws of one direction may all be without it.
+        // Half of the throws are enough: those of one direction may all be without the gauge.
         let are_enough = !departures.is_empty() && 2 * departures.len() >= throws.min(self.recent.len());
         are_enough.then_some(departures)
     }
@@ -192,7 +200,8 @@ impl Gauges {
         self.sides.iter().filter_map(move |side| side.of(gauge)).map(|(centre, _)| f64::from(centre))
     }
 
-    /// How much longer than normal the last few throws of a direction take, as a logarithm; of `None` the mean of both directions.
+    /// Change of the duration in the last few throws of a direction, as a logarithm; for `None`, the mean of both
+    /// directions.
     pub(in crate::diagnose) fn longer(&self, direction: Option<Direction>) -> Option<Level> {
         let departures = self.departures(Gauge::Duration, WINDOWS[1])?;
         let wanted = direction.map(Direction::side);
@@ -203,7 +212,7 @@ impl Gauges {
         (!medians.is_empty()).then(|| Level { value: mean(&medians), sd })
     }
 
-    /// Normal running current as part of the inrush, the mean of both directions; 0 if it is unknown.
+    /// Normal running current as part of the inrush, as the mean of both directions; 0 if it is unknown.
     pub(in crate::diagnose) fn running_of_inrush(&self) -> f64 {
         let part =
             |side: &Normal| Some(f64::from(side.of(Gauge::Running)?.0 - side.of(Gauge::Inrush)?.0).exp().min(1.0));
@@ -211,7 +220,8 @@ impl Gauges {
         if parts.is_empty() { 0.0 } else { mean(&parts) }
     }
 
-    /// Largest normal delay of the start \[ms\]: that of an unlocking stroke, or of play and an elastic drive.
+    /// Largest normal delay of the start \[ms\] of both directions, as of a stroke that unlocks, or of play and an
+    /// elastic drive.
     pub(in crate::diagnose) fn normal_delay_ms(&self) -> f64 {
         self.normals(Gauge::StartDelay).map(f64::abs).fold(0.0, f64::max)
     }
@@ -227,13 +237,13 @@ impl Gauges {
     }
 }
 
-/// Standard deviation of the mean of these departures, by the normal scatter of each.
+/// Standard deviation of the mean of these departures, from the normal scatter of each.
 fn usual_sd(gauge: Gauge, departures: &[(usize, f64, f64)]) -> f64 {
     let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
     sd_of_mean(gauge, mean(&sds), departures.len() as f64)
 }
 
-/// The values of departures by their side.
+/// The departures of each side.
 pub(super) fn by_side(departures: &[(usize, f64, f64)]) -> [Vec<f64>; 2] {
     [0, 1].map(|side| departures.iter().filter(|(of, ..)| *of == side).map(|(_, value, _)| *value).collect())
 }

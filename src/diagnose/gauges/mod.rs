@@ -1,8 +1,8 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature). Each is used as the
-//! logarithm of its ratio to the normal value of the direction; delay of the start, current at rest, middle and temperature as a
-//! difference. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes
-//! the two.
+//! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature). Each gauge is used
+//! as the logarithm of its ratio to the normal value of the direction, but delay of the start, current at rest, middle
+//! and temperature as a difference. Errors of sensors, clock and supply change the gauges in other ways than faults of
+//! parts, which distinguishes the two.
 
 mod circuit;
 mod gauge;

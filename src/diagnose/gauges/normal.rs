@@ -1,17 +1,18 @@
-//! The normal values of the gauges in a direction, and what a changed supply does to them.
+//! The normal values of the gauges in a direction, and the effect of a changed supply on them.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::gauge::{Gauge, Values};
 use crate::diagnose::robust::{centre_and_sd, skewed_sd};
 
-/// The normal value of a gauge in a direction is used from the first number of values on, and fixed from the second.
+/// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
-/// Largest part of the normal voltage across the resistance: more would be a motor near its stall.
+/// Largest part of the normal voltage that drops across the resistance: with more, the motor would be near its stall.
 const LARGEST_SHARE: f32 = 0.6;
-/// Least speed that a supply leaves, as part of the normal one; it bounds a logarithm.
+/// Least speed with a changed supply, as part of the normal speed; it bounds a logarithm.
 const LEAST_SPEED: f32 = 0.1;
-/// Largest change of the logarithm of the running current with the temperature \[1/K\]: -0.6 % on two independent drives.
+/// Largest change of the logarithm of the running current with the temperature \[1/K\]: -0.6 % per K on two independent
+/// drives.
 const CURRENT_PER_K: f32 = -0.008;
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
 /// correlation of 0.5.
@@ -20,7 +21,7 @@ const CORRELATED: f64 = 1.7;
 /// Normal values of a direction: centre and standard deviation of each gauge.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Normal {
-    /// Values of each gauge for learning; empty if there are none.
+    /// The values of each gauge while its normal value is learned; empty if there are none.
     learned: Vec<Vec<f32>>,
     #[serde(deserialize_with = "padded")]
     known: [Option<(f32, f32)>; Gauge::COUNT],
@@ -32,18 +33,19 @@ fn padded<'de, D: Deserializer<'de>>(from: D) -> Result<[Option<(f32, f32)>; Gau
     Ok(std::array::from_fn(|at| known.get(at).copied().flatten()))
 }
 
-/// Changes of a throw by its supply, as logarithms.
+/// The effects of a changed supply on a throw, as logarithms.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Supplied {
-    /// By how much the motor is slower.
+    /// Decrease of the speed of the motor.
     slower: f32,
     /// Change of the inrush, V/R.
     inrush: f32,
 }
 
 impl Supplied {
-    /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
-    /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
+    /// Range of the change of a gauge that the supply explains, as logarithms. With a dry load the running current does
+    /// not depend on the speed; with a viscous load it follows the speed. The charge is that of the inrush and of the
+    /// running motor.
     pub(super) fn range(self, gauge: Gauge) -> [f32; 2] {
         let Self { slower, inrush } = self;
         let [from, to] = match gauge {
@@ -62,16 +64,17 @@ impl Normal {
         self.known[gauge as usize]
     }
 
-    /// Throws from which the normal value of a gauge is learned so far, and those that it needs.
+    /// Number of throws from which the normal value of a gauge is learned so far, and the number that it needs.
     pub(super) fn progress(&self, gauge: Gauge) -> (usize, usize) {
         let so_far = || self.learned.get(gauge as usize).map_or(0, Vec::len);
         (if self.of(gauge).is_some() { LEARNED.0 } else { so_far() }, LEARNED.0)
     }
 
-    /// How much slower supply voltage and resistance of a throw make the motor, as a logarithm. The speed is (V - R i)/K; of the
-    /// normal voltage the resistance takes the part s = R i/V, so the speed changes by (V/V0 - s R/R0)/(1 - s). The current
-    /// is the normal one, as before a dry load; before a viscous load it follows the speed, and the change is smaller. If
-    /// the resistance is unknown, the inrush, at most V/R, gives an upper bound of s. No change if the voltage is unknown.
+    /// The effects of supply voltage and resistance of a throw. With the voltage V, the resistance R, the current i and
+    /// the back-EMF constant K, the speed is (V - R i)/K. Of the normal voltage V0, the normal resistance R0 takes the
+    /// part s = R0 i/V0, so the speed changes by the factor (V/V0 - s R/R0)/(1 - s). Here the current is the normal
+    /// one, as with a dry load; with a viscous load it follows the speed, and the change is smaller. If the resistance
+    /// is unknown, the inrush, at most V/R, gives an upper bound of s. No effect if the voltage is unknown.
     pub(super) fn supplied(&self, values: &Values) -> Supplied {
         let change = |gauge: Gauge| Some(values[gauge as usize]? - self.of(gauge)?.0);
         let centre = |gauge: Gauge| self.of(gauge).map(|(centre, _)| centre);
@@ -85,7 +88,8 @@ impl Normal {
         })
     }
 
-    /// Largest change of a gauge that the published temperature explains, as a logarithm: cold stiffens the drive.
+    /// Largest change of a gauge that the published temperature explains, as a logarithm: the drive needs more current
+    /// in the cold.
     pub(super) fn of_weather(&self, gauge: Gauge, values: &Values) -> f32 {
         let warmer_k = values[Gauge::Air as usize].zip(self.of(Gauge::Air)).map_or(0.0, |(now, (then, _))| now - then);
         if gauge.follows_weather() { CURRENT_PER_K * warmer_k } else { 0.0 }
@@ -101,7 +105,8 @@ impl Normal {
             if learned.len() >= LEARNED.0 {
                 let values: Vec<f64> = learned.iter().copied().map(f64::from).collect();
                 let (centre, sd) = centre_and_sd(&values);
-                // Without a toe sensor, at 25 Hz, half of the throws have no sample of the inrush in their charge.
+                // On a machine without a toe sensor, sampled at 25 Hz, the charge of half of the throws contains no
+                // sample of the inrush.
                 let sd = sd.max(skewed_sd(&values, centre));
                 #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
                 let known = (centre as f32, sd as f32);

@@ -6,39 +6,39 @@ use super::{
 };
 use crate::{diagnose::threshold::WINDOWS, estimate::Features, throw::Direction};
 
-/// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A with its temperature,
-/// one way from the cold and back.
+/// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
+/// warm, and back.
 const REST_A: f64 = 0.6;
-/// The same as share of the inrush: a sensor for large currents drifts in proportion to its range.
+/// The same as a part of the inrush: the zero of a sensor drifts in proportion to its range.
 const REST_SHARE: f64 = 0.02;
 /// Least significance of such a change, in standard deviations of a level: hum in a few quiet samples scatters.
 const REST_SD: f64 = 4.0;
-/// Least reported shift of the position sensor's zero, as share of the travel: it changes friction by 5 % in one direction and
-/// by -5 % in the other.
+/// Least reported shift of the position sensor's zero, as part of the travel: this shift changes the friction by 5 % in
+/// one direction and by -5 % in the other.
 const SHIFT_SHARE: f64 = 0.04;
-/// Least change of an end of the movement that is elsewhere, as share of the travel.
+/// Least change of a start or end position that counts as changed, as part of the travel.
 const END_SHARE: f64 = 0.01;
 /// Least significance of a shift, in standard deviations of a level.
 const SHIFT_SD: f64 = 4.0;
 
-/// The sensors whose offset is known.
+/// The sensors whose offset is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::diagnose) enum Offset {
-    /// By the current at rest.
+    /// The current sensor, by the current at rest.
     Current,
-    /// By both ends of the movement.
+    /// The position sensor, by both ends of the movement.
     Position,
 }
 
 impl Gauges {
-    /// Offset of a sensor and its size relative to the least one that is named. The level is that of the last few throws; the
-    /// longer window must show it too.
+    /// Offset of a sensor, and its size relative to the least reported offset. The level is that of the last three
+    /// throws; six throws must show the offset too.
     pub(in crate::diagnose) fn offset(&self, sensor: Offset) -> Option<(Level, f64)> {
         let ((level, size), (_, longer)) = (self.offset_in(sensor, WINDOWS[0])?, self.offset_in(sensor, WINDOWS[1])?);
         Some((level, size.min(longer)))
     }
 
-    /// The same over the last `throws`.
+    /// [`Self::offset`] over the last `throws`.
     fn offset_in(&self, sensor: Offset, throws: usize) -> Option<(Level, f64)> {
         let (level, least) = match sensor {
             Offset::Current => {
@@ -47,8 +47,8 @@ impl Gauges {
             }
             Offset::Position => {
                 let [level, travel] = [Gauge::Middle, Gauge::Travel].map(|gauge| self.level(gauge, throws));
-                let (level, changed, travel_mm) = (level?, travel?.value, self.normals(Gauge::Travel).next()?.exp());
-                // With another travel an end of the movement is elsewhere, or the gain of the sensor has changed.
+                let (level, changed, travel_mm) = (level?, travel?.value, self.normal_travel_mm()?);
+                // If the travel changed as much, only one end has moved, or the gain of the sensor has changed.
                 let is_shift = (travel_mm * changed).abs() < level.value.abs();
                 let least = if is_shift { SHIFT_SHARE * travel_mm } else { f64::INFINITY };
                 (level, least.max(SHIFT_SD * level.sd))
@@ -57,8 +57,9 @@ impl Gauges {
         Some((level, level.value.abs() / least))
     }
 
-    /// Shift of the position at the normal end, as part of the travel, if the position sensor was moved or set anew, so that both
-    /// ends read otherwise. An obstruction changes one end. `None` if it is small, or unknown.
+    /// Shift of the position at the normal end, as part of the travel, if the positions of both ends have changed, as
+    /// after the position sensor was moved or set anew. An obstruction changes only one end. `None` if the shift is
+    /// small or unknown.
     pub(in crate::diagnose) fn shift(&self, direction: Direction, features: &Features) -> Option<f64> {
         let (normal, values) = (&self.sides[direction.side()], values(features, None));
         let [now, before] = [values[Gauge::Middle as usize]?, normal.of(Gauge::Middle)?.0].map(f64::from);
@@ -70,13 +71,13 @@ impl Gauges {
         (is_other && ends[0].abs() > SHIFT_SHARE * usual_mm).then_some(ends[0] / travel_mm)
     }
 
-    /// Normal current at rest \[A\], if it is as large as a change that is named.
+    /// Normal current at rest \[A\], if it is as large as a change that is reported.
     pub(in crate::diagnose) fn normal_rest_a(&self) -> Option<f64> {
         let normal = self.normals(Gauge::Rest).max_by(|a, b| a.abs().total_cmp(&b.abs()));
         normal.filter(|normal| normal.abs() > self.least_rest_a())
     }
 
-    /// Least change of the current at rest that is named \[A\].
+    /// Least change of the current at rest that is reported \[A\].
     fn least_rest_a(&self) -> f64 {
         REST_A.max(REST_SHARE * self.normals(Gauge::Inrush).map(f64::exp).fold(0.0, f64::max))
     }

@@ -310,7 +310,7 @@ impl Tracks {
             Some(0.5 * (window.mean - level(1 - side?, window.throws)?.mean))
         };
         let known_level = known.level.map(|level| level + of_side().unwrap_or_default());
-        let known = &Known { level: known_level, ..known.clone() };
+        let known = &Known { level: known_level, baselines, ..known.clone() };
         Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
