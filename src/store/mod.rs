@@ -1,7 +1,7 @@
-//! The SQLite database: raw throws, estimates, alarms, the outbox.
+//! The SQLite database: raw throws, estimates, baselines, alarms, and the outbox of alarm events to publish.
 //!
-//! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. After `Ok` a write is on
-//! the disk and survives a power cut. Every write is idempotent.
+//! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. When a write returns `Ok`,
+//! its data are on the disk and survive a power cut. Every write is idempotent, so a caller may repeat it.
 
 mod codec;
 mod cursor;
@@ -51,7 +51,7 @@ pub use page::{Cursor, PageStored};
 pub(crate) use path::{beside, folder_of, unwritable};
 pub use quarantine::{QUARANTINED_BYTES, Refused};
 pub use read_only::Value;
-pub(crate) use read_only::{Answer, Backup, ask};
+pub(crate) use read_only::{Backup, ResultWriter, run_query};
 pub use reader::Reader;
 pub use retention::Dropped;
 pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
