@@ -63,7 +63,7 @@ impl Reader {
     /// # Errors
     /// When the database does not exist or cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
-        Self::with(path, open::reading(path)).await
+        Self::with(path, open::read_options(path)).await
     }
 
     /// Opens a database for a command that may have no right to write into its folder.
@@ -96,7 +96,7 @@ impl Reader {
     /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
     /// so that they do not fail.
     pub(super) fn reopen(&self, path: &Path) {
-        *self.pools.write() = Pools::new(&open::reading(path));
+        *self.pools.write() = Pools::new(&open::read_options(path));
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
