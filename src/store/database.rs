@@ -6,11 +6,11 @@ use jiff::Timestamp;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
+    batch::MAX_ROWS,
     disk::{Disk, DiskLevel},
     error::StoreError,
     files::DatabaseFiles,
     judgement::{Judgement, Judgements, Outcome},
-    many::ROWS,
     open::{self, Report},
     page::{Cursor, Page, PageStored, WriteOff},
     quarantine::{Quarantine, Refused, Statement},
@@ -18,7 +18,7 @@ use super::{
     settings::{MIB, Settings},
     spool::{Spool, Spooled, Spools},
     statements as sql,
-    write::Answer,
+    write::CommitReceiver,
     writer::Writer,
     writing::WritingConnection,
 };
@@ -68,9 +68,9 @@ impl Store {
             reader: reader.clone(),
             broken: false,
             identity: None,
-            looked: None,
-            log_bound: settings.max_wal_mib * MIB,
-            failed_at: 0,
+            files_checked: None,
+            max_log_bytes: settings.max_wal_mib * MIB,
+            failed_log_bytes: 0,
         });
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
@@ -107,8 +107,8 @@ impl Store {
 
     /// Stores several throws in as few commits as possible; returns the results in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut submitted = Vec::with_capacity(throws.len().div_ceil(ROWS));
-        for group in throws.chunks(ROWS) {
+        let mut submitted = Vec::with_capacity(throws.len().div_ceil(MAX_ROWS));
+        for group in throws.chunks(MAX_ROWS) {
             let writes = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
             submitted.push((group, self.submit(writes).await));
         }
@@ -133,7 +133,7 @@ impl Store {
         answers
     }
 
-    async fn submit(&self, throws: Vec<Spool>) -> Result<Answer<Vec<Spooled>>, StoreError> {
+    async fn submit(&self, throws: Vec<Spool>) -> Result<CommitReceiver<Vec<Spooled>>, StoreError> {
         let memory = self.reserve(&throws).await?;
         self.writer.submit(Spools { throws, memory }).await
     }

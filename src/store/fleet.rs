@@ -288,7 +288,7 @@ impl Reader {
 
     /// Number of machines in each state; the filter of the state is ignored.
     pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
-        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::TALLY, itself)).await?;
+        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::STATE_COUNTS, itself)).await?;
         let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
         let states =
             rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 
 use super::{
-    many,
+    batch,
     rows::{Gap, ThrowRow},
     spool::{count, machine_row},
     statements as sql,
@@ -121,7 +121,7 @@ impl Write for Judgements {
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
         let mut written = Vec::with_capacity(self.judgements.len());
-        for judgements in self.judgements.chunks(many::ROWS) {
+        for judgements in self.judgements.chunks(batch::MAX_ROWS) {
             if self.write(connection, judgements).await? {
                 written.resize(written.len() + judgements.len(), true);
                 continue;
@@ -138,10 +138,10 @@ impl Write for Judgements {
 impl Judgements {
     /// Writes judgements; false, without writing, if one of the throws was judged before.
     async fn write(&self, connection: &mut SqliteConnection, judgements: &[Judgement]) -> sqlx::Result<bool> {
-        let mut pending = many::query(sql::PENDING_AMONG, judgements.len());
-        let mut judge = many::query(sql::SET_JUDGED, judgements.len());
-        let mut estimates = many::query(sql::ADD_ESTIMATES, judgements.len());
-        let mut monitors = many::query(sql::SET_MONITORS_OF, judgements.len());
+        let mut pending = batch::query(sql::PENDING_AMONG, judgements.len());
+        let mut judge = batch::query(sql::SET_JUDGED, judgements.len());
+        let mut estimates = batch::query(sql::ADD_ESTIMATES, judgements.len());
+        let mut monitors = batch::query(sql::SET_MONITORS_OF, judgements.len());
         for judgement in judgements {
             let (row, at_us) = (judgement.row.0, judgement.outcome.at.as_microsecond());
             pending = pending.bind(row);

@@ -3,6 +3,7 @@
 //! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. When a write returns `Ok`,
 //! its data are on the disk and survive a power cut. Every write is idempotent, so a caller may repeat it.
 
+mod batch;
 mod codec;
 mod cursor;
 mod database;
@@ -13,7 +14,7 @@ mod files;
 mod fleet;
 mod graft;
 mod judgement;
-mod many;
+
 mod open;
 mod overview;
 mod pace;

@@ -49,9 +49,9 @@ impl Reader {
     ) -> Result<Vec<Health>, StoreError> {
         let of = |statement| about(statement, machine).bind(direction.as_str());
         let query = match choice {
-            Choice::Newest(limit) => of(sql::WAY_NEWEST).bind(limit),
-            Choice::Spread(limit) => of(sql::WAY_SPREAD).bind(limit),
-            Choice::Until(at, limit) => of(sql::WAY_UNTIL).bind(limit).bind(at.as_microsecond()),
+            Choice::Newest(limit) => of(sql::DIRECTION_NEWEST).bind(limit),
+            Choice::Spread(limit) => of(sql::DIRECTION_SPREAD).bind(limit),
+            Choice::Until(at, limit) => of(sql::DIRECTION_UNTIL).bind(limit).bind(at.as_microsecond()),
         };
         let mut rows = self.external(query).await?;
         rows.reverse();
