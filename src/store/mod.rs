@@ -46,7 +46,7 @@ pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Tal
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub(crate) use open::refuse_foreign;
 pub use open::{Found, Report};
-pub(crate) use overview::{AlarmCount, Choice};
+pub(crate) use overview::{AlarmCount, ThrowSelection};
 pub(crate) use pace::{RecentCount, Seldom, seldom};
 pub use page::{Cursor, PageStored};
 pub(crate) use path::{beside, folder_of, unwritable};
