@@ -8,6 +8,8 @@ use crate::throw::{Range::Within, settings};
 
 /// One mebibyte \[bytes\].
 pub(super) const MIB: u64 = 1 << 20;
+/// Size of a page of the database \[bytes\]: the default of SQLite.
+pub(super) const PAGE_BYTES: usize = 4096;
 
 settings! {
     /// The `[store]` section of the configuration. Sizes are in MiB (1,048,576 bytes).
