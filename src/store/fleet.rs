@@ -11,7 +11,7 @@ use sqlx::{
 
 use super::{
     error::StoreError,
-    reader::{Reader, about},
+    reader::{Reader, machine_query},
     rows::{json, time, timestamp, word},
     statements as sql,
 };
@@ -30,7 +30,7 @@ pub(crate) struct FleetQuery {
     pub state: Option<MachineState>,
     /// The cause of an open alarm; `None` for all machines.
     pub cause: Option<Cause>,
-    /// A text in `site/machine`; `None` for all.
+    /// A part of `site/machine`; `None` for all.
     pub search: Option<String>,
     pub offset: u32,
     pub limit: u32,
@@ -41,7 +41,7 @@ pub(crate) struct FleetQuery {
 }
 
 impl FleetQuery {
-    /// A statement on the machines of `matching!`, with its first five parameters.
+    /// Binds the five parameters of `matching!`, which are the first ones of `statement`. `itself`: the daemon.
     fn matching<'q, Row>(
         &'q self,
         statement: &'static str,
@@ -59,7 +59,7 @@ impl FleetQuery {
     }
 }
 
-/// Numbers of machines.
+/// Numbers of machines in each state.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tally {
     pub states: Vec<(MachineState, u64)>,
@@ -78,9 +78,9 @@ impl Tally {
     }
 }
 
+/// A machine in the list of the fleet page.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct FleetRow {
-    /// Name of the machine.
     #[serde(flatten)]
     pub machine: MachineId,
     pub state: MachineState,
@@ -88,14 +88,16 @@ pub(crate) struct FleetRow {
     pub drifts: Vec<Drifting>,
     /// Causes of all open alarms.
     pub causes: Vec<Cause>,
-    /// Of these, causes of alarms that are over, and not acknowledged.
+    /// Causes of the alarms that are over, but not acknowledged.
     pub causes_over: Vec<Cause>,
+    /// Start of the last judged throw.
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Throws in the baseline of the last throw's direction (or of normal to reverse), and throws that it needs.
+    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number that the baseline
+    /// needs.
     pub baseline: Option<(u64, u64)>,
-    /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
+    /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
     pub spark: Vec<[f64; 3]>,
 }
 
@@ -105,9 +107,10 @@ pub(crate) struct Fault {
     /// Last event of the alarm.
     #[serde(flatten)]
     pub alarm: Alarm,
-    /// Size and standard deviation when raised \[%\].
+    /// Change and its standard deviation when the alarm was raised \[%\].
     #[serde(skip)]
     pub raised: Option<(f64, f64)>,
+    /// Active drifts of the machine now.
     pub drifts: Vec<Drifting>,
 }
 
@@ -116,10 +119,11 @@ pub(crate) struct Fault {
 pub(crate) struct CommandRow {
     /// Time of the command.
     pub at: Timestamp,
-    /// Name of the command, as `ack`.
+    /// Name of the command, for example `ack`.
     pub command: String,
     /// Cause of the alarm, for commands about an alarm.
     pub cause: Option<Cause>,
+    /// End of the shelving or of the maintenance window.
     pub until: Option<Timestamp>,
     /// Name of the operator.
     pub by: String,
@@ -127,19 +131,22 @@ pub(crate) struct CommandRow {
     pub why: Option<String>,
 }
 
-/// Open alarms of a system-wide cause (not monitored, lost data) at one site.
+/// The open alarms at one site with a cause that often affects many machines at once (`not_monitored`, `data_loss`).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommonAlarm {
     pub cause: Cause,
     pub site: String,
-    /// One of the machines.
+    /// One of the machines: the first by name.
     pub machine: String,
+    /// Number of the alarms.
     pub count: u64,
+    /// Time at which the first alarm was raised.
     pub first: Timestamp,
+    /// Time at which the last alarm was raised.
     pub last: Timestamp,
-    /// Text of an alarm about lost data, which has several kinds.
+    /// Text of the alarms, for `data_loss`, which has several kinds.
     pub text: Option<String>,
-    /// Whether the alarms are cleared, and not acknowledged.
+    /// Whether the alarms are cleared, but not acknowledged.
     pub is_over: bool,
 }
 
@@ -180,7 +187,7 @@ impl Window {
         windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause)
     }
 
-    /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
+    /// A part of a sentence, such as "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
     pub fn sentence(&self) -> String {
         let until = self.until.map(|until| format!("until {} ", utc(&until)));
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
@@ -208,9 +215,9 @@ impl FromRow<'_, SqliteRow> for FleetRow {
         let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
         let spark = spark.unwrap_or_default().into_iter().rev().map(all).skip_while(Option::is_none);
         let spark: Vec<_> = spark.collect();
-        // Few good throws between many rough ones are no picture of the machine.
-        let is_picture = 2 * spark.iter().flatten().count() > spark.len();
-        let spark = spark.into_iter().flatten().filter(|_| is_picture).collect();
+        // If most throws are rough, the few good ones among them would give a wrong picture of the machine.
+        let is_shown = 2 * spark.iter().flatten().count() > spark.len();
+        let spark = spark.into_iter().flatten().filter(|_| is_shown).collect();
         let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
         Ok(Self {
             machine: MachineId::from_row(row)?,
@@ -301,10 +308,10 @@ impl Reader {
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
-    /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
-    /// version cannot read.
+    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of alarms
+    /// among them that this version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
-        let rows: Vec<FaultRow> = self.external(about(sql::FAULTS, itself).bind(limit)).await?;
+        let rows: Vec<FaultRow> = self.external(machine_query(sql::FAULTS, itself).bind(limit)).await?;
         let found = rows.len();
         let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
         let unreadable = found - faults.len();
@@ -313,13 +320,13 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let rows: Vec<(i64,)> = self.external(about(sql::FAULT_COUNT, itself)).await?;
+        let rows: Vec<(i64,)> = self.external(machine_query(sql::FAULT_COUNT, itself)).await?;
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
-    /// Numbers of open alarms of system-wide causes, by cause, site and text.
+    /// The open alarms with the causes of [`CommonAlarm`], grouped by cause, site and text.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
-        self.external(about(sql::COMMON, itself)).await
+        self.external(machine_query(sql::COMMON, itself)).await
     }
 
     /// The open windows of one machine or of all.
@@ -332,7 +339,7 @@ impl Reader {
 
     /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        self.external(about(sql::COMMANDS, machine).bind(limit)).await
+        self.external(machine_query(sql::COMMANDS, machine).bind(limit)).await
     }
 
     /// The newest `limit` baselines of a machine, newest first.
@@ -341,13 +348,13 @@ impl Reader {
         machine: &MachineId,
         limit: u32,
     ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let rows: Vec<(String,)> = self.external(about(sql::BASELINES, machine).bind(limit)).await?;
+        let rows: Vec<(String,)> = self.external(machine_query(sql::BASELINES, machine).bind(limit)).await?;
         // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let rows: Vec<Present> = self.external(about(sql::STATE, machine)).await?;
+        let rows: Vec<Present> = self.external(machine_query(sql::STATE, machine)).await?;
         Ok(rows.into_iter().next().unwrap_or_default())
     }
 
@@ -357,7 +364,7 @@ impl Reader {
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<[Option<ThrowRef>; 2], StoreError> {
-        let statement = about(sql::THROW_NEIGHBOURS, machine);
+        let statement = machine_query(sql::THROW_NEIGHBOURS, machine);
         let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
         let rows: Vec<(String, i64, bool)> = self.external(statement).await?;
         let mut neighbours = [None, None];
@@ -367,14 +374,15 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A typical throw of a baseline: the last good one of a direction with a trace, up to `at`.
+    /// A typical throw of the baseline that was taken at `at`: the last good throw of a direction before this time that still
+    /// has its trace.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,
         direction: Direction,
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
-        let statement = about(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
+        let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
         Ok(self.external(statement).await?.into_iter().next())
     }
 }

@@ -83,7 +83,8 @@ impl Write for Page {
     }
 }
 
-/// Writes off the awaited gaps from the boot at position `from` up to the boot at `to`, which the backlog does not have.
+/// Writes off the awaited gaps of the boot at position `from` and of the boots before position `to`, and expects no later
+/// throws of them: the backlog does not have these.
 async fn write_off_boots(
     connection: &mut SqliteConnection,
     machine_row: i64,
