@@ -8,7 +8,7 @@ use super::{
 };
 use crate::diagnose::Command;
 
-/// Largest command \[bytes\]: room for names and a reason.
+/// Largest command \[bytes\]: enough for names and a reason.
 const MAX_BYTES: usize = 8 * 1024;
 
 /// Decodes a command.
@@ -38,13 +38,13 @@ pub struct Reply {
     pub monitor: String,
 }
 
-/// A daemon that applies the commands of a machine: its reply to a query without payload on the machine's command key.
-/// With its session in the selector (`?session=…`) a command goes to this daemon only.
+/// Identifies a daemon that applies the commands for a machine: the reply to a query without payload on the machine's
+/// command key. A command with this session in its selector (`?session=…`) is applied by this daemon only.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Commander {
-    /// Name: `{site}/{id}` of its section `[monitor]`.
+    /// Name of the daemon: `{site}/{id}` of its section `[monitor]`.
     pub monitor: String,
-    /// Identifier of its zenoh session; differs between two daemons of the same name.
+    /// Identifier of its zenoh session: two daemons may have the same name, but not the same session.
     pub session: String,
 }
 
