@@ -14,7 +14,8 @@ use crate::{
     wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
-/// Time until a query of an operator fails; longer than a daemon needs for a batch of throws.
+/// Time until a query of an operator fails: longer than the time in which a daemon judges a batch of throws before it
+/// replies.
 pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
 
 /// A query or command without a usable answer.
@@ -50,7 +51,7 @@ pub enum OperatorError {
         /// Names and sessions of the daemons.
         daemons: String,
     },
-    /// The daemon that answers is not the daemon of the given configuration.
+    /// The daemon that answers is not the one named in the configuration.
     #[error(
         "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
     )]
@@ -69,7 +70,7 @@ pub enum OperatorError {
     /// A daemon did not answer in time.
     #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
     Timeout,
-    /// The daemon refused, with its reason.
+    /// The daemon refused the query or command, with this reason.
     #[error("{0}")]
     Refused(String),
 }
@@ -79,7 +80,7 @@ pub enum OperatorError {
 pub struct Answers {
     /// Keys and payloads, in the order of the keys.
     pub messages: Vec<(String, Vec<u8>)>,
-    /// The errors of daemons that could not answer.
+    /// The errors of daemons that gave no answer.
     pub errors: Vec<OperatorError>,
 }
 
@@ -103,7 +104,7 @@ pub async fn ask(
     payload: Option<Vec<u8>>,
     timeout: Duration,
 ) -> Result<Answers, OperatorError> {
-    /// Zenoh's own reply after the time limit of the query.
+    /// Text of the error reply that zenoh itself makes at the time limit of the query.
     const TIMEOUT: &str = "Timeout";
     let asked = BusError::new(format!("ask {selector}"));
     let mut get = session
@@ -133,13 +134,13 @@ pub async fn ask(
             }
         }
     }
-    // Daemons reply in any order. Stable, as several messages of a key have an order.
+    // Daemons reply in any order. The sort is stable, as several messages with one key are in order.
     answers.messages.sort_by(|(one, _), (other, _)| one.cmp(other));
     Ok(answers)
 }
 
-/// Sends a command to the daemon that serves a machine, and returns its reply. First asks all daemons that would apply
-/// the command for their names; sends nothing unless there is exactly one, and it is `expected` if that is given.
+/// Sends a command to the daemon that serves a machine, and returns its reply. First queries the names of all daemons that
+/// would apply the command. Sends nothing unless there is exactly one, and its name is `expected` if that is given.
 pub(crate) async fn command(
     session: &Session,
     machine: &MachineId,
@@ -205,7 +206,7 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     }
 }
 
-/// Distinguishes "no alarms" from "no daemon monitors this": checks that a daemon runs and, for a given machine, that a
+/// Distinguishes "no alarms" from "not monitored by any daemon": checks that a daemon runs and, if a machine is given, that a
 /// daemon knows it.
 pub(crate) async fn require_monitored(session: &Session, machine: Option<&MachineId>) -> Result<(), OperatorError> {
     if monitors(session).await?.is_empty() {
