@@ -61,13 +61,13 @@ impl FleetQuery {
 
 /// Numbers of machines in each state.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Tally {
+pub(crate) struct StateCounts {
     pub states: Vec<(MachineState, u64)>,
     /// Number of machines that are not monitored and have no other open alarm.
     pub silent: u64,
 }
 
-impl Tally {
+impl StateCounts {
     /// Number of all machines.
     pub(crate) fn total(&self) -> u64 {
         self.states.iter().map(|(_, count)| count).sum()
@@ -294,12 +294,12 @@ impl Reader {
     }
 
     /// Number of machines in each state; the filter of the state is ignored.
-    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
+    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<StateCounts, StoreError> {
         let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::STATE_COUNTS, itself)).await?;
         let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
         let states =
             rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
-        Ok(Tally { states: states.collect(), silent })
+        Ok(StateCounts { states: states.collect(), silent })
     }
 
     /// The first `limit` sites by name.

@@ -42,7 +42,7 @@ pub use disk::DiskLevel;
 pub use error::StoreError;
 pub(crate) use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Tally, WORST_FIRST};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, StateCounts, WORST_FIRST};
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub(crate) use open::refuse_foreign;
 pub use open::{Found, Report};
