@@ -23,7 +23,7 @@ const MAX_ERROR: usize = 200;
 
 /// How a page ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Ending {
+pub(crate) enum PageEnd {
     /// All replies of the logger arrived.
     #[default]
     Complete,
@@ -37,7 +37,7 @@ pub(crate) struct Page {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    pub ending: Ending,
+    pub ending: PageEnd,
     /// The last error reply: from the logger, or from zenoh at the time limit.
     pub error: Option<String>,
 }
@@ -83,6 +83,6 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let (page, _) = std::mem::take(&mut *collected.lock());
-    let ending = if has_ended && page.error.is_none() { Ending::Complete } else { Ending::Broken };
+    let ending = if has_ended && page.error.is_none() { PageEnd::Complete } else { PageEnd::Broken };
     Page { ending, ..page }
 }

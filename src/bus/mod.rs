@@ -14,7 +14,7 @@ mod presence;
 mod queries;
 mod session;
 
-pub(crate) use backlog::{Ending, page};
+pub(crate) use backlog::{PageEnd, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::{Limits, Message};
