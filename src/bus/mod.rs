@@ -21,7 +21,7 @@ pub(crate) use message::{Limits, Message};
 pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
-pub(crate) use presence::{Audience, watch_tokens};
+pub(crate) use presence::{SubscriberWatch, watch_tokens};
 pub use queries::{Question, Questions};
 pub use session::open;
 pub(crate) use session::{declare_alive, intersect, is_client, is_connected};

@@ -27,9 +27,9 @@ pub(crate) async fn watch_tokens(
 }
 
 /// Watches the subscribers to a key expression, by a zenoh publisher that publishes nothing.
-pub(crate) struct Audience(Publisher<'static>);
+pub(crate) struct SubscriberWatch(Publisher<'static>);
 
-impl Audience {
+impl SubscriberWatch {
     /// Watches for subscribers to any key in the key expression.
     pub(crate) async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let publisher = session.declare_publisher(key_expression.to_owned()).await;

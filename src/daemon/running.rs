@@ -32,7 +32,7 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, Outlet, Questions},
+    bus::{self, BusError, Inbox, Limits, Outlet, Questions, SubscriberWatch},
     store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
@@ -252,7 +252,7 @@ impl Starting {
             outlet,
             status: Arc::clone(&self.status),
             outbox: Arc::clone(&self.outbox),
-            audience: Audience::of(&self.session, &self.scope(Kind::Alarm)).await?,
+            audience: SubscriberWatch::of(&self.session, &self.scope(Kind::Alarm)).await?,
             is_first,
             is_client: bus::is_client(&self.config.zenoh),
         };
