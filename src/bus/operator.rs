@@ -11,7 +11,7 @@ use zenoh::{
 use super::error::BusError;
 use crate::{
     throw::MachineId,
-    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
+    wire::{CommandTarget, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
 /// Time until a query of an operator fails: longer than the time in which a daemon judges a batch of throws before it
@@ -149,7 +149,7 @@ pub(crate) async fn command(
 ) -> Result<Vec<u8>, OperatorError> {
     let key = machine_key(machine, Kind::Command);
     let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
-    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<Commander>(payload));
+    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload));
     let daemons = daemons.collect::<Result<Vec<_>, _>>().map_err(|_| OperatorError::Nameless(machine.to_string()))?;
     let commander = match daemons.as_slice() {
         [only] => only,
@@ -176,7 +176,7 @@ pub(crate) async fn command(
 /// The names of the daemons that serve a machine.
 pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Vec<String>, OperatorError> {
     let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.messages;
-    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<Commander>(payload).ok());
+    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload).ok());
     Ok(daemons.map(|daemon| daemon.monitor).collect())
 }
 

@@ -4,7 +4,7 @@ use super::{orders::Orders, status::StatusSources};
 use crate::{
     bus::{Question, Questions},
     store::{Reader, Selector, StoreError, seldom},
-    wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
+    wire::{self, Alarm, CommandTarget, Health, HistoryQuery, Kind},
 };
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
@@ -17,7 +17,7 @@ pub(super) enum Answers {
     Alarms { reader: Reader, elsewhere: Option<String> },
     /// To operators' commands, and to queries for the name of the daemon, `itself`. A command for another daemon gets
     /// no reply.
-    Commands { orders: Orders, itself: Commander },
+    Commands { orders: Orders, itself: CommandTarget },
     /// To status queries.
     Status { key: String, sources: StatusSources },
 }
@@ -86,7 +86,7 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
+async fn command_reply(question: &Question, orders: &Orders, itself: &CommandTarget) -> Replies {
     let payload = question.payload();
     let machine = match wire::parse_key(question.key()) {
         Ok((machine, _)) => machine,

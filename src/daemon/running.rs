@@ -35,7 +35,7 @@ use crate::{
     bus::{self, BusError, Inbox, Limits, Outlet, Questions, SubscriberWatch},
     store::{self, Found, Opened, Store},
     throw::MachineId,
-    wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
+    wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws. A slower observer skips the oldest.
@@ -363,7 +363,7 @@ impl Starting {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
-        let itself = Commander { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
+        let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
         let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
         let mut all = vec![

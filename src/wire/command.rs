@@ -41,7 +41,7 @@ pub struct Reply {
 /// Identifies a daemon that applies the commands for a machine: the reply to a query without payload on the machine's
 /// command key. A command with this session in its selector (`?session=…`) is applied by this daemon only.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Commander {
+pub struct CommandTarget {
     /// Name of the daemon: `{site}/{id}` of its section `[monitor]`.
     pub monitor: String,
     /// Identifier of its zenoh session: two daemons may have the same name, but not the same session.
