@@ -40,7 +40,7 @@ const NOISE_VALUES: usize = 1 << 17;
 
 /// Settings of a load.
 #[derive(Debug, Clone)]
-pub struct Load {
+pub struct LoadTest {
     /// The machines, in the order in which they throw.
     pub machines: Vec<MachineId>,
     /// Throws per second of all machines together.
@@ -55,7 +55,7 @@ pub struct Load {
 
 /// Result of a load.
 #[derive(Debug, Clone)]
-pub struct Loaded {
+pub struct LoadResult {
     /// Time from the first to the last publication.
     pub publishing: Duration,
     /// Number of throws judged before the last publication.
@@ -98,12 +98,12 @@ impl Tracking {
 
 type Shared = Arc<Mutex<Tracking>>;
 
-impl Load {
+impl LoadTest {
     /// Publishes the throws, and waits until the health of every throw has arrived, or no health has arrived for `patience`.
     ///
     /// # Errors
     /// When the simulation or zenoh fails.
-    pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
+    pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<LoadResult, LoggerError> {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());
         let _subscribers = subscribe(session, boot_id, &healths, &alarms)?;
@@ -134,7 +134,7 @@ impl Load {
         let last = wait_for_all(&healths, end, patience);
         wait_for_all(&alarms, clock::monotonic(), patience);
         let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| tracking.lock().sorted());
-        Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
+        Ok(LoadResult { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
 
     fn prepare(&self) -> Result<Vec<Vec<SimulatedThrow>>, LoggerError> {
