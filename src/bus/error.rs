@@ -17,7 +17,7 @@ const TEMPORARY: [&str; 4] = ["(os error ", "nable to connect", "imeout", "looku
 impl BusError {
     /// Whether a later attempt may succeed. The other errors of opening come from the configuration: for example, a file is not
     /// a certificate.
-    pub(crate) fn may_pass(&self) -> bool {
+    pub(crate) fn is_temporary(&self) -> bool {
         let text = self.source.to_string();
         self.action != OPEN || TEMPORARY.iter().any(|part| text.contains(part))
     }
