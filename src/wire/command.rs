@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Invalid,
-    text::{not_an_object, unmarked},
+    text::{not_an_object, without_byte_order_mark},
 };
 use crate::diagnose::Command;
 
@@ -20,7 +20,7 @@ pub fn decode_command(payload: &[u8]) -> Result<Command, Invalid> {
         return Err(Invalid(format!("the command has {} bytes, must be 1 to {MAX_BYTES}", payload.len())));
     }
     let example = "{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}";
-    serde_json::from_slice(unmarked(payload)).map_err(|error| {
+    serde_json::from_slice(without_byte_order_mark(payload)).map_err(|error| {
         let problem = not_an_object(payload).unwrap_or_else(|| error.to_string());
         Invalid(format!("not a command: {problem}; for example {example}"))
     })

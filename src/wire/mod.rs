@@ -21,5 +21,5 @@ pub use key::{
     parse_key, parse_monitor_key,
 };
 pub use query::{HistoryQuery, MAX_HISTORY, only_known};
-pub use text::{Invalid, json, json_bytes, unmarked};
+pub use text::{Invalid, json, json_bytes, without_byte_order_mark};
 pub use throw::{Encoding, decode_throw, encode_throw, is_boot_id, throw_id};

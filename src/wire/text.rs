@@ -9,13 +9,13 @@ pub struct Invalid(pub(super) String);
 
 /// JSON without the byte order mark that some clients and editors write, and that a reader may ignore (RFC 8259, section
 /// 8.1).
-pub fn unmarked(payload: &[u8]) -> &[u8] {
+pub fn without_byte_order_mark(payload: &[u8]) -> &[u8] {
     payload.strip_prefix("\u{feff}".as_bytes()).unwrap_or(payload)
 }
 
 /// The first byte of JSON after white space.
 pub(super) fn first_byte(payload: &[u8]) -> Option<u8> {
-    unmarked(payload).trim_ascii_start().first().copied()
+    without_byte_order_mark(payload).trim_ascii_start().first().copied()
 }
 
 /// A sentence about a payload that is no JSON object in UTF-8, as its first byte shows; `None` if the payload may be one.

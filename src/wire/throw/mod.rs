@@ -12,7 +12,7 @@ pub use fields::is_boot_id;
 
 use super::{
     Invalid, json_bytes,
-    text::{first_byte, not_an_object, unmarked},
+    text::{first_byte, not_an_object, without_byte_order_mark},
 };
 use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
@@ -46,7 +46,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
         }
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
-            let payload = unmarked(payload);
+            let payload = without_byte_order_mark(payload);
             let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
             serde_json::from_slice(payload).map_err(invalid)
         }
