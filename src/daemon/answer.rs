@@ -56,7 +56,7 @@ impl Answers {
 }
 
 fn takes_only(question: &Question, known: &[&str]) -> Result<(), String> {
-    wire::only_known(question.parameters(), known).map_err(|error| error.to_string())
+    wire::check_parameters(question.parameters(), known).map_err(|error| error.to_string())
 }
 
 async fn health_replies(question: &Question, reader: &Reader) -> Replies {

@@ -20,6 +20,6 @@ pub use key::{
     EVERY_MONITOR_ALIVE, Kind, Scope, every_key, machine_key, machine_patterns, monitor_alive_key, monitor_status_key,
     parse_key, parse_monitor_key,
 };
-pub use query::{HistoryQuery, MAX_HISTORY, only_known};
+pub use query::{HistoryQuery, MAX_HISTORY, check_parameters};
 pub use text::{Invalid, json, json_bytes, without_byte_order_mark};
 pub use throw::{Encoding, decode_throw, encode_throw, is_boot_id, throw_id};

@@ -29,7 +29,7 @@ impl HistoryQuery {
     /// # Errors
     /// When `since` or `limit` is invalid, or another parameter is given.
     pub fn parse(parameters: &str) -> Result<Self, Invalid> {
-        only_known(parameters, &["since", "limit"])?;
+        check_parameters(parameters, &["since", "limit"])?;
         let value = |name: &str| pairs(parameters).find(|(key, _)| *key == name).map(|(_, value)| value);
         let wrong = |name: &str, text: &str, must: &str| {
             let text: String = text.chars().take(60).collect();
@@ -65,7 +65,7 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
 ///
 /// # Errors
 /// When a parameter is unknown; the error names it and the known parameters.
-pub fn only_known(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
+pub fn check_parameters(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
     let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
     let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
     let unknown: String = unknown.chars().take(60).collect();
@@ -94,9 +94,9 @@ mod tests {
             let error = HistoryQuery::parse(text).unwrap_err().to_string();
             assert!(error.starts_with("unknown parameter") && error.ends_with("known are since, limit"), "{error}");
         }
-        assert!(only_known("_time=[now(-1h)..];_anyke", &[]).is_ok());
+        assert!(check_parameters("_time=[now(-1h)..];_anyke", &[]).is_ok());
         assert_eq!(
-            only_known("limit=1", &[]).unwrap_err().to_string(),
+            check_parameters("limit=1", &[]).unwrap_err().to_string(),
             "unknown parameter \"limit\": this query has none"
         );
     }
