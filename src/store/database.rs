@@ -13,7 +13,7 @@ use super::{
     judgement::{Judgement, Judgements, Outcome},
     open::{self, Report},
     page::{Cursor, Page, PageStored, WriteOff},
-    quarantine::{Quarantine, Refused, Statement},
+    quarantine::{Quarantine, QuarantinedMessage, Statement},
     reader::Reader,
     settings::{MIB, Settings},
     spool::{Spool, Spooled, Spools},
@@ -215,7 +215,7 @@ impl Store {
     ///
     /// # Errors
     /// When they could not be stored.
-    pub async fn quarantine(&self, refused: Vec<Refused>) -> Result<(), StoreError> {
+    pub async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> Result<(), StoreError> {
         self.writer.write(Quarantine { refused, keep: self.settings.max_quarantined }).await
     }
 

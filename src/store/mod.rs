@@ -50,7 +50,7 @@ pub(crate) use overview::{AlarmCount, ThrowSelection};
 pub(crate) use pace::{RecentCount, Seldom, seldom};
 pub use page::{Cursor, PageStored};
 pub(crate) use path::{beside, folder_of, unwritable};
-pub use quarantine::{QUARANTINED_BYTES, Refused};
+pub use quarantine::{QUARANTINED_BYTES, QuarantinedMessage};
 pub use read_only::Value;
 pub(crate) use read_only::{Backup, ResultWriter, run_query};
 pub use reader::Reader;

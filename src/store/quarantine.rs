@@ -18,7 +18,7 @@ const MAX_TEXT: usize = 512;
 
 /// A message for quarantine.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Refused {
+pub struct QuarantinedMessage {
     /// Key of the message.
     pub key: String,
     /// Reason for the rejection.
@@ -33,7 +33,7 @@ pub struct Refused {
     pub at: Timestamp,
 }
 
-impl Refused {
+impl QuarantinedMessage {
     /// A valid throw that the daemon does not accept, for example of an unknown machine.
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
@@ -50,7 +50,7 @@ impl Refused {
 
 /// Messages for quarantine, in the order of arrival.
 pub(super) struct Quarantine {
-    pub(super) refused: Vec<Refused>,
+    pub(super) refused: Vec<QuarantinedMessage>,
     /// Largest number of messages kept in the database: the newest ones.
     pub(super) keep: u32,
 }
