@@ -22,6 +22,6 @@ pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
 pub(crate) use presence::{SubscriberWatch, watch_tokens};
-pub use queries::{Question, Questions};
+pub use queries::{QueryQueue, ReceivedQuery};
 pub use session::open;
 pub(crate) use session::{declare_alive, intersect, is_client, is_connected};

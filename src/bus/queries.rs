@@ -30,11 +30,11 @@ const BUSY: &str = "too many queries wait at this daemon: ask again in some seco
 const MAX_PAYLOAD: usize = 64 << 10;
 
 /// A received query.
-pub struct Question {
+pub struct ReceivedQuery {
     query: Query,
 }
 
-impl Question {
+impl ReceivedQuery {
     /// Key expression of the query.
     pub fn key(&self) -> &str {
         self.query.key_expr().as_str()
@@ -62,17 +62,17 @@ impl Question {
 }
 
 /// A queryable with a bounded queue of queries.
-pub struct Questions {
-    waiting: mpsc::Receiver<Question>,
+pub struct QueryQueue {
+    waiting: mpsc::Receiver<ReceivedQuery>,
     /// Queries that found `waiting` full, for an error reply.
-    refused: mpsc::Receiver<Question>,
+    refused: mpsc::Receiver<ReceivedQuery>,
     dropped: Arc<AtomicU64>,
     /// A permit for each query whose replies are being sent.
     sending: Arc<Semaphore>,
     _queryable: Queryable<()>,
 }
 
-impl Questions {
+impl QueryQueue {
     /// Declares the queryable.
     ///
     /// # Errors
@@ -91,7 +91,7 @@ impl Questions {
                     counter.fetch_add(1, Relaxed);
                     return;
                 }
-                if let Err(TrySendError::Full(question)) = sender.try_send(Question { query }) {
+                if let Err(TrySendError::Full(question)) = sender.try_send(ReceivedQuery { query }) {
                     counter.fetch_add(1, Relaxed);
                     // If this queue is full too, the query ends without a reply.
                     let _ = refuse.try_send(question);
@@ -110,7 +110,7 @@ impl Questions {
 
     /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this reply
     /// soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
-    pub async fn next(&mut self) -> Option<Question> {
+    pub async fn next(&mut self) -> Option<ReceivedQuery> {
         // Only the queries that are refused now: during a flood others follow without end.
         for _ in 0..self.refused.len() {
             let question = self.refused.recv().await?;
@@ -124,7 +124,7 @@ impl Questions {
 
     /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are sent, but
     /// first waits while replies to `SENDING` other queries are being sent.
-    pub(crate) async fn answer(&self, question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
+    pub(crate) async fn answer(&self, question: ReceivedQuery, replies: Result<Vec<(String, Vec<u8>)>, String>) {
         // The result is always `Ok`, as nothing closes the semaphore.
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
             send(question, replies, permit);
@@ -134,7 +134,11 @@ impl Questions {
 
 /// Sends replies on a blocking thread: a reply blocks on a slow link, until zenoh closes the link after 5 s without
 /// progress.
-fn send(Question { query }: Question, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
+fn send(
+    ReceivedQuery { query }: ReceivedQuery,
+    replies: Result<Vec<(String, Vec<u8>)>, String>,
+    permit: OwnedSemaphorePermit,
+) {
     task::spawn_blocking(move || {
         let _permit = permit;
         let failed = |error| tracing::debug!(%error, "sending a reply failed");

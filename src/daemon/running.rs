@@ -32,7 +32,7 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, BusError, Inbox, Limits, Outlet, Questions, SubscriberWatch},
+    bus::{self, BusError, Inbox, Limits, Outlet, QueryQueue, SubscriberWatch},
     store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
@@ -380,7 +380,7 @@ impl Starting {
             all.push(("answer own commands", own(Kind::Command), commands()));
         }
         for (name, key, answers) in all {
-            let questions = Questions::declare(&self.session, &key).await?;
+            let questions = QueryQueue::declare(&self.session, &key).await?;
             self.tasks.spawn(name, answers.run(questions));
         }
         Ok(())
