@@ -55,7 +55,7 @@ pub(super) async fn stored(connection: &mut SqliteConnection, machine_row: i64) 
     sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(connection).await
 }
 
-/// Opens the backlog of a machine after a position, unless it is open already.
+/// Opens the backlog of a machine with its cursor at `after`, unless the backlog is open already.
 pub(super) async fn open(
     connection: &mut SqliteConnection,
     machine_row: i64,

@@ -32,7 +32,7 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
-    /// Free part of [`MEMORY_BUDGET_KIB`].
+    /// The unused part of [`MEMORY_BUDGET_KIB`].
     memory_budget: Arc<Semaphore>,
 }
 
@@ -90,10 +90,10 @@ impl Store {
         &self.settings.path
     }
 
-    /// Stores a received throw. After `Ok` it is on the disk.
+    /// Stores a received throw. After `Ok` the throw is on the disk.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the throw could not be stored; the same call may be repeated.
     pub async fn spool(
         &self,
         machine: &MachineId,
@@ -147,7 +147,7 @@ impl Store {
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the page could not be stored; the same call may be repeated.
     pub async fn spool_page(
         &self,
         machine: &MachineId,
@@ -165,7 +165,7 @@ impl Store {
     /// does not have them.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the change could not be stored; the same call may be repeated.
     pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
@@ -183,7 +183,7 @@ impl Store {
     /// Stores the outcome of an operator's command or of a periodic check, in one transaction.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the outcome could not be stored; the same call may be repeated.
     pub async fn record(&self, outcome: Outcome) -> Result<(), StoreError> {
         self.record_all(Arc::new([outcome])).await
     }
@@ -196,7 +196,7 @@ impl Store {
     /// Removes messages that zenoh has accepted from the outbox.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the change could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }

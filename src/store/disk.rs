@@ -193,7 +193,7 @@ impl Disk {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 
-    pub(super) fn release_ballast(&self) {
+    fn release_ballast(&self) {
         match std::fs::remove_file(&self.ballast) {
             Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: ballast removed"),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}

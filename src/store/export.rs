@@ -67,17 +67,18 @@ impl Export {
             None => sqlx::query(sql::EXPORT).bind(None::<&str>).bind(None::<&str>),
         };
         let query = query.bind(after_us).bind(after_row).bind(self.until_us).bind(PAGE_THROWS);
-        let rows = query.fetch_all(&mut self.connection).await.map_err(StoreError::read)?;
-        let exported = |row| {
-            let values =
-                (PAGING_COLUMNS..Row::len(row)).map(|at| read_only::value(row, at)).collect::<sqlx::Result<_>>()?;
-            Ok(Exported { throw_row: row.try_get("throw_row")?, values })
+        let read = async {
+            let rows = query.fetch_all(&mut self.connection).await?;
+            if let Some(last) = rows.last() {
+                self.after = (last.try_get("started_at_us")?, last.try_get("throw_row")?);
+            }
+            let exported = |row| {
+                let values = (PAGING_COLUMNS..Row::len(row)).map(|at| read_only::value(row, at));
+                Ok(Exported { throw_row: row.try_get("throw_row")?, values: values.collect::<sqlx::Result<_>>()? })
+            };
+            rows.iter().map(exported).collect::<sqlx::Result<_>>()
         };
-        if let Some(last) = rows.last() {
-            let place = || Ok((last.try_get("started_at_us")?, last.try_get("throw_row")?));
-            self.after = place().map_err(StoreError::read)?;
-        }
-        rows.iter().map(exported).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        read.await.map_err(StoreError::read)
     }
 
     /// A throw of a page with its trace; `None` if retention has deleted it.

@@ -101,7 +101,7 @@ pub(crate) struct FleetRow {
     pub spark: Vec<[f64; 3]>,
 }
 
-/// An open alarm about the condition of a machine, with its size when raised and the present drifts.
+/// An open alarm about the condition of a machine, with its change when it was raised, and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
     /// Last event of the alarm.
@@ -166,7 +166,7 @@ pub struct Window {
     pub why: Option<String>,
 }
 
-/// The states from the worst to the best, as in lists.
+/// The states from the worst to the best: the order in lists.
 pub(crate) const WORST_FIRST: [MachineState; 6] = [
     MachineState::Critical,
     MachineState::NotMonitored,
@@ -177,7 +177,7 @@ pub(crate) const WORST_FIRST: [MachineState; 6] = [
 ];
 
 impl Window {
-    /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
+    /// The window of a shelved alarm, or of an alarm of a machine in maintenance; `None` for an alarm in another state.
     pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
         let cause = match alarm.state {
             AlarmState::Shelved => Some(alarm.cause),
@@ -320,8 +320,8 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let rows: Vec<(i64,)> = self.external(machine_query(sql::FAULT_COUNT, itself)).await?;
-        Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
+        let count: Option<(i64,)> = self.external_row(machine_query(sql::FAULT_COUNT, itself)).await?;
+        Ok(count.map_or(0, |(count,)| count.cast_unsigned()))
     }
 
     /// The open alarms with the causes of [`CommonAlarm`], grouped by cause, site and text.
@@ -354,8 +354,7 @@ impl Reader {
     }
 
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let rows: Vec<Present> = self.external(machine_query(sql::STATE, machine)).await?;
-        Ok(rows.into_iter().next().unwrap_or_default())
+        Ok(self.external_row(machine_query(sql::STATE, machine)).await?.unwrap_or_default())
     }
 
     /// The previous and the next throw of a machine, in the order of their start.
@@ -383,6 +382,6 @@ impl Reader {
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
         let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
-        Ok(self.external(statement).await?.into_iter().next())
+        self.external_row(statement).await
     }
 }

@@ -23,7 +23,7 @@ use crate::{
 /// Number of operators' commands kept: a hundred a day for ten years, 100 MB. The daemon accepts at most 14,400 a day.
 pub const COMMANDS_KEPT: u32 = 500_000;
 
-/// Number of events kept of an alarm, the last ones.
+/// Number of events kept of an alarm besides its first event: the last ones.
 const EVENTS_KEPT: u32 = 1_000;
 
 /// The result of judging one throw.

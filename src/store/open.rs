@@ -55,9 +55,9 @@ pub enum Found {
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// Not closed, and without its write-ahead log: the log was removed, or only the database was copied.
+    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or only the database was copied.
     WithoutLog,
-    /// Broken: renamed, and replaced by a new database with the readable rows.
+    /// The database was broken. It was renamed, and replaced by a new database with the readable rows.
     SetAside {
         /// New path of the broken database.
         to: PathBuf,
@@ -205,8 +205,8 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
     copied
 }
 
-/// Refuses a file that is not ours: a text file, or the database of another program or of a newer version that this one
-/// could damage. A file that cannot be read here is checked when it is opened for writing.
+/// Refuses a file that pointsd must not change: a text file, the database of another program, or the database of a newer
+/// version that this version could damage. A file that cannot be read here is checked when it is opened for writing.
 pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
@@ -264,7 +264,7 @@ fn is_text(path: &Path) -> bool {
 
 /// A failed opening.
 enum OpenFailure {
-    /// The file is damaged, with the finding.
+    /// The file is damaged; holds the error that SQLite reported.
     Broken(String),
     Access(sqlx::Error),
     Schema(StoreError),

@@ -78,17 +78,16 @@ impl Reader {
         // The throw does not exist: the database stores no larger numbers.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
         let query = machine_query(sql::THROW_AT, machine).bind(throw.boot_id.as_str()).bind(throw_no);
-        let stored: Vec<StoredThrow> = self.external(query).await?;
-        let Some(stored) = stored.into_iter().next() else { return Ok(None) };
-        let health = self.external(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
-        Ok(Some((stored, health.into_iter().next())))
+        let Some(stored) = self.external_row::<StoredThrow>(query).await? else { return Ok(None) };
+        let health = self.external_row(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
+        Ok(Some((stored, health)))
     }
 
     /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw; `None` for an unknown
     /// value.
     pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
-        let rows: Vec<(Option<f64>, Option<f64>, Option<f64>)> =
-            self.external(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
-        Ok(rows.into_iter().next().map(Into::into).unwrap_or_default())
+        let motor: Option<(Option<f64>, Option<f64>, Option<f64>)> =
+            self.external_row(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
+        Ok(motor.map(Into::into).unwrap_or_default())
     }
 }

@@ -154,7 +154,7 @@ impl Backup {
         Ok(Self { from: from.to_owned(), to: to.to_owned(), partial: beside(to, ".partial") })
     }
 
-    /// Size of the database \[bytes\], about that of the copy.
+    /// Size of the database \[bytes\]; the copy has about the same size.
     pub(crate) fn total_bytes(&self) -> u64 {
         std::fs::metadata(&self.from).map_or(0, |file| file.len())
     }
@@ -190,7 +190,7 @@ impl Backup {
         let mut connection = connect(&self.from).await?;
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
         vacuum.execute(&mut connection).await.map_err(|error| {
-            // The backup writes only the copy, so the full disk is that of the copy.
+            // The backup writes only the copy, so it is the disk of the copy that is full.
             let source = std::io::Error::new(std::io::ErrorKind::StorageFull, "no space is left on its disk");
             let full = StoreError::File { action: "write", path: self.partial.clone(), source };
             if is_full(&error) { full } else { StoreError::read(error) }

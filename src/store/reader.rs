@@ -158,6 +158,17 @@ impl Reader {
         self.limited(answer).await
     }
 
+    /// Runs an external query for its first row.
+    pub(super) async fn external_row<Row>(
+        &self,
+        query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
+    ) -> Result<Option<Row>, StoreError>
+    where
+        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
+    {
+        Ok(self.external(query).await?.into_iter().next())
+    }
+
     /// Runs an external query for alarms. Alarms of a newer version that cannot be read are left out.
     pub(super) async fn external_alarms(
         &self,

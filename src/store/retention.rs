@@ -216,7 +216,7 @@ impl Write for DropRows {
 }
 
 impl Store {
-    /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
+    /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called every
     /// second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
     ///
     /// # Errors

@@ -151,7 +151,7 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
+/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new database of `connection`.
 ///
 /// # Errors
 /// When the new database cannot be written.

@@ -21,7 +21,7 @@ use crate::throw::{Direction, MachineId, Throw};
 pub enum Spooled {
     /// Stored, with this row number.
     New(ThrowRow),
-    /// Stored before, and perhaps pruned since.
+    /// Stored before, and perhaps deleted by retention since.
     Duplicate,
 }
 
@@ -78,7 +78,7 @@ impl Spool {
         repeated: bool,
     ) -> sqlx::Result<Spooled> {
         if taken.content_crc32 == self.content_crc32 {
-            // After a commit with unknown result the stored throw may be this one.
+            // If an earlier attempt was committed although it returned an error, the stored throw is this one.
             let is_own = repeated && taken.received_at_us == self.received_at_us;
             return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
@@ -267,7 +267,7 @@ async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -
     Ok(added)
 }
 
-/// The position of a new boot.
+/// Place of a new boot in the order of the machine's boots.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Follows {
     /// After all other boots, for a live throw: a logger sends live throws of its newest boot only.
@@ -277,7 +277,7 @@ pub(super) enum Follows {
 }
 
 impl Spool {
-    /// Sequence number of the throw; the wire admits none above `i64::MAX`.
+    /// Sequence number of the throw; the decoder of messages accepts none above `i64::MAX`.
     pub(super) fn throw_no(&self) -> i64 {
         self.throw.id.throw_no.cast_signed()
     }

@@ -36,7 +36,7 @@ pub struct Statistics {
     pub wal_bytes: u64,
     /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
-    /// State of the disk below the database.
+    /// State of the disk that holds the database.
     #[sqlx(skip)]
     pub disk: DiskLevel,
     /// Failed write transactions since the start.
@@ -56,13 +56,13 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let read: Vec<Statistics> = self.reader.external(sqlx::query_as(sql::STATISTICS)).await?;
+        let read: Option<Statistics> = self.reader.external_row(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
             disk: self.disk.level(),
             failed_writes: self.disk.failures(),
-            ..read.into_iter().next().unwrap_or_default()
+            ..read.unwrap_or_default()
         })
     }
 

@@ -53,27 +53,22 @@ impl Store {
             };
             (Severity::Critical, text)
         });
-        let [throws, messages, notifications] = self.disk.lost();
-        let throws = throws.map(|throws| {
-            format!(
-                "it dropped {} before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly \
-                 of one machine. Check the logger that sends so many",
-                counted(throws, "throw")
-            )
+        // In the order of the numbers in `lost`.
+        let losses = [
+            (
+                "throw",
+                "before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly of one \
+                 machine. Check the logger that sends so many",
+            ),
+            ("alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
+            (
+                "alarm event",
+                "before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
+            ),
+        ];
+        let dropped = self.disk.lost().into_iter().zip(losses).filter_map(|(count, (noun, rest))| {
+            Some((Severity::Critical, format!("it dropped {} {rest}", counted(count?, noun))))
         });
-        let messages = messages.map(|events| {
-            format!(
-                "it dropped {} before publishing, as too many were waiting. Check the link of zenoh",
-                counted(events, "alarm event")
-            )
-        });
-        let notifications = notifications.map(|events| {
-            format!(
-                "it dropped {} before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
-                counted(events, "alarm event")
-            )
-        });
-        let dropped = [throws, messages, notifications].into_iter().flatten().map(|text| (Severity::Critical, text));
         let all: Vec<(Severity, String)> =
             disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;
