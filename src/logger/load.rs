@@ -38,7 +38,7 @@ const POSITION_NOISE_MM: f64 = 0.01;
 /// Number of prepared noise values. Each channel of a throw uses successive values from a random position.
 const NOISE_VALUES: usize = 1 << 17;
 
-/// Settings of a load.
+/// Settings of a load test.
 #[derive(Debug, Clone)]
 pub struct LoadTest {
     /// The machines, in the order in which they throw.
@@ -53,7 +53,7 @@ pub struct LoadTest {
     pub seed: u64,
 }
 
-/// Result of a load.
+/// Result of a load test.
 #[derive(Debug, Clone)]
 pub struct LoadResult {
     /// Time from the first to the last publication.
@@ -220,7 +220,7 @@ fn message(
 ) -> Result<Vec<u8>, LoggerError> {
     let mut throw = simulated.clone().into_throw(boot_id, clock::now());
     throw.id.throw_no = throw_no;
-    throw.trace = noise.on(&throw.trace, is_blocked)?;
+    throw.trace = noise.add_to(&throw.trace, is_blocked)?;
     Ok(wire::encode_throw(Encoding::Cbor, &throw))
 }
 
@@ -237,7 +237,7 @@ impl Noise {
     }
 
     /// The trace with noise added, and without a movement of the toe if the machine is blocked.
-    fn on(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
+    fn add_to(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
         let mut channel = |samples: &[f64], sd: f64, moves: bool| {
             let from = self.rng.random_range(0..self.values.len());
             let noise = self.values.iter().cycle().skip(from);

@@ -32,7 +32,7 @@ async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, max_throws: 150, ..settings }).await;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
-    // The bound includes the pending throw.
+    // The pending throw counts for both limits.
     let done = store.keep_bounds(at(0), true).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 101), (Dropped::Throws, 51)]));
     let statistics = store.statistics().await.unwrap();

@@ -184,7 +184,7 @@ async fn an_interrupted_salvage_begins_again_at_the_next_start() {
     assert!(names.is_empty(), "{names:?}");
 }
 
-/// The first page holds the beginning of the schema: without it SQLite reads no table.
+/// The first page holds the start of the schema: without it SQLite cannot read any table.
 #[tokio::test]
 async fn without_its_schema_a_database_is_read_where_this_program_puts_its_tables() {
     for moved in [false, true] {
