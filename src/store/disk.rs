@@ -15,8 +15,8 @@ use tokio::time::Instant;
 
 use super::{
     error::StoreError,
-    pace::RecentCount,
     path::{beside, folder_of},
+    rate_limit::RecentCount,
     settings::MIB,
 };
 

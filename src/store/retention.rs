@@ -19,7 +19,7 @@ use super::{
     database::Store,
     disk::DiskLevel,
     error::StoreError,
-    pace::seldom,
+    rate_limit::seldom,
     settings::{MIB, PAGE_BYTES},
     spool::count,
     statements as sql,

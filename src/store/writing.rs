@@ -12,7 +12,7 @@ use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
     files::{DatabaseFiles, Identity},
-    pace::seldom,
+    rate_limit::seldom,
     reader::Reader,
     statements as sql,
     write::Job,

@@ -11,9 +11,9 @@ const LOG_INTERVAL: Duration = Duration::from_secs(30);
 const SHOWN: Duration = Duration::from_hours(1);
 
 /// Limits the rate of one log line: time of the last line, and number of lines omitted since.
-pub(crate) struct Seldom(Mutex<Option<(Instant, u64)>>);
+pub(crate) struct LogRateLimit(Mutex<Option<(Instant, u64)>>);
 
-impl Seldom {
+impl LogRateLimit {
     pub(crate) const fn new() -> Self {
         Self(Mutex::new(None))
     }
@@ -34,7 +34,7 @@ impl Seldom {
 /// Writes a log line, with the number of omitted lines, unless the same place wrote one shortly before.
 macro_rules! seldom {
     ($level:ident, $($said:tt)*) => {{
-        static LINE: crate::store::Seldom = crate::store::Seldom::new();
+        static LINE: crate::store::LogRateLimit = crate::store::LogRateLimit::new();
         if let Some(omitted) = LINE.due(tokio::time::Instant::now()) {
             // `None` is not written.
             let omitted_lines = (omitted > 0).then_some(omitted);
@@ -72,7 +72,7 @@ mod tests {
 
     #[test]
     fn a_line_is_due_every_thirty_seconds_with_the_number_of_omitted_ones() {
-        let (line, start) = (Seldom::new(), Instant::now());
+        let (line, start) = (LogRateLimit::new(), Instant::now());
         assert_eq!([line.due(start), line.due(start), line.due(start)], [Some(0), None, None]);
         assert_eq!([line.due(start + LOG_INTERVAL), line.due(start + LOG_INTERVAL)], [Some(2), None]);
     }
