@@ -13,8 +13,8 @@ use zenoh::{
 use super::message::{Limits, Message};
 use crate::wire::BacklogQuery;
 
-/// Largest page \[bytes\]. The first reply is kept whatever its size. Replies beyond the limit are dropped and queried again
-/// with the next page. A reply above the largest payload counts with its kept bytes only.
+/// Largest page \[bytes\]. The first reply is kept whatever its size. Replies beyond the limit are dropped and queried
+/// again with the next page. A reply above the largest payload counts with its kept bytes only.
 const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);

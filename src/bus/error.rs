@@ -10,13 +10,13 @@ pub struct BusError {
 
 /// The action of opening a session.
 pub(super) const OPEN: &str = "open the session";
-/// Parts of the texts of temporary errors: a port in use, an address that does not exist yet, a name server or a router that
-/// does not answer.
+/// Parts of the texts of temporary errors: a port in use, an address that does not exist yet, a name server or a router
+/// that does not answer.
 const TEMPORARY: [&str; 4] = ["(os error ", "nable to connect", "imeout", "lookup"];
 
 impl BusError {
-    /// Whether a later attempt may succeed. The other errors of opening come from the configuration: for example, a file is not
-    /// a certificate.
+    /// Whether a later attempt may succeed. The other errors of opening come from the configuration: for example, a
+    /// file is not a certificate.
     pub(crate) fn is_temporary(&self) -> bool {
         let text = self.source.to_string();
         self.action != OPEN || TEMPORARY.iter().any(|part| text.contains(part))

@@ -1,5 +1,5 @@
-//! The queue of the inbox, with limited memory. It serves the keys in turn, and limits the share of each key, so a flood with
-//! one key neither delays nor displaces the messages with other keys.
+//! The queue of the inbox, with limited memory. It serves the keys in turn, and limits the share of each key, so a
+//! flood with one key neither delays nor displaces the messages with other keys.
 
 use std::{
     collections::VecDeque,

@@ -20,8 +20,8 @@ use super::{
 
 /// Payload after which a batch is full \[bytes\]; decoded throws take up to four times as much memory.
 const BATCH_BYTES: usize = 8 << 20;
-/// Capacity of the queue with the keys of dropped messages. If the queue is full, a key may be lost: the next throw of its
-/// machine shows the gap too.
+/// Capacity of the queue with the keys of dropped messages. If the queue is full, a key may be lost: the next throw of
+/// its machine shows the gap too.
 const DROPPED_KEYS: usize = 1_024;
 
 /// The queue of the inbox, and its counters since the start.
@@ -71,8 +71,8 @@ impl Inbox {
         Arc::clone(&self.counters)
     }
 
-    /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns the number of moved
-    /// messages: 0 only when the queue is empty after [`Self::close`]. Cancel safe.
+    /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns the number of
+    /// moved messages: 0 only when the queue is empty after [`Self::close`]. Cancel safe.
     pub(crate) async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
         loop {

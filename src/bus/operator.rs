@@ -139,8 +139,9 @@ pub async fn ask(
     Ok(answers)
 }
 
-/// Sends a command to the daemon that serves a machine, and returns its reply. First queries the names of all daemons that
-/// would apply the command. Sends nothing unless there is exactly one, and its name is `expected` if that is given.
+/// Sends a command to the daemon that serves a machine, and returns its reply. First queries the names of all daemons
+/// that would apply the command. Sends nothing unless there is exactly one, and its name is `expected` if that is
+/// given.
 pub(crate) async fn command(
     session: &Session,
     machine: &MachineId,
@@ -206,8 +207,8 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     }
 }
 
-/// Distinguishes "no alarms" from "not monitored by any daemon": checks that a daemon runs and, if a machine is given, that a
-/// daemon knows it.
+/// Distinguishes "no alarms" from "not monitored by any daemon": checks that a daemon runs and, if a machine is given,
+/// that a daemon knows it.
 pub(crate) async fn require_monitored(session: &Session, machine: Option<&MachineId>) -> Result<(), OperatorError> {
     if monitors(session).await?.is_empty() {
         return Err(OperatorError::NoDaemon);

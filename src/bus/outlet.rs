@@ -1,6 +1,6 @@
-//! Publishes alarms and health on two threads of their own, as a put blocks on a slow link. Zenoh waits for a slow subscriber,
-//! and closes the link to a subscriber that hangs. Meanwhile the queue of health messages may fill; then further health
-//! messages are dropped and counted.
+//! Publishes alarms and health on two threads of their own, as a put blocks on a slow link. Zenoh waits for a slow
+//! subscriber, and closes the link to a subscriber that hangs. Meanwhile the queue of health messages may fill; then
+//! further health messages are dropped and counted.
 
 use std::{
     collections::HashMap,
@@ -27,15 +27,16 @@ use super::error::BusError;
 const QUEUE: usize = 1_024;
 /// Capacity of the queue of alarms: they are few, and each waits for its result.
 const ALARMS: usize = 16;
-/// From this number of machines on, the keys of a site are declared. Zenoh keeps 2.6 kB for a declared key and its route, as
-/// long as the session is open. At each put with an undeclared key, zenoh compares it with every key of the site, which takes
-/// 0.2 µs for each of them.
+/// From this number of machines on, the keys of a site are declared. Zenoh keeps 2.6 kB for a declared key and its
+/// route, as long as the session is open. At each put with an undeclared key, zenoh compares it with every key of the
+/// site, which takes 0.2 µs for each of them.
 const LARGE_SITE: usize = 100;
-/// From this number of machines on, the keys of a site are declared even if [`DECLARED`] keys are declared already. A put with
-/// an undeclared key of a smaller site takes up to 60 µs longer.
+/// From this number of machines on, the keys of a site are declared even if [`DECLARED`] keys are declared already. A
+/// put with an undeclared key of a smaller site takes up to 60 µs longer.
 const VERY_LARGE_SITE: usize = 300;
 /// From this number of declared keys on, only keys of very large sites are declared. With 20,000 machines in sites of a
-/// hundred, and two throws of each, the daemon took 293 MiB of memory with all keys declared, and 177 MiB with this limit.
+/// hundred, and two throws of each, the daemon took 293 MiB of memory with all keys declared, and 177 MiB with this
+/// limit.
 const DECLARED: usize = 1_000;
 
 /// The keys of the machines, and how many of them are declared.
@@ -70,8 +71,8 @@ pub(crate) struct Outlet {
 }
 
 impl Outlet {
-    /// Starts the threads. When the last handle is dropped, they publish the rest of their queues and end. Close the session
-    /// only after their ends: a put to a closing session panics in zenoh.
+    /// Starts the threads. When the last handle is dropped, they publish the rest of their queues and end. Close the
+    /// session only after their ends: a put to a closing session panics in zenoh.
     pub(crate) fn start(session: &Session) -> (Self, [JoinHandle<()>; 2]) {
         let counters = Arc::<OutletCounters>::default();
         // With a higher priority, alarms do not wait behind health messages in zenoh.

@@ -9,8 +9,8 @@ use zenoh::{
 use super::error::BusError;
 
 /// Watches the liveliness tokens in a key expression while the session is open. `on_change` gets the key of each token,
-/// and whether it appeared (true) or went; the present tokens come first. It runs on a thread of zenoh and must not wait: a cut
-/// link removes all tokens of a region at once, and a queue of these changes would overflow.
+/// and whether it appeared (true) or went; the present tokens come first. It runs on a thread of zenoh and must not
+/// wait: a cut link removes all tokens of a region at once, and a queue of these changes would overflow.
 pub(crate) async fn watch_tokens(
     session: &Session,
     key_expression: &str,

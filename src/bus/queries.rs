@@ -22,7 +22,8 @@ use super::{error::BusError, message::beginning, session::intersect};
 
 /// Capacity of the queue \[queries\]: a dashboard sends a few queries per second.
 const QUEUE: usize = 64;
-/// Number of queries whose replies are sent at the same time, so that a client on a slow link does not delay the others.
+/// Number of queries whose replies are sent at the same time, so that a client on a slow link does not delay the
+/// others.
 const SENDING: usize = 8;
 /// Error reply to a query that found the queue full.
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
@@ -86,7 +87,8 @@ impl QueryQueue {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
-                // A waiting query keeps its payload in memory. With a payload that is too large it ends without a reply.
+                // A waiting query keeps its payload in memory. With a payload that is too large it ends without a
+                // reply.
                 if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
                     counter.fetch_add(1, Relaxed);
                     return;
@@ -108,8 +110,8 @@ impl QueryQueue {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this reply
-    /// soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
+    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this
+    /// reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
     pub async fn next(&mut self) -> Option<ReceivedQuery> {
         // Only the queries that are refused now: during a flood others follow without end.
         for _ in 0..self.refused.len() {
@@ -122,8 +124,8 @@ impl QueryQueue {
         self.waiting.recv().await
     }
 
-    /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are sent, but
-    /// first waits while replies to `SENDING` other queries are being sent.
+    /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are
+    /// sent, but first waits while replies to `SENDING` other queries are being sent.
     pub(crate) async fn answer(&self, question: ReceivedQuery, replies: Result<Vec<(String, Vec<u8>)>, String>) {
         // The result is always `Ok`, as nothing closes the semaphore.
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {

@@ -28,8 +28,8 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
     let is_client = is_client(&config);
     let routers = config.get_json("connect/endpoints").unwrap_or_default();
     let (done, mut opened) = oneshot::channel();
-    // `zenoh::open` blocks, for a client until its router answers. On a thread of its own it delays neither the handling of
-    // signals nor the end of the process.
+    // `zenoh::open` blocks, for a client until its router answers. On a thread of its own it delays neither the
+    // handling of signals nor the end of the process.
     let open = move || {
         let _ = done.send(zenoh::open(config).wait());
     };

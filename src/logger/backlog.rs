@@ -69,8 +69,8 @@ impl AnswerThread {
         let queryable = session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
-                // If the queue is full, the query ends without a reply, as if there were no newer throws. A daemon sends at
-                // most eight queries at a time, so the queue does not fill.
+                // If the queue is full, the query ends without a reply, as if there were no newer throws. A daemon
+                // sends at most eight queries at a time, so the queue does not fill.
                 let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
             })
             .wait()?;

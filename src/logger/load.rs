@@ -1,7 +1,7 @@
 //! A load test of a daemon: publishes throws of many machines at a given rate, with prepared traces.
 //!
-//! The throws are simulated before the test begins, so that the simulation does not limit the rate. New sensor noise makes
-//! each trace different.
+//! The throws are simulated before the test begins, so that the simulation does not limit the rate. New sensor noise
+//! makes each trace different.
 
 use std::{
     collections::HashMap,
@@ -99,7 +99,8 @@ impl Tracking {
 type Shared = Arc<Mutex<Tracking>>;
 
 impl LoadTest {
-    /// Publishes the throws, and waits until the health of every throw has arrived, or no health has arrived for `patience`.
+    /// Publishes the throws, and waits until the health of every throw has arrived, or no health has arrived for
+    /// `patience`.
     ///
     /// # Errors
     /// When the simulation or zenoh fails.
@@ -144,9 +145,9 @@ impl LoadTest {
         Ok(throws.collect::<Result<_, _>>()?)
     }
 
-    /// Waits until a daemon has subscribed to the throws of the first machine, and returns the throw keys of all machines. The
-    /// keys are not declared: with a publisher for each machine, zenoh compares every new publisher with all others, which
-    /// took minutes for 20,000 machines.
+    /// Waits until a daemon has subscribed to the throws of the first machine, and returns the throw keys of all
+    /// machines. The keys are not declared: with a publisher for each machine, zenoh compares every new publisher with
+    /// all others, which took minutes for 20,000 machines.
     fn keys(&self, session: &Session, patience: Duration) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
         if let Some(first) = self.machines.first() {
             let publisher = publisher(session, first)?;

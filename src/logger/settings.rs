@@ -29,8 +29,8 @@ settings! {
         pub backlog_mib: usize = 64, Within(1.0, 4096.0, "MiB");
         /// Whether the first throw waits until a daemon has subscribed.
         pub wait_for_monitor: bool = true;
-        /// Time of the first throw. `None` for the time of the start; with a limited number of throws and `time_scale` above 1,
-        /// so much earlier that the last throw is not in the future.
+        /// Time of the first throw. `None` for the time of the start; with a limited number of throws and `time_scale`
+        /// above 1, so much earlier that the last throw is not in the future.
         pub started_at: Option<Timestamp> = None;
     }
 }

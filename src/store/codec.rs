@@ -9,25 +9,25 @@ use crate::throw::{InvalidTrace, MAX_SAMPLES, Trace};
 
 /// Settings of the compressor, with the measured reasons:
 ///
-/// - It stores first-order differences, as neighbouring samples are close. The automatic choice of the order fails on noisy
-///   samples and needs 2.5 times the space.
+/// - It stores first-order differences, as neighbouring samples are close. The automatic choice of the order fails on
+///   noisy samples and needs 2.5 times the space.
 /// - Coarse samples (multiples of the step of a converter) get level 5. It takes 0.85 times as long as level 6, and 3 %
 ///   more space at 12 bits. Level 4 would need 4 to 10 % more space.
-/// - Other samples, for example of a logger that scales or filters in floating point, get level 4. It takes 0.87 times as
-///   long as level 5 (0.17 ms for a throw of 4,600 samples), and 2 % more space. The search for a common step is off: it
-///   takes a sixth of the time and finds none.
+/// - Other samples, for example of a logger that scales or filters in floating point, get level 4. It takes 0.87 times
+///   as long as level 5 (0.17 ms for a throw of 4,600 samples), and 2 % more space. The search for a common step is
+///   off: it takes a sixth of the time and finds none.
 fn compression(is_coarse: bool) -> ChunkConfig {
     let (level, mode) = if is_coarse { (5, ModeSpec::Auto) } else { (4, ModeSpec::Classic) };
     let config = ChunkConfig::default().with_compression_level(level).with_mode_spec(mode);
     config.with_delta_spec(DeltaSpec::TryConsecutive(1))
 }
 
-/// Number of samples in which equal values are searched. Even if the noise covers a few hundred steps of the converter, so
-/// many samples have equal values among them.
+/// Number of samples in which equal values are searched. Even if the noise covers a few hundred steps of the converter,
+/// so many samples have equal values among them.
 const COMPARED: usize = 256;
 
-/// Whether the values are multiples of a step that is coarser than the resolution of 32-bit floats, like the samples of a
-/// converter. Then some values are equal, and no two values are adjacent 32-bit floats.
+/// Whether the values are multiples of a step that is coarser than the resolution of 32-bit floats, like the samples of
+/// a converter. Then some values are equal, and no two values are adjacent 32-bit floats.
 fn is_coarse(values: &[f32]) -> bool {
     let mut bits = [0; COMPARED];
     let bits = &mut bits[..values.len().min(COMPARED)];

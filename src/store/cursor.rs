@@ -1,8 +1,8 @@
 //! The cursor of each machine: the last throw up to which every throw is stored or written off.
 //!
 //! Without missing throws the cursor is the newest throw and is not stored. While throws are awaited from the logger's
-//! backlog, a row of the table `backlog` stores the cursor. A gap is awaited while the backlog may still fill it: until it
-//! is filled or written off.
+//! backlog, a row of the table `backlog` stores the cursor. A gap is awaited while the backlog may still fill it: until
+//! it is filled or written off.
 
 use sqlx::SqliteConnection;
 

@@ -20,8 +20,8 @@ use super::{
     settings::MIB,
 };
 
-/// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before they
-/// were published or before the webhook accepted them.
+/// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before
+/// they were published or before the webhook accepted them.
 const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
 
 /// A copy of the database hangs if it makes no step for this time, which is also the longest time of a loop without a
@@ -66,8 +66,8 @@ pub(super) struct Disk {
     replacement_fails: AtomicBool,
     /// New path of the file that was found in the place of the database; `None` if the database was deleted.
     foreign: Mutex<Option<PathBuf>>,
-    /// Until this time a copy of the database counts as running. The writer stores nothing else meanwhile. `None` before the
-    /// first copy.
+    /// Until this time a copy of the database counts as running. The writer stores nothing else meanwhile. `None`
+    /// before the first copy.
     copies_until: Mutex<Option<Instant>>,
     /// The counters of the database at the last call of `note_dropped`.
     counters: Mutex<Option<BTreeMap<String, u64>>>,
@@ -115,8 +115,8 @@ impl Disk {
         }
     }
 
-    /// Records that the database file was deleted or replaced. `written_again` is `None` if the database could not be written
-    /// again; otherwise it has the new path of the file that was found in its place, if there was one.
+    /// Records that the database file was deleted or replaced. `written_again` is `None` if the database could not be
+    /// written again; otherwise it has the new path of the file that was found in its place, if there was one.
     pub(super) fn note_replaced(&self, written_again: Option<&Option<PathBuf>>) {
         self.replaced.add(1);
         self.replacement_fails.store(written_again.is_none(), Ordering::Relaxed);
@@ -125,8 +125,8 @@ impl Disk {
         }
     }
 
-    /// Whether the database was written again after it was deleted or replaced. `None` without such an event; after a success
-    /// also `None` when an hour has passed.
+    /// Whether the database was written again after it was deleted or replaced. `None` without such an event; after a
+    /// success also `None` when an hour has passed.
     pub(super) fn replaced(&self) -> Option<bool> {
         let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
         (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
@@ -137,8 +137,8 @@ impl Disk {
         self.foreign.lock().clone()
     }
 
-    /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those rows
-    /// were dropped before this start.
+    /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those
+    /// rows were dropped before this start.
     pub(super) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
         let mut before = self.counters.lock();
         let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
@@ -187,8 +187,8 @@ impl Disk {
         }
     }
 
-    /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full removes
-    /// the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
+    /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full
+    /// removes the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
     pub(super) fn worst_level(&self) -> DiskLevel {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }

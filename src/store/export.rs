@@ -38,8 +38,8 @@ pub(crate) struct Exported {
 }
 
 impl Export {
-    /// Opens the database at `path`, which a daemon may use at the same time, for throws that started from `since` to before
-    /// `until`. An unknown machine has no throws.
+    /// Opens the database at `path`, which a daemon may use at the same time, for throws that started from `since` to
+    /// before `until`. An unknown machine has no throws.
     pub(crate) async fn open(
         path: &Path,
         machine: Option<MachineId>,

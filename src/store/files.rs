@@ -1,13 +1,14 @@
 //! The files of the database: the file at the configured path, or the file to which a link there points.
 //!
 //! A program that keeps reading an old state prevents the reuse of the write-ahead log, and its lock cannot be removed.
-//! So when the log reaches its limit, the database moves: a compact copy is written, the copy gets the next free number in
-//! its name, and a symbolic link at the configured path is switched to the copy atomically. The reader keeps the old file,
-//! which has no name any more and is freed when the reader closes it. The name of a log contains the name of its database
-//! file, so neither a crash nor the reader can combine a log with the wrong database.
+//! So when the log reaches its limit, the database moves: a compact copy is written, the copy gets the next free number
+//! in its name, and a symbolic link at the configured path is switched to the copy atomically. The reader keeps the old
+//! file, which has no name any more and is freed when the reader closes it. The name of a log contains the name of its
+//! database file, so neither a crash nor the reader can combine a log with the wrong database.
 //!
-//! A numbered file is removed only if the link at the configured path points to another numbered file. Without the link, for
-//! example after a backup was restored, the numbered file may be the only copy of a history: it is renamed and kept.
+//! A numbered file is removed only if the link at the configured path points to another numbered file. Without the
+//! link, for example after a backup was restored, the numbered file may be the only copy of a history: it is renamed
+//! and kept.
 
 use std::{
     fs::File,
@@ -94,8 +95,8 @@ impl DatabaseFiles {
         Identity { database: of(&file), log: of(&beside(&file, "-wal")) }
     }
 
-    /// Renames the files that are at the path of the database and that this program did not write. Returns the new path of the
-    /// database among them; `None` if there is none.
+    /// Renames the files that are at the path of the database and that this program did not write. Returns the new path
+    /// of the database among them; `None` if there is none.
     pub(super) fn rename_foreign_files(&self) -> Result<Option<PathBuf>, StoreError> {
         // Files that exist at the same time have different inodes, so the names differ.
         let inode = std::fs::metadata(self.file()).ok().map(|file| file.ino());
@@ -120,7 +121,8 @@ impl DatabaseFiles {
         remove(&copy).map(|()| copy)
     }
 
-    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the copy's new path.
+    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the copy's new
+    /// path.
     pub(super) fn switch(&self, copy: &Path) -> Result<PathBuf, StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
@@ -145,8 +147,8 @@ impl DatabaseFiles {
         Ok(moved)
     }
 
-    /// Removes unfinished copies. If the configured path is a link to a numbered file, also removes the other numbered files,
-    /// which remain from earlier moves; otherwise renames the numbered files and keeps them.
+    /// Removes unfinished copies. If the configured path is a link to a numbered file, also removes the other numbered
+    /// files, which remain from earlier moves; otherwise renames the numbered files and keeps them.
     pub(super) fn clear_leftovers(&self, now: Timestamp) -> Result<(), StoreError> {
         if !self.path.exists() {
             return Ok(());

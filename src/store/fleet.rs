@@ -94,8 +94,8 @@ pub(crate) struct FleetRow {
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number that the baseline
-    /// needs.
+    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number that the
+    /// baseline needs.
     pub baseline: Option<(u64, u64)>,
     /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
     pub spark: Vec<[f64; 3]>,
@@ -308,8 +308,8 @@ impl Reader {
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
-    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of alarms
-    /// among them that this version cannot read.
+    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of
+    /// alarms among them that this version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
         let rows: Vec<FaultRow> = self.external(machine_query(sql::FAULTS, itself).bind(limit)).await?;
         let found = rows.len();
@@ -373,8 +373,8 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A typical throw of the baseline that was taken at `at`: the last good throw of a direction before this time that still
-    /// has its trace.
+    /// A typical throw of the baseline that was taken at `at`: the last good throw of a direction before this time that
+    /// still has its trace.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,

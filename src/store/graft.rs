@@ -1,8 +1,8 @@
-//! Replaces a damaged schema table in a copy of the database by the schema table of a new database, whose tables start on the
-//! same pages. Without the schema SQLite cannot read any table, even an undamaged one.
+//! Replaces a damaged schema table in a copy of the database by the schema table of a new database, whose tables start
+//! on the same pages. Without the schema SQLite cannot read any table, even an undamaged one.
 //!
-//! With auto-vacuum the first page of each table depends only on the order in which the tables were created. There are two
-//! layouts: the layout of the migrations, and the layout of a moved or restored database.
+//! With auto-vacuum the first page of each table depends only on the order in which the tables were created. There are
+//! two layouts: the layout of the migrations, and the layout of a moved or restored database.
 
 use std::{
     fs::{self, OpenOptions},
@@ -33,9 +33,9 @@ struct Entry {
     sql: Option<String>,
 }
 
-/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, depending on which makes
-/// more tables readable. `None` if at most half of the tables are readable with either: in a wrong layout a few tables fit by
-/// chance.
+/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, depending on which
+/// makes more tables readable. `None` if at most half of the tables are readable with either: in a wrong layout a few
+/// tables fit by chance.
 pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
     let copy = beside(broken, GRAFTED);
     let pages = fs::copy(broken, &copy)? / PAGE_BYTES as u64;

@@ -1,5 +1,5 @@
-//! Writes of a judged throw, of an operator's command, and of a tick (the daemon's periodic check of a machine), each in a
-//! single transaction.
+//! Writes of a judged throw, of an operator's command, and of a tick (the daemon's periodic check of a machine), each
+//! in a single transaction.
 
 use std::sync::Arc;
 
@@ -68,8 +68,9 @@ pub struct MonitorRecord {
 }
 
 impl Judgement {
-    /// Two replacements for a judgement that the database rejects; in both the throw counts as not evaluated. The first one
-    /// keeps the events and the monitor. The second one keeps nothing, in case the database rejects the first one too.
+    /// Two replacements for a judgement that the database rejects; in both the throw counts as not evaluated. The first
+    /// one keeps the events and the monitor. The second one keeps nothing, in case the database rejects the first one
+    /// too.
     pub fn instead(&self, problem: &str) -> [Self; 2] {
         let Health { machine, throw, started_at, .. } = self.health.clone();
         let detail = format!("the database rejects the result: {problem}");
@@ -188,9 +189,9 @@ impl Judgement {
         self.outcome.write_events(connection, machine_row).await
     }
 
-    /// Handles a throw that is not pending any more, and returns whether this judgement is stored. If retention deleted the
-    /// throw after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never be
-    /// stored otherwise. A throw that was judged before may have this same judgement, from an attempt whose commit
+    /// Handles a throw that is not pending any more, and returns whether this judgement is stored. If retention deleted
+    /// the throw after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never
+    /// be stored otherwise. A throw that was judged before may have this same judgement, from an attempt whose commit
     /// succeeded although it returned an error.
     async fn write_late(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
         let judged_at_us: Option<Option<i64>> =
@@ -296,7 +297,8 @@ impl Outcome {
         }
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);
-            // If an earlier attempt was committed although it returned an error, the event and its message exist already.
+            // If an earlier attempt was committed although it returned an error, the event and its message exist
+            // already.
             if add_alarm_event(connection, machine_row, &alarm, at_us).await? {
                 let key = machine_key(&self.machine, Kind::Alarm);
                 let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);

@@ -38,8 +38,8 @@ const LOG_KEPT: u64 = 16 * MIB;
 const CHECK_LIMIT: Duration = Duration::from_secs(3);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
-/// Number of bytes at the start of a file that are searched for text: sixteen pages, as single pages of a database may be
-/// damaged.
+/// Number of bytes at the start of a file that are searched for text: sixteen pages, as single pages of a database may
+/// be damaged.
 const TEXT_BYTES: u64 = 64 * 1024;
 /// Start of the header of SQLite's files.
 const HEADER: &str = "SQLite format 3";
@@ -55,7 +55,8 @@ pub enum Found {
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or only the database was copied.
+    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or only the database was
+    /// copied.
     WithoutLog,
     /// The database was broken. It was renamed, and replaced by a new database with the readable rows.
     SetAside {
@@ -79,8 +80,8 @@ pub struct Report {
     pub newer_schema: bool,
 }
 
-/// Options of the writing connection. Only a `fresh` database gets the auto-vacuum mode: SQLite writes it to the header at
-/// each opening, and a broken or too new file must not be changed.
+/// Options of the writing connection. Only a `fresh` database gets the auto-vacuum mode: SQLite writes it to the header
+/// at each opening, and a broken or too new file must not be changed.
 fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
     let synchronous = if settings.durable { SqliteSynchronous::Full } else { SqliteSynchronous::Normal };
     let options = SqliteConnectOptions::new();
@@ -144,10 +145,10 @@ pub(super) async fn open(
     }
 }
 
-/// Copies the readable rows of a broken database into a new file. The file gets the configured path when it is complete,
-/// so an interrupted copy begins again at the next start. If there is no space for all rows, the most valuable ones are
-/// copied. If there is no space for these, the start fails: otherwise every machine would learn a new baseline, although
-/// the broken file still has a readable one.
+/// Copies the readable rows of a broken database into a new file. The file gets the configured path when it is
+/// complete, so an interrupted copy begins again at the next start. If there is no space for all rows, the most
+/// valuable ones are copied. If there is no space for these, the start fails: otherwise every machine would learn a new
+/// baseline, although the broken file still has a readable one.
 async fn recover(
     settings: &Settings,
     disk: &Disk,
@@ -205,8 +206,9 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
     copied
 }
 
-/// Refuses a file that pointsd must not change: a text file, the database of another program, or the database of a newer
-/// version that this version could damage. A file that cannot be read here is checked when it is opened for writing.
+/// Refuses a file that pointsd must not change: a text file, the database of another program, or the database of a
+/// newer version that this version could damage. A file that cannot be read here is checked when it is opened for
+/// writing.
 pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if DatabaseFiles::new(path).is_fresh() {
         return Ok(());

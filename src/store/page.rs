@@ -83,8 +83,8 @@ impl Write for Page {
     }
 }
 
-/// Writes off the awaited gaps of the boot at position `from` and of the boots before position `to`, and expects no later
-/// throws of them: the backlog does not have these.
+/// Writes off the awaited gaps of the boot at position `from` and of the boots before position `to`, and expects no
+/// later throws of them: the backlog does not have these.
 async fn write_off_boots(
     connection: &mut SqliteConnection,
     machine_row: i64,

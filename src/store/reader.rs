@@ -94,8 +94,8 @@ impl Reader {
         external.close().await;
     }
 
-    /// Opens the file that is at `path` now. Running queries keep the old file until they end: the old pools are dropped, not
-    /// closed, so that these queries do not fail.
+    /// Opens the file that is at `path` now. Running queries keep the old file until they end: the old pools are
+    /// dropped, not closed, so that these queries do not fail.
     pub(super) fn reopen(&self, path: &Path) {
         *self.pools.write() = Pools::new(&open::read_options(path));
     }
@@ -183,9 +183,10 @@ impl Reader {
         Ok(alarms)
     }
 
-    /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting after
-    /// the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the machine
-    /// was opened or last became smaller. Also returns whether the batch is full, so that more throws may be pending.
+    /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
+    /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
+    /// machine was opened or last became smaller. Also returns whether the batch is full, so that more throws may be
+    /// pending.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -242,7 +243,8 @@ impl Reader {
         self.limited(read).await
     }
 
-    /// Up to `limit` machines with missing throws that their backlog may have; first the machine that has waited longest.
+    /// Up to `limit` machines with missing throws that their backlog may have; first the machine that has waited
+    /// longest.
     pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
         self.rows(sqlx::query_as(sql::BACKLOGS).bind(limit)).await
     }
@@ -261,7 +263,8 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
+    /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of
+    /// names.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -280,8 +283,8 @@ impl Reader {
         Ok(at_us.map(timestamp))
     }
 
-    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from its
-    /// present baseline.
+    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from
+    /// its present baseline.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -355,9 +358,9 @@ impl Reader {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
     }
 
-    /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps of
-    /// machines for whose backlog the judge does not wait any longer (see [`Self::to_judge`]). Gaps from before the first
-    /// contact are left out.
+    /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps
+    /// of machines for whose backlog the judge does not wait any longer (see [`Self::to_judge`]). Gaps from before the
+    /// first contact are left out.
     pub(crate) async fn unreported_gaps(
         &self,
         limit: u32,

@@ -27,8 +27,8 @@ struct Kept {
 
 impl RecentThrows {
     /// Adds a stored throw if there is space. If there is none, many throws are pending: the new throw is read from the
-    /// database when its turn comes. A throw that retention deletes is never judged, so the oldest throw is dropped at a
-    /// distance of [`STALE`] rows.
+    /// database when its turn comes. A throw that retention deletes is never judged, so the oldest throw is dropped at
+    /// a distance of [`STALE`] rows.
     pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
         let mut kept = self.0.lock();
         if let Some(oldest) = kept.throws.first_entry().filter(|oldest| row.0 - oldest.key().0 > STALE) {

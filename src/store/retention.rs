@@ -1,9 +1,9 @@
 //! Retention: keeps the database within its bounds, in small transactions, which run between those of received throws.
 //!
-//! Traces are dropped first, then throws with their estimates, last closed alarms. Each dropped trace or throw is taken from
-//! the machine that has the most rows or bytes, so that a flood from one machine removes only its own history. Its judged
-//! throws are dropped first, then its oldest pending throws: so each bound holds even if throws arrive faster than they are
-//! judged.
+//! Traces are dropped first, then throws with their estimates, last closed alarms. Each dropped trace or throw is taken
+//! from the machine that has the most rows or bytes, so that a flood from one machine removes only its own history. Its
+//! judged throws are dropped first, then its oldest pending throws: so each bound holds even if throws arrive faster
+//! than they are judged.
 //!
 //! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database.
 
@@ -29,19 +29,20 @@ use super::{
 
 /// Largest number of rows dropped in one transaction: some tens of milliseconds of work.
 const BATCH: u64 = 1024;
-/// Largest number of transactions in one call of [`Store::keep_bounds`]. With it the call ends even if throws arrive faster
-/// than rows are dropped.
+/// Largest number of transactions in one call of [`Store::keep_bounds`]. With it the call ends even if throws arrive
+/// faster than rows are dropped.
 const ROUNDS: usize = 256;
 /// Number of pages returned to the disk in one transaction.
 const PAGES: u64 = 512;
 /// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
 
-/// Statements that drop throws. Each boot keeps the highest dropped number, so that a repeated throw is not stored again.
+/// Statements that drop throws. Each boot keeps the highest dropped number, so that a repeated throw is not stored
+/// again.
 const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a counter
-/// in the database.
+/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a
+/// counter in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Dropped {
@@ -216,8 +217,8 @@ impl Write for DropRows {
 }
 
 impl Store {
-    /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called every
-    /// second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
+    /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called
+    /// every second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.

@@ -30,7 +30,8 @@ pub(super) enum GapKind {
     BeforeFirstContact,
 }
 
-/// Selects the machines of a query by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any characters.
+/// Selects the machines of a query by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any
+/// characters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selector {
     /// Pattern of the site.
@@ -70,18 +71,18 @@ pub struct StoredThrow {
     pub throw: Result<Throw, UnreadableTrace>,
     /// Whether the machine sent the same trace before.
     pub repeats: bool,
-    /// Whether another throw already had the same boot and number. Then this throw is stored in a separate boot, under the
-    /// next number there.
+    /// Whether another throw already had the same boot and number. Then this throw is stored in a separate boot, under
+    /// the next number there.
     pub renumbered: bool,
 }
 
-/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats an earlier one,
-/// and whether it is judged at another position than the position of its boot.
+/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats an earlier
+/// one, and whether it is judged at another position than the position of its boot.
 #[derive(Debug, serde::Deserialize)]
 pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
 
-/// Suffix of the separate `boot_id` for throws whose number was already stored. The `boot_id` of a logger may have the same
-/// suffix.
+/// Suffix of the separate `boot_id` for throws whose number was already stored. The `boot_id` of a logger may have the
+/// same suffix.
 pub(super) const RENUMBERED: &str = "~again";
 
 /// Whether a throw was stored in a separate boot because its number was already stored. `moved`: the throw is judged at
@@ -135,8 +136,8 @@ fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::
     sqlx::Error::Decode(Box::new(error))
 }
 
-/// The time at `at_us` \[µs since 1970\]. A number out of range gives the nearest time, so that one invalid row does not
-/// hide the others.
+/// The time at `at_us` \[µs since 1970\]. A number out of range gives the nearest time, so that one invalid row does
+/// not hide the others.
 pub(super) fn timestamp(at_us: i64) -> Timestamp {
     let nearest = if at_us < 0 { Timestamp::MIN } else { Timestamp::MAX };
     Timestamp::from_microsecond(at_us).unwrap_or(nearest)

@@ -17,17 +17,17 @@ use super::{error::is_full, graft::graft, statements::is_retired};
 const RANGE: i64 = 1024;
 /// Highest key that is tried in a table whose bounds cannot be read: such a table has far fewer rows.
 const HIGHEST_TRIED: i64 = 1 << 20;
-/// Largest key that is copied: 10,000 throws a second reach it in 800 years. A garbage row with the largest key of SQLite
-/// would let no other row be added.
+/// Largest key that is copied: 10,000 throws a second reach it in 800 years. A garbage row with the largest key of
+/// SQLite would let no other row be added.
 const LARGEST_KEY: i64 = 1 << 48;
-/// Number of failed statements after which the rest of a table is skipped. They take at most a minute in a completely damaged
-/// table.
+/// Number of failed statements after which the rest of a table is skipped. They take at most a minute in a completely
+/// damaged table.
 const MOST_FAILURES: u32 = 50_000;
 /// Number of keys that are tried before the whole table counts as lost.
 const PROBES: i64 = 64;
 
-/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage rows often
-/// contain a NUL byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
+/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage
+/// rows often contain a NUL byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
 struct Table(&'static str, &'static str, &'static str);
 
 /// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
@@ -66,12 +66,12 @@ const TABLES: [Table; 15] = [
     ),
 ];
 
-/// Number of tables that are copied at the first try, and at the next tries if there is no space: all of [`TABLES`]; all but
-/// the traces; the first eight, which the diagnosis needs.
+/// Number of tables that are copied at the first try, and at the next tries if there is no space: all of [`TABLES`];
+/// all but the traces; the first eight, which the diagnosis needs.
 pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
 
-/// Statements that also read machines and boots from the index of their names: if such a row were lost, all its throws would
-/// be lost too.
+/// Statements that also read machines and boots from the index of their names: if such a row were lost, all its throws
+/// would be lost too.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
      SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
@@ -112,7 +112,8 @@ const ORPHANS: [&str; 13] = [
 pub struct Salvaged {
     /// Number of copied rows of each table.
     pub rows: BTreeMap<&'static str, u64>,
-    /// Number of keys of each table whose rows could not be read; for a table without readable rows, its whole range of keys.
+    /// Number of keys of each table whose rows could not be read; for a table without readable rows, its whole range of
+    /// keys.
     pub lost: BTreeMap<&'static str, u64>,
 }
 
@@ -151,7 +152,8 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new database of `connection`.
+/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new database of
+/// `connection`.
 ///
 /// # Errors
 /// When the new database cannot be written.
@@ -228,8 +230,8 @@ async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
     false
 }
 
-/// The columns of a table that both databases have, as lists for INSERT and SELECT; `None` if the broken database does not
-/// have the table.
+/// The columns of a table that both databases have, as lists for INSERT and SELECT; `None` if the broken database does
+/// not have the table.
 async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
     let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;

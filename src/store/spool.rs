@@ -68,8 +68,8 @@ impl Spool {
         insert(connection, &[place]).await
     }
 
-    /// Handles a throw whose number is stored already. It may be the same throw. If the logger restarted its numbers with
-    /// the same `boot_id`, it is another throw, which is stored under the next number of a separate boot.
+    /// Handles a throw whose number is stored already. It may be the same throw. If the logger restarted its numbers
+    /// with the same `boot_id`, it is another throw, which is stored under the next number of a separate boot.
     async fn store_again(
         &self,
         connection: &mut SqliteConnection,
@@ -213,8 +213,8 @@ impl Write for Spools {
 }
 
 impl Spools {
-    /// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known boot
-    /// and no throw of the machine is missing, or if the machine is new and the number is 1.
+    /// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known
+    /// boot and no throw of the machine is missing, or if the machine is new and the number is 1.
     async fn in_sequence(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
         let mut found = self.next_of_known_boots(connection).await?;
         let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
@@ -248,8 +248,8 @@ impl Spools {
     }
 }
 
-/// Adds the new machines among those of the throws `first`, each with the boot of its throw. Returns the number of added
-/// machines. When the loggers of a large fleet start, 64 throws need three statements here, instead of ten each.
+/// Adds the new machines among those of the throws `first`, each with the boot of its throw. Returns the number of
+/// added machines. When the loggers of a large fleet start, 64 throws need three statements here, instead of ten each.
 async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -> sqlx::Result<u64> {
     let mut machines = batch::query(sql::ADD_NEW_MACHINES, first.len());
     for throw in first {
@@ -361,8 +361,8 @@ struct NewBoot<'a> {
 }
 
 impl NewBoot<'_> {
-    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 if the machine has sent a throw
-    /// 0 before.
+    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 if the machine has sent a
+    /// throw 0 before.
     async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
         let (position, is_last) = self.position(connection).await?;
         let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
@@ -437,8 +437,8 @@ async fn add_gap(
     gap.execute(connection).await.map(|_| true)
 }
 
-/// Removes the number of a late throw from its gap: shortens or splits the gap, or marks it as filled. Returns whether there
-/// was a gap.
+/// Removes the number of a late throw from its gap: shortens or splits the gap, or marks it as filled. Returns whether
+/// there was a gap.
 async fn fill_gap(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64, at_us: i64) -> sqlx::Result<bool> {
     let gap: Option<(i64, i64, i64)> =
         sqlx::query_as(sql::GAP_AT).bind(boot_row).bind(throw_no).fetch_optional(&mut *connection).await?;

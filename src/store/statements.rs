@@ -1,5 +1,5 @@
-//! The SQL statements of the store. A test prepares each of them against the migrated schema. The statements of a recovery
-//! are in `graft` and `salvage`.
+//! The SQL statements of the store. A test prepares each of them against the migrated schema. The statements of a
+//! recovery are in `graft` and `salvage`.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {
@@ -20,9 +20,10 @@ macro_rules! throw_rows {
     };
 }
 
-/// Column with the change of the ratio of a coefficient to b0 from the last baseline before the throw \[%\], with the formula
-/// of the view `health_history`. It is NULL if the throw has changes of the coefficients themselves. `$at`: index of the
-/// coefficient in the centre of the baseline. `$throws`: number of throws in the baseline when the throw was judged.
+/// Column with the change of the ratio of a coefficient to b0 from the last baseline before the throw \[%\], with the
+/// formula of the view `health_history`. It is NULL if the throw has changes of the coefficients themselves. `$at`:
+/// index of the coefficient in the centre of the baseline. `$throws`: number of throws in the baseline when the throw
+/// was judged.
 macro_rules! ratio_pct {
     ($coefficient:literal, $at:literal, $throws:literal) => {
         concat!(
@@ -45,8 +46,8 @@ macro_rules! ratio_pct {
     };
 }
 
-/// The columns of [`Health`](crate::wire::Health). The parameters are the columns that depend on the query; for `$throws` see
-/// `ratio_pct`.
+/// The columns of [`Health`](crate::wire::Health). The parameters are the columns that depend on the query; for
+/// `$throws` see `ratio_pct`.
 macro_rules! health {
     ($direction:literal, $state:literal, $drift:literal, $drifts:literal, $caveats:literal, $throws:literal) => {
         concat!(
@@ -86,8 +87,8 @@ macro_rules! rfc3339 {
     };
 }
 
-/// Query of one page of `pointsd export`: the first ?6 throws that started after time ?3 and row ?4, and before time ?5. The
-/// first two columns are for paging; the others are exported. `$condition` selects the machines.
+/// Query of one page of `pointsd export`: the first ?6 throws that started after time ?3 and row ?4, and before time
+/// ?5. The first two columns are for paging; the others are exported. `$condition` selects the machines.
 macro_rules! export {
     ($condition:expr) => {
         concat!(
@@ -146,8 +147,9 @@ macro_rules! awaited {
     };
 }
 
-/// Subquery of the messages in quarantine that may be throws of a gap: messages with a number in the gap, and messages without
-/// a readable number that arrived after the throw before the gap. `$column`: an aggregate, or a column of the newest message.
+/// Subquery of the messages in quarantine that may be throws of a gap: messages with a number in the gap, and messages
+/// without a readable number that arrived after the throw before the gap. `$column`: an aggregate, or a column of the
+/// newest message.
 macro_rules! refused {
     ($column:literal) => {
         concat!(
@@ -209,8 +211,8 @@ macro_rules! all_machines {
 /// Machine name of the alarms about all machines of a site.
 pub(crate) const ALL_MACHINES: &str = all_machines!();
 
-/// Whether an operator retired the machine of a row: then it has no monitor until its next throw is judged. Needs a LEFT JOIN
-/// of the row with `monitor`.
+/// Whether an operator retired the machine of a row: then it has no monitor until its next throw is judged. Needs a
+/// LEFT JOIN of the row with `monitor`.
 macro_rules! is_retired {
     () => {
         "(monitor.machine_row IS NULL AND EXISTS (SELECT 1 FROM command \
@@ -219,8 +221,8 @@ macro_rules! is_retired {
 }
 pub(super) use is_retired;
 
-/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself (?4/?5) and [`ALL_MACHINES`].
-/// A machine is silent if it is not monitored and has no open alarm about its condition.
+/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself (?4/?5) and
+/// [`ALL_MACHINES`]. A machine is silent if it is not monitored and has no open alarm about its condition.
 macro_rules! matching {
     () => {
         concat!(
@@ -324,9 +326,9 @@ statements! {
     BACKLOGS = "SELECT site, machine FROM backlog JOIN machine USING (machine_row) ORDER BY since_us LIMIT ?1";
     AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
 
-    // Judging. Takes machines with pending throws in turn, after a given machine, and from each its first throws that can
-    // be judged, so that neither a long queue nor an open backlog of one machine delays the others. `LIMIT ?2 + 0`: SQLite
-    // prepares a statement again at each call if its LIMIT is a parameter alone.
+    // Judging. Takes machines with pending throws in turn, after a given machine, and from each its first throws that
+    // can be judged, so that neither a long queue nor an open backlog of one machine delays the others. `LIMIT ?2 + 0`:
+    // SQLite prepares a statement again at each call if its LIMIT is a parameter alone.
     TO_JUDGE = "WITH RECURSIVE waiting (machine_row) AS (\
         SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
         AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
@@ -386,8 +388,9 @@ statements! {
     TRIM_ALARM_EVENTS = "DELETE FROM alarm_event WHERE alarm_row = (SELECT alarm_row FROM alarm WHERE alarm_id = ?1) \
         AND event_no BETWEEN 2 AND ?2 - ?3";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
-    // `+site` keeps SQLite from using an index on the site: for that it would prepare the statement again for each pattern.
-    // INDEXED BY: without statistics SQLite would read all alarms in the order of time, to avoid sorting the few open ones.
+    // `+site` keeps SQLite from using an index on the site: for that it would prepare the statement again for each
+    // pattern. INDEXED BY: without statistics SQLite would read all alarms in the order of time, to avoid sorting the
+    // few open ones.
     OPEN_ALARMS = "SELECT payload \
         FROM alarm INDEXED BY alarm_open JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
@@ -433,16 +436,16 @@ statements! {
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    // The latest throw of unknown direction (for example with an unreadable trace) is left out after a later throw of a known
-    // direction.
+    // The latest throw of unknown direction (for example with an unreadable trace) is left out after a later throw of a
+    // known direction.
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats", "estimate.baseline_throws"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 AND (latest.direction <> '' OR NOT EXISTS (SELECT 1 FROM latest AS later \
         WHERE later.machine_row = latest.machine_row AND later.direction <> '' AND later.start_us > latest.start_us)) \
         ORDER BY site, machine, latest.direction");
-    // A gap that a backlog may still fill is left out while the judge waits for it: while its backlog was opened or last
-    // became smaller between ?2 and ?3.
+    // A gap that a backlog may still fill is left out while the judge waits for it: while its backlog was opened or
+    // last became smaller between ?2 and ?3.
     UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",
         "min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) AS refused, ", refused!("reason"), " AS reason \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
@@ -485,8 +488,8 @@ statements! {
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
     THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
-    // The previous and the next throw of a machine, in the order of their start. Without CROSS JOIN SQLite would read all
-    // throws of the machine to find one.
+    // The previous and the next throw of a machine, in the order of their start. Without CROSS JOIN SQLite would read
+    // all throws of the machine to find one.
     THROW_NEIGHBOURS = "WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM machine JOIN boot USING (machine_row) \
         CROSS JOIN throw ON throw.boot_row = boot.boot_row \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4) \
@@ -503,8 +506,8 @@ statements! {
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 
-    // The fleet page.
-    // The matching machines of state ?6, without silent machines if ?7, in the order of states in ?11 (the worst first).
+    // The fleet page. The matching machines of state ?6, without silent machines if ?7, in the order of states in ?11
+    // (the worst first).
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -555,7 +558,8 @@ statements! {
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
-    // The text distinguishes the kinds of data loss. Few machines have it, while a lost link makes thousands not monitored.
+    // The text distinguishes the kinds of data loss. Few machines have it, while a lost link makes thousands not
+    // monitored.
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
@@ -601,8 +605,8 @@ statements! {
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
-    // After a rebaseline the latest throws of a machine show that its new baselines have no throws yet. The changes from the
-    // old baselines stay in the history.
+    // After a rebaseline the latest throws of a machine show that its new baselines have no throws yet. The changes
+    // from the old baselines stay in the history.
     RESTART_BASELINES = "UPDATE estimate SET baseline_before = coalesce(baseline_before, baseline_throws), \
         baseline_throws = 0, throws_since_baseline = 0 \
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
@@ -625,8 +629,9 @@ statements! {
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
         WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time ?4 is
-    // not usable: such a trace is as old as the next one with a usable time. No trace after the first young one is aged.
+    // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time
+    // ?4 is not usable: such a trace is as old as the next one with a usable time. No trace after the first young one
+    // is aged.
     AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM trace JOIN throw USING (throw_row) \
         WHERE throw_row <= (SELECT max(throw_row) FROM trace JOIN throw USING (throw_row) \
             WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \

@@ -51,7 +51,8 @@ impl Statistics {
 }
 
 impl Store {
-    /// Reads all figures, on the connections for external queries. This counts rows, so it is too slow for every second.
+    /// Reads all figures, on the connections for external queries. This counts rows, so it is too slow for every
+    /// second.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -71,8 +72,8 @@ impl Store {
         self.disk.level()
     }
 
-    /// Whether the database is being copied to a new file and the copy made progress in the last 30 s, or such a copy ended in
-    /// the last 5 s. Writes wait during the copy.
+    /// Whether the database is being copied to a new file and the copy made progress in the last 30 s, or such a copy
+    /// ended in the last 5 s. Writes wait during the copy.
     pub fn is_copying(&self) -> bool {
         self.disk.is_copying()
     }

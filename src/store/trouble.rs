@@ -4,11 +4,11 @@ use super::{database::Store, disk::DiskLevel, files::DatabaseFiles};
 use crate::{diagnose::Severity, throw::counted};
 
 impl Store {
-    /// The highest severity of all problems that exist now or occurred since the last call, and of the problems in `more`,
-    /// with one text for all of them. `None` without problems. Called every few seconds, so it must be fast.
+    /// The highest severity of all problems that exist now or occurred since the last call, and of the problems in
+    /// `more`, with one text for all of them. `None` without problems. Called every few seconds, so it must be fast.
     ///
-    /// The alarm can be stored even on a full disk: its first write fails and removes the ballast, whose space is enough for
-    /// thousands of alarms.
+    /// The alarm can be stored even on a full disk: its first write fails and removes the ballast, whose space is
+    /// enough for thousands of alarms.
     pub fn trouble(&self, more: impl IntoIterator<Item = (Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {
             DiskLevel::Ample => None,

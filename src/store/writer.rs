@@ -1,7 +1,7 @@
 //! The task that writes: commits queued writes in groups.
 //!
-//! The caller of a write gets its answer after the commit. No future in this file is cancelled: SQLite may still complete
-//! the commit of a dropped future.
+//! The caller of a write gets its answer after the commit. No future in this file is cancelled: SQLite may still
+//! complete the commit of a dropped future.
 
 use tokio::sync::{mpsc, oneshot};
 
@@ -11,7 +11,8 @@ use super::{
     writing::WritingConnection,
 };
 
-/// Largest number of writes in a commit. At the measured rates their commit takes 5 to 20 ms; larger groups are not faster.
+/// Largest number of writes in a commit. At the measured rates their commit takes 5 to 20 ms; larger groups are not
+/// faster.
 const GROUP: usize = 64;
 /// Capacity of the queue \[writes\]: four groups, about a tenth of a second. Further callers wait.
 const QUEUE: usize = 4 * GROUP;

@@ -18,8 +18,8 @@ use super::{
     write::Job,
 };
 
-/// Least time between two checks whether the open files still are at the configured path. The daemon writes at least every
-/// 5 s, so a deleted file is noticed within 6 s.
+/// Least time between two checks whether the open files still are at the configured path. The daemon writes at least
+/// every 5 s, so a deleted file is noticed within 6 s.
 const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
@@ -104,8 +104,8 @@ impl WritingConnection {
         Ok(self.connection.insert(connection))
     }
 
-    /// Whether the file of the closed connection is no longer at the configured path: then it is deleted. A new connection
-    /// would write into another file, which does not match the monitors in memory.
+    /// Whether the file of the closed connection is no longer at the configured path: then it is deleted. A new
+    /// connection would write into another file, which does not match the monitors in memory.
     fn has_lost_its_file(&self) -> bool {
         let database = self.files.identity().database;
         self.files.is_fresh() || self.identity.is_some_and(|known| known.database != database)
@@ -126,8 +126,8 @@ impl WritingConnection {
         }
     }
 
-    /// Detects a deleted or replaced database file or log. The connection still has the old files open, with all committed
-    /// rows, and copies the rows to a new file.
+    /// Detects a deleted or replaced database file or log. The connection still has the old files open, with all
+    /// committed rows, and copies the rows to a new file.
     async fn notice_replaced_files(&mut self) {
         if self.files_checked.is_some_and(|checked| checked.elapsed() < FILE_CHECK_INTERVAL) {
             return;
@@ -149,8 +149,8 @@ impl WritingConnection {
         }
     }
 
-    /// Limits the log, which grows while a reader keeps an old state open: truncates the log, or moves the database to a
-    /// new file. After a failure both are tried again when the log has grown by a quarter.
+    /// Limits the log, which grows while a reader keeps an old state open: truncates the log, or moves the database to
+    /// a new file. After a failure both are tried again when the log has grown by a quarter.
     async fn limit_log(&mut self) {
         let log = self.files.log_bytes();
         if log < self.max_log_bytes {
@@ -192,7 +192,8 @@ impl WritingConnection {
         }
     }
 
-    /// Copies the log into the database and truncates the log; false if a reader needs the log for longer than a second.
+    /// Copies the log into the database and truncates the log; false if a reader needs the log for longer than a
+    /// second.
     async fn checkpoint(&mut self) -> sqlx::Result<bool> {
         let connection = self.connected().await?;
         sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;
@@ -215,8 +216,8 @@ impl WritingConnection {
         Ok(())
     }
 
-    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: the watchdog
-    /// must not stop a copy that makes progress.
+    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: the
+    /// watchdog must not stop a copy that makes progress.
     async fn copy_to(&mut self, copy: &Path) -> sqlx::Result<()> {
         let disk = Arc::clone(&self.disk);
         let note_step = move || {
@@ -247,8 +248,8 @@ impl WritingConnection {
     }
 }
 
-/// Answers the jobs, the last job first: a caller with several jobs waits for its first one, so it wakes up only once, when
-/// all its answers have arrived.
+/// Answers the jobs, the last job first: a caller with several jobs waits for its first one, so it wakes up only once,
+/// when all its answers have arrived.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
     for job in jobs.into_iter().rev() {
         job.answer(committed());

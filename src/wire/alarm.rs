@@ -66,8 +66,8 @@ impl Alarm {
     }
 }
 
-/// The identity of an alarm: machine, cause, and the time at which it was raised. A daemon that judges a throw again after
-/// a crash makes the same identity.
+/// The identity of an alarm: machine, cause, and the time at which it was raised. A daemon that judges a throw again
+/// after a crash makes the same identity.
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
@@ -77,8 +77,8 @@ pub fn without_subject(text: &str) -> &str {
     text.split_once(": ").map_or(text, |(_, rest)| rest)
 }
 
-/// The text of an alarm without its subject and its numbers. Lists group the alarms of many machines by it, as one cause
-/// may have several kinds of alarms: lost throws and a wrong clock have the same cause.
+/// The text of an alarm without its subject and its numbers. Lists group the alarms of many machines by it, as one
+/// cause may have several kinds of alarms: lost throws and a wrong clock have the same cause.
 pub fn kind_of(text: &str) -> String {
     without_digits(without_subject(text))
 }

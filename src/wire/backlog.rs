@@ -1,5 +1,5 @@
-//! The query for a page of a logger's backlog (`…/throw?after_boot=B;after_no=N;limit=K`), and the throw at which the page
-//! starts.
+//! The query for a page of a logger's backlog (`…/throw?after_boot=B;after_no=N;limit=K`), and the throw at which the
+//! page starts.
 
 use std::fmt::Write as _;
 
@@ -48,9 +48,9 @@ impl BacklogQuery {
         Self { after, limit: limit.clamp(1, MAX_PAGE) }
     }
 
-    /// Index in `kept` (the backlog, oldest first) where the page starts. It is behind the last throw of the boot of `after`
-    /// whose number is not above the number of `after`. If the backlog has only later throws of this boot, it is their first
-    /// one. It is 0 if the boot is unknown, or without `after`.
+    /// Index in `kept` (the backlog, oldest first) where the page starts. It is behind the last throw of the boot of
+    /// `after` whose number is not above the number of `after`. If the backlog has only later throws of this boot, it
+    /// is their first one. It is 0 if the boot is unknown, or without `after`.
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };
         let mut last_of_boot = None;

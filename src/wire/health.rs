@@ -82,8 +82,8 @@ impl Health {
     /// Name and version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
-    /// Health of a throw whose estimate was rejected. `quality` is the code of the reason, `detail` the reason as a sentence.
-    /// Features, state and baseline are `None`.
+    /// Health of a throw whose estimate was rejected. `quality` is the code of the reason, `detail` the reason as a
+    /// sentence. Features, state and baseline are `None`.
     pub fn rejected(
         machine: MachineId,
         throw: ThrowRef,
@@ -121,14 +121,14 @@ impl Health {
         }
     }
 
-    /// Changes of the coefficients from the present baseline \[%\]; `None` without them, or if a new baseline began after the
-    /// throw.
+    /// Changes of the coefficients from the present baseline \[%\]; `None` without them, or if a new baseline began
+    /// after the throw.
     pub fn present_change_pct(&self) -> Option<[f64; 3]> {
         self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
     }
 
-    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], for a throw without `change_pct`; `None` if a
-    /// new baseline began after the throw.
+    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], for a throw without `change_pct`; `None`
+    /// if a new baseline began after the throw.
     pub fn present_ratio_changes_pct(&self) -> Option<[f64; 2]> {
         let changes = self.a1_per_b0_pct.zip(self.a0_per_b0_pct).map(|(friction, stiffness)| [friction, stiffness]);
         changes.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))

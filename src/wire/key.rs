@@ -1,4 +1,5 @@
-//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The key alone says which site and machine a message belongs to.
+//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The key alone says which site and machine a message belongs
+//! to.
 
 use serde::{Deserialize, Serialize};
 
@@ -34,8 +35,8 @@ pub fn every_key(kind: Kind) -> String {
     format!("{PREFIX}*/*/{}", kind.as_ref())
 }
 
-/// The key of a daemon's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a daemon (`site` and `id` of
-/// its section `[monitor]`) has the form of a machine's name.
+/// The key of a daemon's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a daemon (`site` and `id`
+/// of its section `[monitor]`) has the form of a machine's name.
 pub fn monitor_alive_key(MachineId { site, machine }: &MachineId) -> String {
     format!("{PREFIX}{site}/monitor/{machine}/alive")
 }
@@ -67,8 +68,8 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), Invalid> {
     Ok((MachineId::new(site, machine).map_err(|error| Invalid(error.to_string()))?, kind))
 }
 
-/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite. `None` if it includes no key
-/// of a machine, or has `**` twice, so that the position of the names is unknown.
+/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite. `None` if it includes no
+/// key of a machine, or has `**` twice, so that the position of the names is unknown.
 pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
     /// Number of chunks in the key of a machine.
     const CHUNKS: usize = 5;

@@ -1,7 +1,7 @@
 //! Keys and payloads on zenoh: pure encoding and decoding.
 //!
-//! Decoding returns a value or an error for any bytes. It does not panic, its recursion has a fixed limit, and it allocates
-//! at most a small multiple of the size of the payload.
+//! Decoding returns a value or an error for any bytes. It does not panic, its recursion has a fixed limit, and it
+//! allocates at most a small multiple of the size of the payload.
 
 mod alarm;
 mod backlog;

@@ -60,8 +60,8 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
     pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|pair| *pair != ("", ""))
 }
 
-/// Checks that every parameter is in `known` or belongs to zenoh (its name begins with `_`): ignoring a misspelt parameter
-/// would change the meaning of a query without notice.
+/// Checks that every parameter is in `known` or belongs to zenoh (its name begins with `_`): ignoring a misspelt
+/// parameter would change the meaning of a query without notice.
 ///
 /// # Errors
 /// When a parameter is unknown; the error names it and the known parameters.

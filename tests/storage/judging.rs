@@ -192,8 +192,8 @@ async fn the_events_of_an_alarm_are_bounded() {
     assert_eq!(events, [(1_001, 1, 11)]);
 }
 
-/// Retention deletes a pending throw of a flood while the throw is judged. An alarm that the throw raised is still stored and
-/// published.
+/// Retention deletes a pending throw of a flood while the throw is judged. An alarm that the throw raised is still
+/// stored and published.
 #[tokio::test]
 async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
     let (_folder, store) = fresh().await;

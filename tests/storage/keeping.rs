@@ -80,8 +80,8 @@ async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     assert_eq!(again, Spooled::Duplicate);
 }
 
-/// The alarm also reports rows that retention did not drop itself: a trigger drops notifications for the webhook. Rows that
-/// were dropped before the start of the daemon are not reported.
+/// The alarm also reports rows that retention did not drop itself: a trigger drops notifications for the webhook. Rows
+/// that were dropped before the start of the daemon are not reported.
 #[tokio::test]
 async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     let (_folder, store) = fresh().await;
@@ -97,8 +97,8 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     assert!(said.contains("it dropped 2 alarm events before publishing"), "{said}");
 }
 
-/// A burst after long operation: retention drops pending throws of the burst, and keeps the estimates of old throws, whose
-/// traces were dropped before.
+/// A burst after long operation: retention drops pending throws of the burst, and keeps the estimates of old throws,
+/// whose traces were dropped before.
 #[tokio::test]
 async fn a_burst_of_pending_throws_costs_no_history() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
@@ -167,8 +167,8 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
-/// Two throws were received while the daemon's clock was years ahead, and two while the clock was not set yet after a loss of
-/// power.
+/// Two throws were received while the daemon's clock was years ahead, and two while the clock was not set yet after a
+/// loss of power.
 #[tokio::test]
 async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     let (_folder, store) = fresh_with(|settings| Settings { trace_days: 30, ..settings }).await;
@@ -209,7 +209,8 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
-/// A running daemon marks the database file itself as not cleanly stopped, so a copy without its log is not taken for clean.
+/// A running daemon marks the database file itself as not cleanly stopped, so a copy without its log is not taken for
+/// clean.
 #[tokio::test]
 async fn a_lost_log_is_no_clean_stop() {
     let folder = stopped().await;
@@ -275,8 +276,8 @@ async fn stopped() -> tempfile::TempDir {
     folder
 }
 
-/// An open database with 1,500 throws. All pages after the first 60 are overwritten; SQLite detects this when it first reads
-/// them.
+/// An open database with 1,500 throws. All pages after the first 60 are overwritten; SQLite detects this when it first
+/// reads them.
 async fn broken_under_way() -> (tempfile::TempDir, Store) {
     let folder = stopped().await;
     let opened = open(folder.path()).await;
@@ -390,7 +391,8 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
     }
 }
 
-/// The open connection has the rows of a deleted file until a write fails. Then the connection is closed, and the rows are lost.
+/// The open connection has the rows of a deleted file until a write fails. Then the connection is closed, and the rows
+/// are lost.
 #[tokio::test]
 async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
     for replaced in [false, true] {
@@ -418,8 +420,8 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
     }
 }
 
-/// The database could not move to a new file while a slow reader kept an old state. After the end of this reader the log is
-/// limited again.
+/// The database could not move to a new file while a slow reader kept an old state. After the end of this reader the
+/// log is limited again.
 #[tokio::test]
 async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     const BOUND_MIB: u64 = 20;
@@ -517,7 +519,8 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
     assert_eq!(databases.count(), 2, "the link and its file");
 }
 
-/// The copy of a large database takes minutes on flash. Its progress shows that the loops that wait for the writer do not hang.
+/// The copy of a large database takes minutes on flash. Its progress shows that the loops that wait for the writer do
+/// not hang.
 #[tokio::test]
 async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     let (_folder, store) = fresh_with(|settings| Settings { max_wal_mib: 1, ..settings }).await;

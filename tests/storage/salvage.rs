@@ -106,8 +106,8 @@ async fn readable_rows_of_a_broken_database_are_kept() {
     }
 }
 
-/// The copy skips the 2^40 keys between the last valid row and a garbage row, as no row has them. A garbage row with the
-/// largest key of SQLite is not copied: it would let no other throw be added.
+/// The copy skips the 2^40 keys between the last valid row and a garbage row, as no row has them. A garbage row with
+/// the largest key of SQLite is not copied: it would let no other throw be added.
 #[tokio::test]
 async fn keys_of_garbage_far_above_all_others_cost_no_time_and_no_later_throw() {
     let folder = tempfile::tempdir().unwrap();

@@ -34,7 +34,8 @@ async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
     assert_eq!(back.temperature_c, Some(12.5));
 }
 
-/// A logger that restarts without a new boot id counts from 1 again. A logger whose counter is stuck repeats its number.
+/// A logger that restarts without a new boot id counts from 1 again. A logger whose counter is stuck repeats its
+/// number.
 #[tokio::test]
 async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     let (_folder, store) = fresh().await;
@@ -186,8 +187,8 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
     assert!(missing[0].0 > 1 << 40, "{missing:?}");
 }
 
-/// A throw whose number is stored already gets the next number of a separate boot. If that boot has the highest number, there
-/// is no next one.
+/// A throw whose number is stored already gets the next number of a separate boot. If that boot has the highest number,
+/// there is no next one.
 #[tokio::test]
 async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_writer() {
     let (_folder, store) = fresh().await;
@@ -239,8 +240,8 @@ fn ids(list: &[(&str, u64)]) -> Vec<(String, u64)> {
     list.iter().map(|(boot_id, throw_no)| ((*boot_id).to_owned(), *throw_no)).collect()
 }
 
-/// Live throws of the third boot arrive before the rest of the first boot and the whole second boot. The backlog delivers the
-/// missing throws, and all throws are judged in the order in which they were recorded.
+/// Live throws of the third boot arrive before the rest of the first boot and the whole second boot. The backlog
+/// delivers the missing throws, and all throws are judged in the order in which they were recorded.
 #[tokio::test]
 async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     let (_folder, store) = fresh().await;

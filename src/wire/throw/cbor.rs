@@ -93,8 +93,8 @@ fn read(decoder: &mut Decoder<'_>, fields: &mut Fields) -> Decoded<()> {
     Ok(())
 }
 
-/// Whether another item follows in an array or map, which has `left` more items, or an indefinite length (`None`). Skips the
-/// break at the end of an indefinite length.
+/// Whether another item follows in an array or map, which has `left` more items, or an indefinite length (`None`).
+/// Skips the break at the end of an indefinite length.
 fn next_item(decoder: &mut Decoder<'_>, left: &mut Option<u64>) -> Decoded<bool> {
     match left {
         Some(0) => Ok(false),

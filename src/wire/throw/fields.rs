@@ -106,8 +106,8 @@ fn quote(text: &str) -> String {
     format!("{short:?}")
 }
 
-/// The supply voltage of the throw \[V\]. For samples it is their mean weighted with the current, so that the energy of the
-/// motor is correct. NaN if no sample was measured while current flowed.
+/// The supply voltage of the throw \[V\]. For samples it is their mean weighted with the current, so that the energy of
+/// the motor is correct. NaN if no sample was measured while current flowed.
 fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, Invalid> {
     let samples = match supply {
         Supply::Number(value) => return Ok(value),

@@ -27,8 +27,8 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The encoding of a payload. If its first byte after white space is `{`, it is JSON whatever the content type, which many
-    /// clients do not set: no CBOR map begins with this byte.
+    /// The encoding of a payload. If its first byte after white space is `{`, it is JSON whatever the content type,
+    /// which many clients do not set: no CBOR map begins with this byte.
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         if first_byte(payload) == Some(b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
     }

@@ -1,5 +1,5 @@
-//! The process under test: it stores and judges throws of four machines, with alarms, at full speed. A reader may keep an old
-//! state open at the same time.
+//! The process under test: it stores and judges throws of four machines, with alarms, at full speed. A reader may keep
+//! an old state open at the same time.
 
 use std::{
     fs::{File, OpenOptions},
