@@ -14,8 +14,7 @@ use crate::{
     wire::{CommandTarget, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
-/// Time until a query of an operator fails: longer than the time in which a daemon judges a batch of throws before it
-/// replies.
+/// Time until a query of an operator fails: longer than a daemon takes for a batch of throws before it replies.
 pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
 
 /// A query or command without a usable answer.
@@ -140,8 +139,7 @@ pub async fn ask(
 }
 
 /// Sends a command to the daemon that serves a machine, and returns its reply. First queries the names of all daemons
-/// that would apply the command. Sends nothing unless there is exactly one, and its name is `expected` if that is
-/// given.
+/// that would apply the command. Sends nothing unless there is exactly one, with the name `expected` if given.
 pub(crate) async fn command(
     session: &Session,
     machine: &MachineId,

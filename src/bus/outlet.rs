@@ -35,8 +35,7 @@ const LARGE_SITE: usize = 100;
 /// put with an undeclared key of a smaller site takes up to 60 µs longer.
 const VERY_LARGE_SITE: usize = 300;
 /// From this number of declared keys on, only keys of very large sites are declared. With 20,000 machines in sites of a
-/// hundred, and two throws of each, the daemon took 293 MiB of memory with all keys declared, and 177 MiB with this
-/// limit.
+/// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this limit.
 const DECLARED: usize = 1_000;
 
 /// The keys of the machines, and how many of them are declared.

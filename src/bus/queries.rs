@@ -22,8 +22,7 @@ use super::{error::BusError, message::beginning, session::intersect};
 
 /// Capacity of the queue \[queries\]: a dashboard sends a few queries per second.
 const QUEUE: usize = 64;
-/// Number of queries whose replies are sent at the same time, so that a client on a slow link does not delay the
-/// others.
+/// Number of queries whose replies are sent at the same time: a client on a slow link does not delay the others.
 const SENDING: usize = 8;
 /// Error reply to a query that found the queue full.
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
@@ -87,8 +86,7 @@ impl QueryQueue {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
-                // A waiting query keeps its payload in memory. With a payload that is too large it ends without a
-                // reply.
+                // A waiting query keeps its payload in memory, so one with a large payload ends without a reply.
                 if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
                     counter.fetch_add(1, Relaxed);
                     return;

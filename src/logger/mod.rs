@@ -1,7 +1,7 @@
 //! The simulated logger: simulates the throws of a fleet and publishes them as a real logger does.
 //!
-//! The fleet is simulated and published on a thread of its own: the simulation needs the processor, and a put blocks on
-//! a slow link.
+//! Simulation and publishing run on a thread of their own: the simulation needs the processor, and a put blocks on a
+//! slow link.
 
 mod backlog;
 mod error;
@@ -134,8 +134,7 @@ impl Logger {
 
     /// The highest throw number of this boot that a daemon has judged.
     async fn latest(&self, machine: &MachineId) -> Option<u64> {
-        // The highest number of the last 100 rows: the last stored throw may come from the backlog and have a lower
-        // number.
+        // The highest number of the last 100 rows, as the last stored throw may come from the backlog.
         let selector = format!("{}?limit=100", wire::machine_key(machine, Kind::Health));
         let replies = bus::ask(&self.session, &selector, None, Duration::from_secs(5)).await.ok()?;
         replies

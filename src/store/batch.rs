@@ -3,8 +3,7 @@
 
 use sqlx::{AssertSqlSafe, Sqlite, query::Query, sqlite::SqliteArguments};
 
-/// Largest number of rows in a statement: the writer commits at most so many writes together, and the judge at most so
-/// many judgements.
+/// Largest number of rows in a statement, as in a group of writes and in a batch of judgements.
 pub(super) const MAX_ROWS: usize = 64;
 
 /// The statement with its first `(?, …)` repeated for `rows` rows. The number of rows is rounded up to a power of two,

@@ -66,8 +66,7 @@ pub(super) struct Disk {
     replacement_fails: AtomicBool,
     /// New path of the file that was found in the place of the database; `None` if the database was deleted.
     foreign: Mutex<Option<PathBuf>>,
-    /// Until this time a copy of the database counts as running. The writer stores nothing else meanwhile. `None`
-    /// before the first copy.
+    /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
     copies_until: Mutex<Option<Instant>>,
     /// The counters of the database at the last call of `note_dropped`.
     counters: Mutex<Option<BTreeMap<String, u64>>>,

@@ -26,8 +26,7 @@ pub enum StoreError {
     /// The disk is full. Nothing was stored; repeat the call when there is space.
     #[error("the disk of the database is full: free some space; nothing else is needed")]
     Full,
-    /// A write failed, and failed again on a new connection. Its rows may be stored or not. Repeat the call: every
-    /// write is idempotent.
+    /// A write failed, also on a new connection. It may be stored or not. Repeat the call: every write is idempotent.
     #[error("writing to the database failed: {0}")]
     Write(String),
     /// SQLite refused the statement (constraint, type). Nothing was stored, and a repetition fails too.

@@ -121,8 +121,7 @@ impl DatabaseFiles {
         remove(&copy).map(|()| copy)
     }
 
-    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the copy's new
-    /// path.
+    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the new path.
     pub(super) fn switch(&self, copy: &Path) -> Result<PathBuf, StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
@@ -234,8 +233,7 @@ impl DatabaseFiles {
         databases.into_iter().filter(|file| !beside(file, SAVED).exists()).max()
     }
 
-    /// The files beside the configured path whose names begin with its name and `infix`, except files with the suffixes
-    /// `without`.
+    /// The files whose names are that of the database, `infix` and more, except files with the suffixes `without`.
     fn files_with(&self, infix: &str, without: &[&str]) -> Vec<PathBuf> {
         let mark = beside(&self.path, infix);
         let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();

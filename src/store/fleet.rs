@@ -94,8 +94,7 @@ pub(crate) struct FleetRow {
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number that the
-    /// baseline needs.
+    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number needed.
     pub baseline: Option<(u64, u64)>,
     /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
     pub spark: Vec<[f64; 3]>,
@@ -373,8 +372,7 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A typical throw of the baseline that was taken at `at`: the last good throw of a direction before this time that
-    /// still has its trace.
+    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,

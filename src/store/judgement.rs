@@ -69,8 +69,7 @@ pub struct MonitorRecord {
 
 impl Judgement {
     /// Two replacements for a judgement that the database rejects; in both the throw counts as not evaluated. The first
-    /// one keeps the events and the monitor. The second one keeps nothing, in case the database rejects the first one
-    /// too.
+    /// one keeps the events and the monitor. The second one, in case the database rejects the first, keeps nothing.
     pub fn instead(&self, problem: &str) -> [Self; 2] {
         let Health { machine, throw, started_at, .. } = self.health.clone();
         let detail = format!("the database rejects the result: {problem}");
@@ -297,8 +296,7 @@ impl Outcome {
         }
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);
-            // If an earlier attempt was committed although it returned an error, the event and its message exist
-            // already.
+            // If an earlier attempt was committed although it returned an error, the event exists already.
             if add_alarm_event(connection, machine_row, &alarm, at_us).await? {
                 let key = machine_key(&self.machine, Kind::Alarm);
                 let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);

@@ -38,8 +38,8 @@ const LOG_KEPT: u64 = 16 * MIB;
 const CHECK_LIMIT: Duration = Duration::from_secs(3);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
-/// Number of bytes at the start of a file that are searched for text: sixteen pages, as single pages of a database may
-/// be damaged.
+/// Bytes at the start of a file that are searched for text: sixteen pages, as single pages of a database may be
+/// damaged.
 const TEXT_BYTES: u64 = 64 * 1024;
 /// Start of the header of SQLite's files.
 const HEADER: &str = "SQLite format 3";
@@ -55,8 +55,7 @@ pub enum Found {
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or only the database was
-    /// copied.
+    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or was not copied.
     WithoutLog,
     /// The database was broken. It was renamed, and replaced by a new database with the readable rows.
     SetAside {
@@ -384,8 +383,7 @@ async fn has_table(connection: &mut SqliteConnection, name: &str) -> sqlx::Resul
         .await
 }
 
-/// Checks the pages for damage, for at most `limit` (`None`: all pages). If the time ends, the pages read so far are
-/// correct.
+/// Checks all pages for damage, or as many as it can read within `limit`.
 async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Result<(), OpenFailure> {
     if let Some(limit) = limit {
         let end = Instant::now() + limit;

@@ -83,8 +83,7 @@ impl Reader {
         Ok(Some((stored, health)))
     }
 
-    /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw; `None` for
-    /// an unknown value.
+    /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, if known.
     pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
         let motor: Option<(Option<f64>, Option<f64>, Option<f64>)> =
             self.external_row(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;

@@ -171,8 +171,7 @@ impl Backup {
         if self.partial.exists() {
             std::fs::remove_file(&self.partial).map_err(file("remove"))?;
         }
-        // Created first, as SQLite does not say which of the two files it cannot open. It accepts an empty file as
-        // copy.
+        // SQLite would not say which of the two files it cannot open. It accepts an empty file as the copy.
         std::fs::File::create_new(&self.partial).map_err(file("create"))?;
         self.copy().await.inspect_err(|_| {
             // Ignored: the first error is reported.

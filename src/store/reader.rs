@@ -185,8 +185,7 @@ impl Reader {
 
     /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
     /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
-    /// machine was opened or last became smaller. Also returns whether the batch is full, so that more throws may be
-    /// pending.
+    /// machine was opened or last became smaller. Also returns whether the batch is full.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -243,8 +242,7 @@ impl Reader {
         self.limited(read).await
     }
 
-    /// Up to `limit` machines with missing throws that their backlog may have; first the machine that has waited
-    /// longest.
+    /// Up to `limit` machines with missing throws that their backlog may have, the longest waiting first.
     pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
         self.rows(sqlx::query_as(sql::BACKLOGS).bind(limit)).await
     }
@@ -263,8 +261,7 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of
-    /// names.
+    /// The monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
     ///
     /// # Errors
     /// When the database cannot be read.

@@ -30,8 +30,7 @@ pub(super) enum GapKind {
     BeforeFirstContact,
 }
 
-/// Selects the machines of a query by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any
-/// characters.
+/// Selects machines by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any characters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selector {
     /// Pattern of the site.
@@ -71,8 +70,7 @@ pub struct StoredThrow {
     pub throw: Result<Throw, UnreadableTrace>,
     /// Whether the machine sent the same trace before.
     pub repeats: bool,
-    /// Whether another throw already had the same boot and number. Then this throw is stored in a separate boot, under
-    /// the next number there.
+    /// Whether another throw already had the number: then this one has the next number of a separate boot.
     pub renumbered: bool,
 }
 
@@ -81,8 +79,7 @@ pub struct StoredThrow {
 #[derive(Debug, serde::Deserialize)]
 pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
 
-/// Suffix of the separate `boot_id` for throws whose number was already stored. The `boot_id` of a logger may have the
-/// same suffix.
+/// Suffix of the separate `boot_id` for throws whose number was already stored. A logger may use this suffix too.
 pub(super) const RENUMBERED: &str = "~again";
 
 /// Whether a throw was stored in a separate boot because its number was already stored. `moved`: the throw is judged at

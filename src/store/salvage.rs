@@ -20,8 +20,7 @@ const HIGHEST_TRIED: i64 = 1 << 20;
 /// Largest key that is copied: 10,000 throws a second reach it in 800 years. A garbage row with the largest key of
 /// SQLite would let no other row be added.
 const LARGEST_KEY: i64 = 1 << 48;
-/// Number of failed statements after which the rest of a table is skipped. They take at most a minute in a completely
-/// damaged table.
+/// Number of failed statements after which the rest of a table is skipped. They take a minute at most.
 const MOST_FAILURES: u32 = 50_000;
 /// Number of keys that are tried before the whole table counts as lost.
 const PROBES: i64 = 64;
@@ -70,8 +69,7 @@ const TABLES: [Table; 15] = [
 /// all but the traces; the first eight, which the diagnosis needs.
 pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
 
-/// Statements that also read machines and boots from the index of their names: if such a row were lost, all its throws
-/// would be lost too.
+/// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
      SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
@@ -112,8 +110,7 @@ const ORPHANS: [&str; 13] = [
 pub struct Salvaged {
     /// Number of copied rows of each table.
     pub rows: BTreeMap<&'static str, u64>,
-    /// Number of keys of each table whose rows could not be read; for a table without readable rows, its whole range of
-    /// keys.
+    /// Number of unreadable rows of each table; for a table without readable rows, its whole range of keys.
     pub lost: BTreeMap<&'static str, u64>,
 }
 
@@ -152,8 +149,7 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new database of
-/// `connection`.
+/// Copies the readable rows of the first `tables` tables of the file `broken` into the database of `connection`.
 ///
 /// # Errors
 /// When the new database cannot be written.
@@ -230,8 +226,8 @@ async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
     false
 }
 
-/// The columns of a table that both databases have, as lists for INSERT and SELECT; `None` if the broken database does
-/// not have the table.
+/// The columns of a table in both databases, as lists for INSERT and SELECT; `None` if the broken one has no such
+/// table.
 async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
     let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;

@@ -361,8 +361,8 @@ struct NewBoot<'a> {
 }
 
 impl NewBoot<'_> {
-    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 if the machine has sent a
-    /// throw 0 before.
+    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 for a machine that has
+    /// sent a throw 0.
     async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
         let (position, is_last) = self.position(connection).await?;
         let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
@@ -437,8 +437,7 @@ async fn add_gap(
     gap.execute(connection).await.map(|_| true)
 }
 
-/// Removes the number of a late throw from its gap: shortens or splits the gap, or marks it as filled. Returns whether
-/// there was a gap.
+/// Removes the number of a late throw from its gap: shortens, splits or fills the gap. Returns whether there was a gap.
 async fn fill_gap(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64, at_us: i64) -> sqlx::Result<bool> {
     let gap: Option<(i64, i64, i64)> =
         sqlx::query_as(sql::GAP_AT).bind(boot_row).bind(throw_no).fetch_optional(&mut *connection).await?;

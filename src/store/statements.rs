@@ -388,9 +388,8 @@ statements! {
     TRIM_ALARM_EVENTS = "DELETE FROM alarm_event WHERE alarm_row = (SELECT alarm_row FROM alarm WHERE alarm_id = ?1) \
         AND event_no BETWEEN 2 AND ?2 - ?3";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
-    // `+site` keeps SQLite from using an index on the site: for that it would prepare the statement again for each
-    // pattern. INDEXED BY: without statistics SQLite would read all alarms in the order of time, to avoid sorting the
-    // few open ones.
+    // `+site`: with an index on the site SQLite would prepare the statement again for each pattern. INDEXED BY: without
+    // statistics SQLite would read all alarms in the order of time, to avoid sorting the few open ones.
     OPEN_ALARMS = "SELECT payload \
         FROM alarm INDEXED BY alarm_open JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
@@ -436,8 +435,7 @@ statements! {
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    // The latest throw of unknown direction (for example with an unreadable trace) is left out after a later throw of a
-    // known direction.
+    // A throw of unknown direction (as with an unreadable trace) is left out after a later throw of a known direction.
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats", "estimate.baseline_throws"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
@@ -506,8 +504,8 @@ statements! {
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 
-    // The fleet page. The matching machines of state ?6, without silent machines if ?7, in the order of states in ?11
-    // (the worst first).
+    // The fleet page.
+    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first).
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -558,8 +556,7 @@ statements! {
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
-    // The text distinguishes the kinds of data loss. Few machines have it, while a lost link makes thousands not
-    // monitored.
+    // The text distinguishes the kinds of data loss. Few machines lose data; a lost link makes thousands not monitored.
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last

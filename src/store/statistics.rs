@@ -51,8 +51,7 @@ impl Statistics {
 }
 
 impl Store {
-    /// Reads all figures, on the connections for external queries. This counts rows, so it is too slow for every
-    /// second.
+    /// Reads all figures, on the connections for external queries. It counts rows: too slow for every second.
     ///
     /// # Errors
     /// When the database cannot be read.

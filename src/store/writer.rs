@@ -11,8 +11,7 @@ use super::{
     writing::WritingConnection,
 };
 
-/// Largest number of writes in a commit. At the measured rates their commit takes 5 to 20 ms; larger groups are not
-/// faster.
+/// Largest number of writes in a commit. At the measured rates it takes 5 to 20 ms; larger groups are not faster.
 const GROUP: usize = 64;
 /// Capacity of the queue \[writes\]: four groups, about a tenth of a second. Further callers wait.
 const QUEUE: usize = 4 * GROUP;

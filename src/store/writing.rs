@@ -192,8 +192,7 @@ impl WritingConnection {
         }
     }
 
-    /// Copies the log into the database and truncates the log; false if a reader needs the log for longer than a
-    /// second.
+    /// Copies the log into the database and truncates it; false if a reader needs the log for more than a second.
     async fn checkpoint(&mut self) -> sqlx::Result<bool> {
         let connection = self.connected().await?;
         sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;

@@ -121,8 +121,7 @@ impl Health {
         }
     }
 
-    /// Changes of the coefficients from the present baseline \[%\]; `None` without them, or if a new baseline began
-    /// after the throw.
+    /// Changes of the coefficients from the present baseline \[%\]; `None` if a new baseline began after the throw.
     pub fn present_change_pct(&self) -> Option<[f64; 3]> {
         self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
     }

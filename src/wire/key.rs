@@ -1,5 +1,4 @@
-//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The key alone says which site and machine a message belongs
-//! to.
+//! Key expressions: `points/v1/{site}/{machine}/{kind}`. A message belongs to the machine in its key.
 
 use serde::{Deserialize, Serialize};
 

@@ -167,8 +167,7 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
-/// Two throws were received while the daemon's clock was years ahead, and two while the clock was not set yet after a
-/// loss of power.
+/// Two throws were received while the daemon's clock was years ahead, two while it was not set after a loss of power.
 #[tokio::test]
 async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     let (_folder, store) = fresh_with(|settings| Settings { trace_days: 30, ..settings }).await;
@@ -209,8 +208,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
-/// A running daemon marks the database file itself as not cleanly stopped, so a copy without its log is not taken for
-/// clean.
+/// A running daemon marks the database file itself, so a copy without its log does not count as cleanly stopped.
 #[tokio::test]
 async fn a_lost_log_is_no_clean_stop() {
     let folder = stopped().await;
@@ -276,8 +274,7 @@ async fn stopped() -> tempfile::TempDir {
     folder
 }
 
-/// An open database with 1,500 throws. All pages after the first 60 are overwritten; SQLite detects this when it first
-/// reads them.
+/// An open database with 1,500 throws. All pages after the first 60 are broken; SQLite detects this when it reads them.
 async fn broken_under_way() -> (tempfile::TempDir, Store) {
     let folder = stopped().await;
     let opened = open(folder.path()).await;
