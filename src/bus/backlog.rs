@@ -1,4 +1,4 @@
-//! A page of a logger's backlog, from the queryable on its throw key.
+//! Queries a logger for a page of its backlog, on the queryable of its throw key.
 
 use std::{sync::Arc, time::Duration};
 
@@ -13,22 +13,21 @@ use zenoh::{
 use super::message::{Limits, Message};
 use crate::wire::BacklogQuery;
 
-/// Largest page \[bytes\]. The first reply is kept at any size; replies beyond the limit are dropped and asked for
-/// again. Of a reply above the largest payload only its kept bytes count.
+/// Largest page \[bytes\]. The first reply is kept whatever its size. Replies beyond the limit are dropped and queried
+/// again with the next page. A reply above the largest payload counts with its kept bytes only.
 const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
-
 /// Longest kept text of an error reply \[characters\].
-const ERROR: usize = 200;
+const MAX_ERROR: usize = 200;
 
-/// End of a page.
+/// How a page ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Ending {
-    /// All replies arrived.
+pub(crate) enum PageEnd {
+    /// All replies of the logger arrived.
     #[default]
     Complete,
-    /// A timeout or an error: the logger may have more throws.
+    /// The query failed or timed out: the logger may have more throws.
     Broken,
 }
 
@@ -38,14 +37,14 @@ pub(crate) struct Page {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    pub ending: Ending,
-    /// The last error reply, of the logger, or of zenoh at the time limit.
+    pub ending: PageEnd,
+    /// The last error reply: from the logger, or from zenoh at the time limit.
     pub error: Option<String>,
 }
 
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
 pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
-    // The page so far, and its size.
+    // The page so far, and its size \[bytes\].
     let collected = Arc::new(Mutex::new((Page::default(), 0)));
     // Zenoh drops the callback, and the sender with it, after the last reply.
     let (open, ended) = oneshot::channel::<()>();
@@ -59,7 +58,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
             Ok(sample) => sample,
             Err(reply) => {
                 let text = reply.payload().to_bytes();
-                page.error = Some(String::from_utf8_lossy(&text).chars().take(ERROR).collect());
+                page.error = Some(String::from_utf8_lossy(&text).chars().take(MAX_ERROR).collect());
                 return;
             }
         };
@@ -71,12 +70,12 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
             *bytes += message.memory();
             page.messages.push(message);
         } else {
-            // After a dropped reply every later one is dropped too, as it would look like a gap.
+            // All later replies are dropped too: the missing reply between them would look like a gap.
             *bytes = PAGE_BYTES;
         }
     };
     let (session, selector) = (session.clone(), format!("{key}?{}", query.parameters()));
-    // Sending blocks on a slow link.
+    // On a blocking thread, as sending blocks on a slow link.
     let sent = task::spawn_blocking(move || {
         let get = session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None);
         get.timeout(PAGE_TIMEOUT).callback(on_reply).wait()
@@ -84,6 +83,6 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let (page, _) = std::mem::take(&mut *collected.lock());
-    let ending = if has_ended && page.error.is_none() { Ending::Complete } else { Ending::Broken };
+    let ending = if has_ended && page.error.is_none() { PageEnd::Complete } else { PageEnd::Broken };
     Page { ending, ..page }
 }

@@ -1,5 +1,5 @@
-//! The queue of the inbox, with bounded memory. It serves the keys in turn, and one key cannot use the share of the
-//! others, so a flood with one key neither delays nor displaces the messages of others.
+//! The queue of the inbox, with limited memory. It serves the keys in turn, and limits the share of each key, so a
+//! flood with one key neither delays nor displaces the messages with other keys.
 
 use std::{
     collections::VecDeque,
@@ -10,20 +10,20 @@ use parking_lot::Mutex;
 
 use super::message::Message;
 
-/// Capacity \[bytes\]: about one second of 40 kB throws at the measured rate of the database.
+/// Capacity \[bytes\]: about one second of throws of 40 kB at the measured rate of the database.
 const CAPACITY: usize = 128 << 20;
-/// Least cost of a message \[bytes\]: bounds the number of small messages.
+/// Least memory that a message counts \[bytes\]: limits the number of small messages.
 const LEAST_COST: usize = 8 << 10;
-/// Share of one key while more than half of the capacity is in use \[bytes\]: 64 throws of 64 kB.
+/// Largest memory of one key while more than half of the capacity is in use \[bytes\]: 64 throws of 64 kB.
 const SHARE: usize = CAPACITY / 32;
-/// Slots of keys, addressed by hash; keys with the same hash share a slot.
+/// Number of slots. A key belongs to the slot of its hash; keys of one slot share its turn and its memory.
 const SLOTS: usize = 1_024;
 
 /// Received messages that are not stored yet.
 #[derive(Debug, Default)]
 pub(super) struct FairQueue {
     queues: Mutex<Queues>,
-    /// Random, so that a sender cannot choose a key with the hash of another key.
+    /// Random, so that a sender cannot choose a key in the slot of another key.
     hasher: RandomState,
 }
 
@@ -73,7 +73,7 @@ impl FairQueue {
         if !self.queues.lock().reserve(slot, memory.max(LEAST_COST)) {
             return false;
         }
-        // Copied without the lock.
+        // The payload is copied while the lock is free.
         let message = message();
         let mut queues = self.queues.lock();
         if queues.slots[slot].messages.is_empty() {
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn one_key_leaves_half_of_the_room_to_the_others() {
+    fn one_key_leaves_half_of_the_capacity_to_the_others() {
         let queue = FairQueue::default();
         let flood = (0..2 * MAX_MESSAGES).filter(|_| push(&queue, "flood", 40)).count();
         assert_eq!(flood, MAX_MESSAGES / 2);
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_room_has_an_end_and_what_is_given_back_can_be_taken_again() {
+    fn the_capacity_is_a_limit_and_freed_memory_is_used_again() {
         let queue = FairQueue::default();
         let taken = (0..10 * MAX_MESSAGES).filter(|number| push(&queue, &number.to_string(), 0)).count();
         assert!(taken <= MAX_MESSAGES && taken > MAX_MESSAGES / 2, "{taken} messages");

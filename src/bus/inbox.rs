@@ -18,13 +18,13 @@ use super::{
     message::{Limits, Message},
 };
 
-/// Largest batch \[bytes of payload\]; decoded throws take up to four times as much memory.
+/// Payload after which a batch is full \[bytes\]; decoded throws take up to four times as much memory.
 const BATCH_BYTES: usize = 8 << 20;
-/// Capacity of the queue of keys of dropped messages. A key that does not fit is not needed: the next throw of its
-/// machine shows the gap.
+/// Capacity of the queue with the keys of dropped messages. If the queue is full, a key may be lost: the next throw of
+/// its machine shows the gap too.
 const DROPPED_KEYS: usize = 1_024;
 
-/// Counters of the inbox since its start, and its queue.
+/// The queue of the inbox, and its counters since the start.
 #[derive(Debug, Default)]
 pub(crate) struct InboxCounters {
     pub received: AtomicU64,
@@ -71,8 +71,8 @@ impl Inbox {
         Arc::clone(&self.counters)
     }
 
-    /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns their number;
-    /// 0 after [`Self::close`] once the queue is empty. Cancel safe.
+    /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns the number of
+    /// moved messages: 0 only when the queue is empty after [`Self::close`]. Cancel safe.
     pub(crate) async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
         loop {
@@ -99,7 +99,7 @@ impl Inbox {
     }
 }
 
-/// Runs in the threads of zenoh, so it never waits.
+/// The callback of the subscription. It runs in the threads of zenoh, so it never waits.
 struct Callback {
     dropped: mpsc::Sender<String>,
     counters: Arc<InboxCounters>,
@@ -118,7 +118,7 @@ impl Callback {
             return self.counters.queued.notify_one();
         }
         self.counters.dropped.fetch_add(1, Relaxed);
-        // A key that does not fit is not needed, see [`DROPPED_KEYS`].
+        // A key that does not fit may be lost: see `DROPPED_KEYS`.
         let _ = self.dropped.try_send(key.to_owned());
     }
 }

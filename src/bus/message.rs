@@ -8,7 +8,7 @@ pub(crate) struct Message {
     pub key: String,
     /// Content type; empty if the sender gave none.
     pub content_type: String,
-    /// Payload; only the start of it if it is too large.
+    /// Payload; only its first bytes if it is too large.
     pub payload: Vec<u8>,
     /// Size of the whole payload \[bytes\].
     pub bytes: usize,
@@ -24,6 +24,7 @@ pub(crate) struct Limits {
 }
 
 impl Limits {
+    /// Number of bytes that are kept of a payload of this size.
     pub(super) fn kept(self, bytes: usize) -> usize {
         if bytes > self.max_payload_bytes { self.kept_of_larger_bytes } else { bytes }
     }

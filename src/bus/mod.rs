@@ -1,7 +1,7 @@
 //! Zenoh sessions, publishers, subscribers and queries.
 //!
-//! A callback of zenoh only does a `try_send` to a bounded queue, or changes a value: waiting would stall the whole link.
-//! Puts and replies block on a slow link, so they run on their own threads.
+//! A callback of zenoh must not wait, as this would stall the whole link: it only does a `try_send` to a bounded queue,
+//! or changes a value. Puts and replies block on a slow link, so they run on threads of their own.
 
 mod backlog;
 mod error;
@@ -14,14 +14,14 @@ mod presence;
 mod queries;
 mod session;
 
-pub(crate) use backlog::{Ending, page};
+pub(crate) use backlog::{PageEnd, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::{Limits, Message};
 pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
-pub(crate) use presence::{Audience, watch_tokens};
-pub use queries::{Question, Questions};
+pub(crate) use presence::{SubscriberWatch, watch_tokens};
+pub use queries::{QueryQueue, ReceivedQuery};
 pub use session::open;
 pub(crate) use session::{declare_alive, intersect, is_client, is_connected};

@@ -11,10 +11,10 @@ use zenoh::{
 use super::error::BusError;
 use crate::{
     throw::MachineId,
-    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
+    wire::{CommandTarget, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
-/// Time until a query of an operator fails; longer than a daemon needs for a batch of throws.
+/// Time until a query of an operator fails: longer than a daemon takes for a batch of throws before it replies.
 pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
 
 /// A query or command without a usable answer.
@@ -50,7 +50,7 @@ pub enum OperatorError {
         /// Names and sessions of the daemons.
         daemons: String,
     },
-    /// The daemon that answers is not the daemon of the given configuration.
+    /// The daemon that answers is not the one named in the configuration.
     #[error(
         "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
     )]
@@ -69,7 +69,7 @@ pub enum OperatorError {
     /// A daemon did not answer in time.
     #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
     Timeout,
-    /// The daemon refused, with its reason.
+    /// The daemon refused the query or command, with this reason.
     #[error("{0}")]
     Refused(String),
 }
@@ -79,7 +79,7 @@ pub enum OperatorError {
 pub struct Answers {
     /// Keys and payloads, in the order of the keys.
     pub messages: Vec<(String, Vec<u8>)>,
-    /// The errors of daemons that could not answer.
+    /// The errors of daemons that gave no answer.
     pub errors: Vec<OperatorError>,
 }
 
@@ -103,7 +103,7 @@ pub async fn ask(
     payload: Option<Vec<u8>>,
     timeout: Duration,
 ) -> Result<Answers, OperatorError> {
-    /// Zenoh's own reply after the time limit of the query.
+    /// Text of the error reply that zenoh itself makes at the time limit of the query.
     const TIMEOUT: &str = "Timeout";
     let asked = BusError::new(format!("ask {selector}"));
     let mut get = session
@@ -133,13 +133,13 @@ pub async fn ask(
             }
         }
     }
-    // Daemons reply in any order. Stable, as several messages of a key have an order.
+    // Daemons reply in any order. The sort is stable, as several messages with one key are in order.
     answers.messages.sort_by(|(one, _), (other, _)| one.cmp(other));
     Ok(answers)
 }
 
-/// Sends a command to the daemon that serves a machine, and returns its reply. First asks all daemons that would apply
-/// the command for their names; sends nothing unless there is exactly one, and it is `expected` if that is given.
+/// Sends a command to the daemon that serves a machine, and returns its reply. First queries the names of all daemons
+/// that would apply the command. Sends nothing unless there is exactly one, with the name `expected` if given.
 pub(crate) async fn command(
     session: &Session,
     machine: &MachineId,
@@ -148,7 +148,7 @@ pub(crate) async fn command(
 ) -> Result<Vec<u8>, OperatorError> {
     let key = machine_key(machine, Kind::Command);
     let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
-    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<Commander>(payload));
+    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload));
     let daemons = daemons.collect::<Result<Vec<_>, _>>().map_err(|_| OperatorError::Nameless(machine.to_string()))?;
     let commander = match daemons.as_slice() {
         [only] => only,
@@ -175,7 +175,7 @@ pub(crate) async fn command(
 /// The names of the daemons that serve a machine.
 pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Vec<String>, OperatorError> {
     let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.messages;
-    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<Commander>(payload).ok());
+    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload).ok());
     Ok(daemons.map(|daemon| daemon.monitor).collect())
 }
 
@@ -205,8 +205,8 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     }
 }
 
-/// Distinguishes "no alarms" from "no daemon monitors this": checks that a daemon runs and, for a given machine, that a
-/// daemon knows it.
+/// Distinguishes "no alarms" from "not monitored by any daemon": checks that a daemon runs and, if a machine is given,
+/// that a daemon knows it.
 pub(crate) async fn require_monitored(session: &Session, machine: Option<&MachineId>) -> Result<(), OperatorError> {
     if monitors(session).await?.is_empty() {
         return Err(OperatorError::NoDaemon);

@@ -1,6 +1,6 @@
-//! Publishes alarms and health from two threads of their own, as a put blocks on a slow link. Nothing is dropped without
-//! a count: zenoh waits for a slow subscriber and closes the link to one that hangs, and meanwhile the queue of health
-//! fills.
+//! Publishes alarms and health on two threads of their own, as a put blocks on a slow link. Zenoh waits for a slow
+//! subscriber, and closes the link to a subscriber that hangs. Meanwhile the queue of health messages may fill; then
+//! further health messages are dropped and counted.
 
 use std::{
     collections::HashMap,
@@ -23,24 +23,25 @@ use zenoh::{
 
 use super::error::BusError;
 
-/// Capacity of the queue of health messages: a burst of throws.
+/// Capacity of the queue of health messages: enough for a burst of throws.
 const QUEUE: usize = 1_024;
 /// Capacity of the queue of alarms: they are few, and each waits for its result.
 const ALARMS: usize = 16;
-/// Number of machines of a site from which their keys are declared. Of a declared key zenoh keeps 2.6 kB with its route,
-/// as long as the session is open. It compares any other key with every key of the site at each put: 0.2 µs for each.
+/// From this number of machines on, the keys of a site are declared. Zenoh keeps 2.6 kB for a declared key and its
+/// route, as long as the session is open. At each put with an undeclared key, zenoh compares it with every key of the
+/// site, which takes 0.2 µs for each of them.
 const LARGE_SITE: usize = 100;
-/// Number of machines of a site from which their keys are declared although [`DECLARED`] keys are: a put of any other key
-/// takes up to 60 µs longer.
+/// From this number of machines on, the keys of a site are declared even if [`DECLARED`] keys are declared already. A
+/// put with an undeclared key of a smaller site takes up to 60 µs longer.
 const VERY_LARGE_SITE: usize = 300;
-/// Number of declared keys from which on only those of very large sites are declared. With 20,000 machines in sites of a
-/// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this bound.
+/// From this number of declared keys on, only keys of very large sites are declared. With 20,000 machines in sites of a
+/// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this limit.
 const DECLARED: usize = 1_000;
 
 /// The keys of the machines, and how many of them are declared.
 #[derive(Default)]
 struct Keys {
-    /// For each site; `None` while a key is not declared.
+    /// The keys of each site; `None` if a key is not declared.
     sites: HashMap<String, HashMap<String, Option<KeyExpr<'static>>>>,
     declared: usize,
 }
@@ -53,8 +54,8 @@ pub(crate) struct OutletCounters {
     pub dropped: AtomicU64,
 }
 
-/// A message, with the receiver of the result if it is an alarm.
-struct Job {
+/// A message to publish. The sender of an alarm waits for its result.
+struct Publication {
     key: String,
     payload: Vec<u8>,
     done: Option<oneshot::Sender<Result<(), BusError>>>,
@@ -63,17 +64,17 @@ struct Job {
 /// Handle to the publishing threads, which end when the last handle is dropped.
 #[derive(Clone)]
 pub(crate) struct Outlet {
-    alarms: mpsc::Sender<Job>,
-    healths: mpsc::Sender<Job>,
+    alarms: mpsc::Sender<Publication>,
+    healths: mpsc::Sender<Publication>,
     counters: Arc<OutletCounters>,
 }
 
 impl Outlet {
-    /// Starts the threads, which end when they have published their queues. Close the session only after their ends: a put
-    /// to a closing session panics in zenoh.
+    /// Starts the threads. When the last handle is dropped, they publish the rest of their queues and end. Close the
+    /// session only after their ends: a put to a closing session panics in zenoh.
     pub(crate) fn start(session: &Session) -> (Self, [JoinHandle<()>; 2]) {
         let counters = Arc::<OutletCounters>::default();
-        // With a priority of their own alarms do not wait in zenoh behind health.
+        // With a higher priority, alarms do not wait behind health messages in zenoh.
         let (alarms, first) = publisher(session, Priority::InteractiveHigh, ALARMS, &counters);
         let (healths, second) = publisher(session, Priority::Data, QUEUE, &counters);
         (Self { alarms, healths, counters }, [first, second])
@@ -88,13 +89,13 @@ impl Outlet {
     pub(crate) async fn alarm(&self, key: String, payload: Vec<u8>) -> Result<(), BusError> {
         let (done, answer) = oneshot::channel();
         let gone = || BusError::new("publish an alarm")("the publishing thread has ended".into());
-        self.alarms.send(Job { key, payload, done: Some(done) }).await.map_err(|_| gone())?;
+        self.alarms.send(Publication { key, payload, done: Some(done) }).await.map_err(|_| gone())?;
         answer.await.map_err(|_| gone())?
     }
 
     /// Queues the health of a throw; counts it as dropped if the queue is full.
     pub(crate) fn health(&self, key: String, payload: Vec<u8>) {
-        if self.healths.try_send(Job { key, payload, done: None }).is_err() {
+        if self.healths.try_send(Publication { key, payload, done: None }).is_err() {
             self.counters.dropped.fetch_add(1, Relaxed);
         }
     }
@@ -105,21 +106,26 @@ impl Outlet {
     }
 }
 
-/// Starts a publishing thread; returns its queue and its end.
+/// Starts a publishing thread; returns its queue and the handle to wait for its end.
 fn publisher(
     session: &Session,
     priority: Priority,
     capacity: usize,
     counters: &Arc<OutletCounters>,
-) -> (mpsc::Sender<Job>, JoinHandle<()>) {
-    let (jobs, inbox) = mpsc::channel(capacity);
+) -> (mpsc::Sender<Publication>, JoinHandle<()>) {
+    let (sender, publications) = mpsc::channel(capacity);
     let (session, counters) = (session.clone(), Arc::clone(counters));
-    (jobs, task::spawn_blocking(move || run(&session, inbox, priority, &counters)))
+    (sender, task::spawn_blocking(move || run(&session, publications, priority, &counters)))
 }
 
-fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {
+fn run(
+    session: &Session,
+    mut publications: mpsc::Receiver<Publication>,
+    priority: Priority,
+    counters: &OutletCounters,
+) {
     let mut keys = Keys::default();
-    while let Some(Job { key, payload, done }) = jobs.blocking_recv() {
+    while let Some(Publication { key, payload, done }) = publications.blocking_recv() {
         let result = put(session, &mut keys, &key, payload, priority);
         if result.is_ok() {
             counters.published.fetch_add(1, Relaxed);
@@ -139,7 +145,7 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, cou
 /// Publishes on a key, which is declared if its site is large.
 fn put(session: &Session, keys: &mut Keys, key: &str, payload: Vec<u8>, priority: Priority) -> Result<(), BusError> {
     let failed = |error| BusError::new(format!("publish on {key}"))(error);
-    // The key without machine and kind.
+    // The start of the key, up to the site.
     let site = key.rsplitn(3, '/').last().unwrap_or(key);
     let site = keys.sites.entry(site.to_owned()).or_default();
     let is_large = site.len() >= if keys.declared < DECLARED { LARGE_SITE } else { VERY_LARGE_SITE };

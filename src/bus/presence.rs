@@ -1,4 +1,4 @@
-//! Liveliness tokens of loggers, and the presence of subscribers.
+//! Watches the liveliness tokens of loggers and daemons, and whether there are subscribers.
 
 use zenoh::{
     Session,
@@ -9,8 +9,8 @@ use zenoh::{
 use super::error::BusError;
 
 /// Watches the liveliness tokens in a key expression while the session is open. `on_change` gets the key of each token,
-/// and whether it appeared or went; the present tokens come first. It runs on a thread of zenoh and must not wait: a cut
-/// link removes all tokens of a region at once, and a queue of these changes would overflow.
+/// and whether it appeared (true) or went; the present tokens come first. It runs on a thread of zenoh and must not
+/// wait: a cut link removes all tokens of a region at once, and a queue of these changes would overflow.
 pub(crate) async fn watch_tokens(
     session: &Session,
     key_expression: &str,
@@ -26,11 +26,11 @@ pub(crate) async fn watch_tokens(
         .map_err(BusError::new(format!("watch the liveliness of {key_expression}")))
 }
 
-/// The subscribers to a key expression, as seen by a publisher that publishes nothing.
-pub(crate) struct Audience(Publisher<'static>);
+/// Watches the subscribers to a key expression, by a zenoh publisher that publishes nothing.
+pub(crate) struct SubscriberWatch(Publisher<'static>);
 
-impl Audience {
-    /// Watches the subscribers to any key in the key expression.
+impl SubscriberWatch {
+    /// Watches for subscribers to any key in the key expression.
     pub(crate) async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let publisher = session.declare_publisher(key_expression.to_owned()).await;
         publisher.map(Self).map_err(BusError::new(format!("see the subscribers to {key_expression}")))

@@ -20,21 +20,21 @@ use zenoh::{
 
 use super::{error::BusError, message::beginning, session::intersect};
 
-/// Capacity of the queue: a dashboard sends a few queries a second.
+/// Capacity of the queue \[queries\]: a dashboard sends a few queries per second.
 const QUEUE: usize = 64;
-/// Queries whose replies are sent at the same time: those to a client on a slow link do not delay the others.
+/// Number of queries whose replies are sent at the same time: a client on a slow link does not delay the others.
 const SENDING: usize = 8;
-/// Reply to a query that found the queue full, for its sender.
+/// Error reply to a query that found the queue full.
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest payload of a query \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
 /// A received query.
-pub struct Question {
+pub struct ReceivedQuery {
     query: Query,
 }
 
-impl Question {
+impl ReceivedQuery {
     /// Key expression of the query.
     pub fn key(&self) -> &str {
         self.query.key_expr().as_str()
@@ -62,17 +62,17 @@ impl Question {
 }
 
 /// A queryable with a bounded queue of queries.
-pub struct Questions {
-    waiting: mpsc::Receiver<Question>,
+pub struct QueryQueue {
+    waiting: mpsc::Receiver<ReceivedQuery>,
     /// Queries that found `waiting` full, for an error reply.
-    refused: mpsc::Receiver<Question>,
+    refused: mpsc::Receiver<ReceivedQuery>,
     dropped: Arc<AtomicU64>,
     /// A permit for each query whose replies are being sent.
     sending: Arc<Semaphore>,
     _queryable: Queryable<()>,
 }
 
-impl Questions {
+impl QueryQueue {
     /// Declares the queryable.
     ///
     /// # Errors
@@ -86,14 +86,14 @@ impl Questions {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
-                // Only the payload of a waiting query takes memory without a bound: it ends without a reply.
+                // A waiting query keeps its payload in memory, so one with a large payload ends without a reply.
                 if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
                     counter.fetch_add(1, Relaxed);
                     return;
                 }
-                if let Err(TrySendError::Full(question)) = sender.try_send(Question { query }) {
+                if let Err(TrySendError::Full(question)) = sender.try_send(ReceivedQuery { query }) {
                     counter.fetch_add(1, Relaxed);
-                    // Without a place in this queue too, the query ends without a reply.
+                    // If this queue is full too, the query ends without a reply.
                     let _ = refuse.try_send(question);
                 }
             })
@@ -108,13 +108,13 @@ impl Questions {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. First replies an error to the refused queries. Each of these
-    /// gets its reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
-    pub async fn next(&mut self) -> Option<Question> {
-        // Only those present now: during a flood others follow without end.
+    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this
+    /// reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
+    pub async fn next(&mut self) -> Option<ReceivedQuery> {
+        // Only the queries that are refused now: during a flood others follow without end.
         for _ in 0..self.refused.len() {
             let question = self.refused.recv().await?;
-            // While slow links take all permits, it ends without a reply.
+            // While slow links use all permits, the query ends without a reply.
             if let Ok(permit) = Arc::clone(&self.sending).try_acquire_owned() {
                 send(question, Err(BUSY.to_owned()), permit);
             }
@@ -122,19 +122,23 @@ impl Questions {
         self.waiting.recv().await
     }
 
-    /// Replies to a query with JSON messages, each on its key, or with one error text. Returns while they are being sent,
-    /// but waits while the replies to `SENDING` other queries are.
-    pub(crate) async fn answer(&self, question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
-        // Always `Ok`: nothing closes the semaphore.
+    /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are
+    /// sent, but first waits while replies to `SENDING` other queries are being sent.
+    pub(crate) async fn answer(&self, question: ReceivedQuery, replies: Result<Vec<(String, Vec<u8>)>, String>) {
+        // The result is always `Ok`, as nothing closes the semaphore.
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
             send(question, replies, permit);
         }
     }
 }
 
-/// Sends replies on a blocking thread, as a reply blocks on a slow link, until zenoh closes the link after 5 s without
+/// Sends replies on a blocking thread: a reply blocks on a slow link, until zenoh closes the link after 5 s without
 /// progress.
-fn send(Question { query }: Question, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
+fn send(
+    ReceivedQuery { query }: ReceivedQuery,
+    replies: Result<Vec<(String, Vec<u8>)>, String>,
+    permit: OwnedSemaphorePermit,
+) {
     task::spawn_blocking(move || {
         let _permit = permit;
         let failed = |error| tracing::debug!(%error, "sending a reply failed");

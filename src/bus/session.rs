@@ -1,4 +1,4 @@
-//! Functions of a zenoh session.
+//! Opening of a zenoh session, and queries of its state.
 
 use std::{thread, time::Duration};
 
@@ -15,7 +15,7 @@ const FIRST_WARNING: Duration = Duration::from_secs(2);
 /// Time between two of these log lines.
 const WARN_EVERY: Duration = Duration::from_secs(30);
 
-/// Whether a session is a client, which reaches others through a router only.
+/// Whether a session of this configuration is a client, which reaches other sessions through a router only.
 pub(crate) fn is_client(config: &Config) -> bool {
     config.get_json("mode").is_ok_and(|mode| mode.contains("client"))
 }
@@ -28,8 +28,8 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
     let is_client = is_client(&config);
     let routers = config.get_json("connect/endpoints").unwrap_or_default();
     let (done, mut opened) = oneshot::channel();
-    // `zenoh::open` blocks, for a client until its router answers. On a thread of its own it delays neither signals nor the
-    // end of the process.
+    // `zenoh::open` blocks, for a client until its router answers. On a thread of its own it delays neither the
+    // handling of signals nor the end of the process.
     let open = move || {
         let _ = done.send(zenoh::open(config).wait());
     };
@@ -48,13 +48,13 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
     }
 }
 
-/// Declares a liveliness token. Others see it until it is dropped or the link is closed.
+/// Declares a liveliness token. Other sessions see it until it is dropped or the link is closed.
 pub(crate) async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
     let declared = session.liveliness().declare_token(key.to_owned()).await;
     declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
 }
 
-/// Whether two key expressions have a key in common; false if one of them is invalid.
+/// Whether two key expressions have a key in common; false if one of the two is invalid.
 pub(crate) fn intersect(one: &str, other: &str) -> bool {
     match (keyexpr::new(one), keyexpr::new(other)) {
         (Ok(one), Ok(other)) => one.intersects(other),

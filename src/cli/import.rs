@@ -162,7 +162,7 @@ fn is_json(file: &Path) -> bool {
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
     let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
-    let bytes = wire::unmarked(&bytes);
+    let bytes = wire::without_byte_order_mark(&bytes);
     if bytes.trim_ascii_start().starts_with(b"[") {
         let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
         return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);

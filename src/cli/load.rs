@@ -10,7 +10,7 @@ use super::{
     output, simulate_run,
 };
 use crate::{
-    logger::{Load, Loaded, quantile},
+    logger::{LoadResult, LoadTest, quantile},
     throw::{MachineId, Name, counted},
 };
 
@@ -61,7 +61,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             let site = format!("{}-{}", arguments.site, number / MACHINES_OF_A_SITE + 1);
             MachineId::new(&site, &format!("m-{}", number % MACHINES_OF_A_SITE + 1))
         });
-        let load = Load {
+        let load = LoadTest {
             machines: machines.collect::<Result<_, _>>().or_exit(Exit::Usage)?,
             rate: arguments.rate.into(),
             throws: u64::from(arguments.rate) * u64::from(arguments.seconds),
@@ -78,7 +78,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-fn report(throws: u64, rate: f64, loaded: &Loaded, as_json: bool) -> Outcome {
+fn report(throws: u64, rate: f64, loaded: &LoadResult, as_json: bool) -> Outcome {
     let judged = loaded.latencies.len() as u64;
     let published_per_s = throws as f64 / loaded.publishing.as_secs_f64().max(1.0 / rate);
     let [health_ms, alarm_ms] = [&loaded.latencies, &loaded.alarm_latencies]

@@ -15,7 +15,7 @@ use anyhow::{Context, anyhow, bail};
 use super::{Exit, Failure, ResultExt};
 use crate::{
     throw::{Trace, counted},
-    wire::unmarked,
+    wire::without_byte_order_mark,
 };
 
 const TIME: &str = "time_s";
@@ -53,7 +53,10 @@ struct Columns {
 /// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = bytes(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
-    parse(unmarked(&bytes)).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+    parse(without_byte_order_mark(&bytes))
+        .and_then(Columns::evenly)
+        .with_context(|| path.display().to_string())
+        .or_exit(Exit::Data)
 }
 
 /// The content of a file, or of standard input for `-`.

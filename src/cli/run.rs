@@ -50,7 +50,7 @@ pub(super) fn start_failure(error: StartError) -> Failure {
     let exit = match &error {
         StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
         StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
-        StartError::Bus(error) if !error.may_pass() => Exit::Config,
+        StartError::Bus(error) if !error.is_temporary() => Exit::Config,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
     };
     Failure::new(exit, error)

@@ -12,7 +12,7 @@ use super::{
     output,
     runtime::block_on,
 };
-use crate::store::{Answer, StoreError, Value, ask};
+use crate::store::{ResultWriter, StoreError, Value, run_query};
 
 /// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
 /// columns.
@@ -41,20 +41,20 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
-    let mut answer: Box<dyn Answer> = match (arguments.json, arguments.csv) {
+    let mut writer: Box<dyn ResultWriter> = match (arguments.json, arguments.csv) {
         (true, _) => Box::new(Json { out: BufWriter::new(io::stdout().lock()), names: Vec::new(), rows: 0 }),
         (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
         _ => Box::new(Plain(None)),
     };
     let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
-    match block_on(async { Ok(ask(&path, query, answer.as_mut()).await) })? {
+    match block_on(async { Ok(run_query(&path, query, writer.as_mut()).await) })? {
         Ok(()) => Ok(Exit::Ok),
         // The reader closed the pipe.
-        Err(StoreError::Answer(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
-        Err(StoreError::Answer(error)) if error.kind() == io::ErrorKind::InvalidInput => {
+        Err(StoreError::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
+        Err(StoreError::Output(error)) if error.kind() == io::ErrorKind::InvalidInput => {
             Err(error).or_exit(Exit::Usage)
         }
-        Err(error @ StoreError::Answer(_)) => Err(error).or_exit(Exit::Io),
+        Err(error @ StoreError::Output(_)) => Err(error).or_exit(Exit::Io),
         Err(error) => Err(cannot_open(error)),
     }
 }
@@ -70,7 +70,7 @@ const LEAST_WIDTH: usize = 20;
 /// A table, printed when it is complete; on a terminal at most as wide as the terminal.
 struct Plain(Option<Table>);
 
-impl Answer for Plain {
+impl ResultWriter for Plain {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         // Prints the answer to the previous statement, if there is one.
         self.end()?;
@@ -93,7 +93,7 @@ impl Answer for Plain {
 
 struct Csv(csv::Writer<StdoutLock<'static>>);
 
-impl Answer for Csv {
+impl ResultWriter for Csv {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         self.0.write_record(names).map_err(output::io_error)
     }
@@ -113,7 +113,7 @@ struct Json {
     rows: u64,
 }
 
-impl Answer for Json {
+impl ResultWriter for Json {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         if !self.names.is_empty() {
             self.end()?;

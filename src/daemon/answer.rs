@@ -2,9 +2,9 @@
 
 use super::{orders::Orders, status::StatusSources};
 use crate::{
-    bus::{Question, Questions},
+    bus::{QueryQueue, ReceivedQuery},
     store::{Reader, Selector, StoreError, seldom},
-    wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
+    wire::{self, Alarm, CommandTarget, Health, HistoryQuery, Kind},
 };
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
@@ -17,14 +17,14 @@ pub(super) enum Answers {
     Alarms { reader: Reader, elsewhere: Option<String> },
     /// To operators' commands, and to queries for the name of the daemon, `itself`. A command for another daemon gets
     /// no reply.
-    Commands { orders: Orders, itself: Commander },
+    Commands { orders: Orders, itself: CommandTarget },
     /// To status queries.
     Status { key: String, sources: StatusSources },
 }
 
 impl Answers {
     /// Answers until the session is closed.
-    pub(super) async fn run(self, mut questions: Questions) {
+    pub(super) async fn run(self, mut questions: QueryQueue) {
         while let Some(question) = questions.next().await {
             let dropped = questions.take_dropped();
             if dropped > 0 {
@@ -35,7 +35,7 @@ impl Answers {
         }
     }
 
-    async fn replies(&self, question: &Question) -> Replies {
+    async fn replies(&self, question: &ReceivedQuery) -> Replies {
         match self {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
@@ -55,11 +55,11 @@ impl Answers {
     }
 }
 
-fn takes_only(question: &Question, known: &[&str]) -> Result<(), String> {
-    wire::only_known(question.parameters(), known).map_err(|error| error.to_string())
+fn takes_only(question: &ReceivedQuery, known: &[&str]) -> Result<(), String> {
+    wire::check_parameters(question.parameters(), known).map_err(|error| error.to_string())
 }
 
-async fn health_replies(question: &Question, reader: &Reader) -> Replies {
+async fn health_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
@@ -68,7 +68,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
     messages(question, rows, message)
 }
 
-async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
+async fn alarm_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.open_alarms(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.alarm_history(&selector(question), since, limit).await,
@@ -78,7 +78,7 @@ async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
 }
 
 fn messages<T>(
-    question: &Question,
+    question: &ReceivedQuery,
     rows: Result<Vec<T>, StoreError>,
     message: impl Fn(T) -> (String, Vec<u8>),
 ) -> Replies {
@@ -86,7 +86,7 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
+async fn command_reply(question: &ReceivedQuery, orders: &Orders, itself: &CommandTarget) -> Replies {
     let payload = question.payload();
     let machine = match wire::parse_key(question.key()) {
         Ok((machine, _)) => machine,
@@ -114,6 +114,6 @@ async fn status(sources: &StatusSources) -> Vec<u8> {
 
 /// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
 /// messages are filtered afterwards.
-fn selector(question: &Question) -> Selector {
+fn selector(question: &ReceivedQuery) -> Selector {
     wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

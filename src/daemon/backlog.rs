@@ -21,7 +21,7 @@ use super::{
     schedule::{AT_A_TIME, Schedule},
 };
 use crate::{
-    bus::{self, Ending, Limits},
+    bus::{self, Limits, PageEnd},
     store::{Cursor, StoreError, seldom},
     throw::{MachineId, Throw, ThrowRef},
     wire::{self, BacklogQuery, Kind},
@@ -223,17 +223,17 @@ impl Querier {
             let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
             let Some(page) = page else {
                 // The good throws may be behind messages that are no throws, or that zenoh drops because of their size.
-                if ending == Ending::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                if ending == PageEnd::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
                     least = (WIDER * limit).min(wire::MAX_PAGE);
                     continue;
                 }
                 return Ok(match ending {
-                    Ending::Broken => {
+                    PageEnd::Broken => {
                         *size = (*size / 2).max(1);
                         QueryEnd::Broken
                     }
-                    Ending::Complete if cursor.awaits => QueryEnd::Without(cursor),
-                    Ending::Complete => QueryEnd::Complete,
+                    PageEnd::Complete if cursor.awaits => QueryEnd::Without(cursor),
+                    PageEnd::Complete => QueryEnd::Complete,
                 });
             };
             let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
@@ -243,7 +243,7 @@ impl Querier {
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
             least = 1;
-            if ending == Ending::Broken {
+            if ending == PageEnd::Broken {
                 *size = (*size / 2).max(1);
                 return Ok(QueryEnd::Broken);
             }
@@ -260,7 +260,7 @@ impl Querier {
 
     /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the
     /// logger sent no message at all.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, Ending, bool) {
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, PageEnd, bool) {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         if let Some(error) = &answer.error {

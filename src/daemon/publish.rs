@@ -12,7 +12,7 @@ use zenoh::Session;
 
 use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
-    bus::{self, Audience, Outlet},
+    bus::{self, Outlet, SubscriberWatch},
     store::{Store, seldom},
 };
 
@@ -36,7 +36,7 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    pub(super) audience: Audience,
+    pub(super) audience: SubscriberWatch,
     /// Whether the database is new: no earlier process published, so no subscriber has a sequence from one.
     pub(super) is_first: bool,
     pub(super) is_client: bool,

@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 use super::{clock, config::Monitor, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
-    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
+    store::{QUARANTINED_BYTES, QuarantinedMessage, Spooled, Store, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
@@ -106,7 +106,7 @@ impl Intake {
     }
 
     /// Whether a message from a backlog was not refused before.
-    fn is_first_refusal(&self, Refused { key, bytes, beginning, .. }: &Refused) -> bool {
+    fn is_first_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> bool {
         let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
             before.clear();
@@ -122,7 +122,7 @@ impl Intake {
     }
 
     /// Accepts a throw of a known or new machine.
-    fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
+    fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, QuarantinedMessage> {
         let mut known = self.machines.lock();
         // First, so that a reserved name gets its own reason also when max_machines is reached.
         let reason = if let Some(reason) = self.monitor.reserves(&machine) {
@@ -138,11 +138,11 @@ impl Intake {
             }
             return Ok((machine, throw, received_at));
         };
-        Err(Refused::throw(&machine, &throw, reason, received_at))
+        Err(QuarantinedMessage::throw(&machine, &throw, reason, received_at))
     }
 
-    async fn quarantine(&self, refused: Vec<Refused>) {
-        let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
+    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) {
+        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return };
         // One log line for the batch, so that a flood of messages does not flood the log.
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
@@ -290,7 +290,7 @@ impl ReceiveLoop {
                 }
                 Err(error @ StoreError::Refused(_)) => {
                     let reason = format!("the database rejects it: {error}");
-                    let refused = Refused::throw(machine, throw, reason, *received_at);
+                    let refused = QuarantinedMessage::throw(machine, throw, reason, *received_at);
                     let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
                     self.intake.status.edit().quarantined += u64::from(is_kept);
                     is_kept
@@ -311,14 +311,14 @@ fn guarded(
     message: Message,
     received_at: Timestamp,
     decode: impl Fn(&Message) -> Result<Received, String>,
-) -> Result<Received, Refused> {
+) -> Result<Received, QuarantinedMessage> {
     let numbered = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
     let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(numbered)));
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
         let Message { key, payload: mut beginning, bytes, .. } = message;
         beginning.truncate(QUARANTINED_BYTES);
-        Refused { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
+        QuarantinedMessage { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
     })
 }
 

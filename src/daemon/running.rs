@@ -32,10 +32,10 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, Outlet, Questions},
+    bus::{self, BusError, Inbox, Limits, Outlet, QueryQueue, SubscriberWatch},
     store::{self, Found, Opened, Store},
     throw::MachineId,
-    wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
+    wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws. A slower observer skips the oldest.
@@ -252,7 +252,7 @@ impl Starting {
             outlet,
             status: Arc::clone(&self.status),
             outbox: Arc::clone(&self.outbox),
-            audience: Audience::of(&self.session, &self.scope(Kind::Alarm)).await?,
+            audience: SubscriberWatch::of(&self.session, &self.scope(Kind::Alarm)).await?,
             is_first,
             is_client: bus::is_client(&self.config.zenoh),
         };
@@ -363,7 +363,7 @@ impl Starting {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
-        let itself = Commander { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
+        let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
         let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
         let mut all = vec![
@@ -380,7 +380,7 @@ impl Starting {
             all.push(("answer own commands", own(Kind::Command), commands()));
         }
         for (name, key, answers) in all {
-            let questions = Questions::declare(&self.session, &key).await?;
+            let questions = QueryQueue::declare(&self.session, &key).await?;
             self.tasks.spawn(name, answers.run(questions));
         }
         Ok(())

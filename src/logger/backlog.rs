@@ -1,4 +1,4 @@
-//! The backlog of a machine: its last throws, available page by page from a queryable on the throw key.
+//! The backlog of a machine: its last throws, which a queryable on the throw key gives page by page.
 
 use std::{
     collections::VecDeque,
@@ -16,7 +16,7 @@ use zenoh::{
 use super::error::LoggerError;
 use crate::{throw::ThrowRef, wire::BacklogQuery};
 
-/// Capacity of the queue of queries for all machines; a daemon asks for one page of a machine at a time.
+/// Capacity of the queue of queries, for all machines together; a daemon queries one page of a machine at a time.
 const QUEUE: usize = 256;
 
 /// Throws of one machine, oldest first, limited in number and bytes.
@@ -28,7 +28,7 @@ struct Kept {
     max_bytes: usize,
 }
 
-/// The backlog of one machine; its queryable ends when this is dropped.
+/// The backlog of one machine. Dropping it ends its queryable.
 pub(super) struct Backlog {
     kept: Arc<Mutex<Kept>>,
     _queryable: Queryable<()>,
@@ -69,8 +69,8 @@ impl AnswerThread {
         let queryable = session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
-                // With a full queue the query ends without a reply, like that to a logger without newer throws. A daemon has
-                // at most eight queries at a time, so that the queue never fills.
+                // If the queue is full, the query ends without a reply, as if there were no newer throws. A daemon
+                // sends at most eight queries at a time, so the queue does not fill.
                 let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
             })
             .wait()?;

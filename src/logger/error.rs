@@ -1,11 +1,11 @@
-//! The errors of a logger.
+//! Errors of the simulated logger.
 
 use crate::{
     bus::BusError,
     throw::{InvalidTrace, OutOfRange},
 };
 
-/// An error that keeps a logger from publishing throws.
+/// An error that ends the publishing of throws.
 #[derive(Debug, thiserror::Error)]
 pub enum LoggerError {
     /// A parameter of the simulated fleet is out of its range.

@@ -1,6 +1,6 @@
-//! A load: many machines that throw at a given rate, with prepared traces.
+//! A load test of a daemon: publishes throws of many machines at a given rate, with prepared traces.
 //!
-//! The throws are simulated before the load begins, so that the simulation does not limit the rate. New sensor noise
+//! The throws are simulated before the test begins, so that the simulation does not limit the rate. New sensor noise
 //! makes each trace different.
 
 use std::{
@@ -27,21 +27,21 @@ use crate::{
     wire::{self, Alarm, Encoding, Health, Kind},
 };
 
-/// Number of simulated machines; the others repeat them.
+/// Number of simulated machines; all other machines repeat their throws.
 const MODELS: usize = 16;
-/// Prepared throws of a simulated machine, half of them in each direction.
-const THROWS: usize = 4;
+/// Number of prepared throws of a simulated machine, half of them in each direction.
+const PREPARED_THROWS: usize = 4;
 /// Standard deviation of the noise added to the current \[A\]: a step of a 14-bit converter over 40 A.
-const CURRENT_A: f64 = 0.0025;
+const CURRENT_NOISE_A: f64 = 0.0025;
 /// Standard deviation of the noise added to the position \[mm\]: a step of a 14-bit converter over 160 mm.
-const POSITION_MM: f64 = 0.01;
-/// Number of prepared noise values; each throw uses a stretch of them.
+const POSITION_NOISE_MM: f64 = 0.01;
+/// Number of prepared noise values. Each channel of a throw uses successive values from a random position.
 const NOISE_VALUES: usize = 1 << 17;
 
-/// Settings of a load.
+/// Settings of a load test.
 #[derive(Debug, Clone)]
-pub struct Load {
-    /// The machines in the order of their throws.
+pub struct LoadTest {
+    /// The machines, in the order in which they throw.
     pub machines: Vec<MachineId>,
     /// Throws per second of all machines together.
     pub rate: f64,
@@ -53,9 +53,9 @@ pub struct Load {
     pub seed: u64,
 }
 
-/// Result of a load.
+/// Result of a load test.
 #[derive(Debug, Clone)]
-pub struct Loaded {
+pub struct LoadResult {
     /// Time from the first to the last publication.
     pub publishing: Duration,
     /// Number of throws judged before the last publication.
@@ -68,16 +68,17 @@ pub struct Loaded {
     pub behind: Duration,
 }
 
-/// The quantile of sorted latencies for this share of them; `None` without latencies.
+/// The quantile of sorted latencies at the share `share` (0 to 1); `None` without latencies.
 pub fn quantile(latencies: &[Duration], share: f64) -> Option<Duration> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
     let rank = (share * latencies.len() as f64).ceil() as usize;
     latencies.get(rank.max(1) - 1).copied()
 }
 
-/// Throws without a received message, and the latencies of the others.
+/// The published throws whose message has not been received yet, and the latencies of the others.
 #[derive(Default)]
 struct Tracking {
+    /// Time of the publication, by machine and throw number.
     published: HashMap<(MachineId, u64), Instant>,
     latencies: Vec<Duration>,
 }
@@ -97,12 +98,13 @@ impl Tracking {
 
 type Shared = Arc<Mutex<Tracking>>;
 
-impl Load {
-    /// Publishes the throws, and waits until the health of all has arrived, or none has arrived for `patience`.
+impl LoadTest {
+    /// Publishes the throws, and waits until the health of every throw has arrived, or no health has arrived for
+    /// `patience`.
     ///
     /// # Errors
     /// When the simulation or zenoh fails.
-    pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
+    pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<LoadResult, LoggerError> {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());
         let _subscribers = subscribe(session, boot_id, &healths, &alarms)?;
@@ -133,18 +135,19 @@ impl Load {
         let last = wait_for_all(&healths, end, patience);
         wait_for_all(&alarms, clock::monotonic(), patience);
         let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| tracking.lock().sorted());
-        Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
+        Ok(LoadResult { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
 
     fn prepare(&self) -> Result<Vec<Vec<SimulatedThrow>>, LoggerError> {
         let settings = FleetSettings { machines: MODELS.min(self.machines.len()), ..FleetSettings::default() };
         let machines = Fleet::new(&settings, self.seed)?.into_machines().into_iter();
-        let throws = machines.map(|mut machine| (0..THROWS).map(|_| machine.next_throw()).collect());
+        let throws = machines.map(|mut machine| (0..PREPARED_THROWS).map(|_| machine.next_throw()).collect());
         Ok(throws.collect::<Result<_, _>>()?)
     }
 
-    /// The keys of the throws, after a daemon has subscribed to the first. No key is declared: with a publisher for each
-    /// machine zenoh compares every new one with all others, which took minutes for 20,000 machines.
+    /// Waits until a daemon has subscribed to the throws of the first machine, and returns the throw keys of all
+    /// machines. The keys are not declared: with a publisher for each machine, zenoh compares every new publisher with
+    /// all others, which took minutes for 20,000 machines.
     fn keys(&self, session: &Session, patience: Duration) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
         if let Some(first) = self.machines.first() {
             let publisher = publisher(session, first)?;
@@ -218,7 +221,7 @@ fn message(
 ) -> Result<Vec<u8>, LoggerError> {
     let mut throw = simulated.clone().into_throw(boot_id, clock::now());
     throw.id.throw_no = throw_no;
-    throw.trace = noise.on(&throw.trace, is_blocked)?;
+    throw.trace = noise.add_to(&throw.trace, is_blocked)?;
     Ok(wire::encode_throw(Encoding::Cbor, &throw))
 }
 
@@ -234,16 +237,16 @@ impl Noise {
         Self { values: (0..NOISE_VALUES).map(|_| rng.sample(StandardNormal)).collect(), rng }
     }
 
-    /// A trace with noise from a random position; without a movement of the toe if it is blocked.
-    fn on(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
+    /// The trace with noise added, and without a movement of the toe if the machine is blocked.
+    fn add_to(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
         let mut channel = |samples: &[f64], sd: f64, moves: bool| {
             let from = self.rng.random_range(0..self.values.len());
             let noise = self.values.iter().cycle().skip(from);
             let value = |sample: f64| if moves { sample } else { samples[0] };
             samples.iter().zip(noise).map(|(sample, noise)| value(*sample) + sd * noise).collect()
         };
-        let current = channel(trace.current_a(), CURRENT_A, true);
-        let position = channel(trace.position_mm(), POSITION_MM, !is_blocked);
+        let current = channel(trace.current_a(), CURRENT_NOISE_A, true);
+        let position = channel(trace.position_mm(), POSITION_NOISE_MM, !is_blocked);
         Ok(Trace::new(trace.sample_rate_hz(), current, position)?)
     }
 }

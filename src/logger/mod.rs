@@ -1,6 +1,7 @@
 //! The simulated logger: simulates the throws of a fleet and publishes them as a real logger does.
 //!
-//! Publishing has its own thread, as a simulation needs the processor and a put blocks on a slow link.
+//! Simulation and publishing run on a thread of their own: the simulation needs the processor, and a put blocks on a
+//! slow link.
 
 mod backlog;
 mod error;
@@ -23,7 +24,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
 pub use error::LoggerError;
-pub use load::{Load, Loaded, quantile};
+pub use load::{LoadResult, LoadTest, quantile};
 pub use settings::LoggerSettings;
 
 use crate::{
@@ -35,14 +36,14 @@ use crate::{
 use backlog::AnswerThread;
 use publish::{Publishing, Source};
 
-/// Time that the daemons get to judge the last throws.
+/// Longest wait until the daemons have judged the last throws.
 const JUDGED_TIMEOUT: Duration = Duration::from_mins(1);
 /// Time between two queries for the last judged throw.
 const JUDGED_POLL_INTERVAL: Duration = Duration::from_millis(200);
-/// Seed of the machines without a configured one.
+/// Seed of the simulated machines if no seed is configured.
 const SEED: u64 = 1;
 
-/// A running logger; stops after the present throw when it is dropped.
+/// A running logger. When it is dropped, it stops after the present throw.
 pub struct Logger {
     session: Session,
     machines: Vec<MachineId>,
@@ -64,7 +65,7 @@ impl Logger {
         fleet: &FleetSettings,
         boot_id: String,
     ) -> Result<Self, LoggerError> {
-        // A daemon rejects a throw that it has received before, so the throws of a second boot are others.
+        // A daemon rejects a trace that the machine has sent before, so each boot needs other throws.
         let simulated = match settings.seed {
             Some(seed) => Fleet::new(fleet, seed)?,
             None => Fleet::new(fleet, SEED)?.with_throws_of(RandomState::new().hash_one(&boot_id)),
@@ -91,9 +92,9 @@ impl Logger {
         let (sender, done) = oneshot::channel();
         let runtime = Handle::current();
         thread::Builder::new().name("logger".into()).spawn(move || {
-            // Fails if the logger was dropped.
+            // Sending fails if the logger was dropped; then nobody needs the result.
             let _ = sender.send(publishing.run(&mut sources));
-            // A daemon may still read the backlogs.
+            // The backlogs stay until the logger is dropped, as a daemon may still read them.
             runtime.block_on(publishing.stop.cancelled());
             drop((sources, tokens));
         })?;
@@ -133,7 +134,7 @@ impl Logger {
 
     /// The highest throw number of this boot that a daemon has judged.
     async fn latest(&self, machine: &MachineId) -> Option<u64> {
-        // Several throws, as the last one stored may come from the backlog and have a lower number.
+        // The highest number of the last 100 rows, as the last stored throw may come from the backlog.
         let selector = format!("{}?limit=100", wire::machine_key(machine, Kind::Health));
         let replies = bus::ask(&self.session, &selector, None, Duration::from_secs(5)).await.ok()?;
         replies

@@ -29,7 +29,7 @@ use crate::{
 /// Time between two checks of the stop flag while the thread waits.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// The publishing of a fleet as one boot.
+/// Settings and state of the publishing thread.
 pub(super) struct Publishing {
     pub(super) settings: LoggerSettings,
     pub(super) boot_id: String,
@@ -59,14 +59,14 @@ impl Publishing {
         if self.settings.wait_for_monitor {
             self.wait_for_monitor(sources)?;
         }
-        let started_at = self.settings.begin(clock::now());
+        let started_at = self.settings.first_throw_at(clock::now());
         let start = clock::monotonic();
         let interval = Duration::from_secs_f64(self.settings.interval_s / self.settings.time_scale);
         let last = self.settings.throws.unwrap_or(u64::MAX);
         let count = sources.len().max(1) as f64;
         for round in 0..last {
             for (number, source) in sources.iter_mut().enumerate() {
-                // The machines throw one after the other, evenly spread over the interval.
+                // The machines throw one after the other, evenly distributed over the interval.
                 let share = number as f64 / count;
                 let due = (round as f64 + share) * interval.as_secs_f64();
                 let (throw, message) = self.message(source.machine.next_throw()?, started_at, round as f64 + share);

@@ -14,7 +14,7 @@ settings! {
         pub site: Name = Name::fixed("north");
         /// Prefix of the machines' names, followed by a number from 1: `machine-1`.
         pub machine: Name = Name::fixed("machine");
-        /// Seed of all random numbers; `None` for the same machines with other throws at each start.
+        /// Seed of all random numbers. `None`: the machines are the same at each start, and their throws differ.
         pub seed: Option<u64> = None;
         /// Throws of each machine, 1 to 1,000,000,000; `None` for an unlimited number.
         pub throws: Option<u64> = None, Within(1.0, 1e9, "");
@@ -29,14 +29,14 @@ settings! {
         pub backlog_mib: usize = 64, Within(1.0, 4096.0, "MiB");
         /// Whether the first throw waits until a daemon has subscribed.
         pub wait_for_monitor: bool = true;
-        /// Time of the first throw; `None` for the time of the start, or so much earlier that a limited number of throws in
-        /// fast motion ends at the present.
+        /// Time of the first throw. `None` for the time of the start; with a limited number of throws and `time_scale`
+        /// above 1, so much earlier that the last throw is not in the future.
         pub started_at: Option<Timestamp> = None;
     }
 }
 
 impl LoggerSettings {
-    /// Longest prefix that leaves room for the number.
+    /// Longest prefix of a name \[characters\]: a hyphen and a number of six digits must follow.
     const MAX_NAME: usize = Name::MAX_LEN - 7;
 
     /// Checks every setting.
@@ -49,7 +49,7 @@ impl LoggerSettings {
     }
 
     /// Time of the first throw of a logger that starts `now`.
-    pub(super) fn begin(&self, now: Timestamp) -> Timestamp {
+    pub(super) fn first_throw_at(&self, now: Timestamp) -> Timestamp {
         let simulated_s = self.throws.map_or(0.0, |throws| throws as f64 * self.interval_s);
         let ahead = SignedDuration::try_from_secs_f64((simulated_s * (1.0 - 1.0 / self.time_scale)).max(0.0));
         self.started_at.or_else(|| now.checked_sub(ahead.ok()?).ok()).unwrap_or(now)
@@ -71,16 +71,12 @@ mod tests {
     #[test]
     fn the_last_of_some_throws_in_fast_motion_is_not_in_the_future() {
         let now = Timestamp::UNIX_EPOCH + SignedDuration::from_hours(1_000_000);
-        let begin = |throws, time_scale| {
+        let age = |throws, time_scale| {
             let settings = LoggerSettings { throws, time_scale, interval_s: 3_600.0, ..LoggerSettings::default() };
-            now.duration_since(settings.begin(now))
+            now.duration_since(settings.first_throw_at(now))
         };
-        assert_eq!(begin(Some(100), 1.0), SignedDuration::ZERO);
-        assert_eq!(begin(None, 10.0), SignedDuration::ZERO);
-        assert_eq!(
-            begin(Some(100), 10.0),
-            SignedDuration::from_hours(90),
-            "and ten hours pass while they are published"
-        );
+        assert_eq!(age(Some(100), 1.0), SignedDuration::ZERO);
+        assert_eq!(age(None, 10.0), SignedDuration::ZERO);
+        assert_eq!(age(Some(100), 10.0), SignedDuration::from_hours(90), "and ten hours pass while they are published");
     }
 }

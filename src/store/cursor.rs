@@ -1,7 +1,8 @@
 //! The cursor of each machine: the last throw up to which every throw is stored or written off.
 //!
 //! Without missing throws the cursor is the newest throw and is not stored. While throws are awaited from the logger's
-//! backlog, a row of the table `backlog` stores it.
+//! backlog, a row of the table `backlog` stores the cursor. A gap is awaited while the backlog may still fill it: until
+//! it is filled or written off.
 
 use sqlx::SqliteConnection;
 
@@ -10,8 +11,9 @@ use super::statements as sql;
 /// A position in the order of a machine's throws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, sqlx::FromRow)]
 pub(super) struct ThrowPosition {
+    /// `None` before all throws.
     pub(super) boot_row: Option<i64>,
-    /// Position of the boot among the boots.
+    /// Position of the boot in the order of the machine's boots.
     pub(super) position: i64,
     pub(super) throw_no: i64,
 }
@@ -53,7 +55,7 @@ pub(super) async fn stored(connection: &mut SqliteConnection, machine_row: i64) 
     sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(connection).await
 }
 
-/// Opens the backlog of a machine after a position, unless it is open already.
+/// Opens the backlog of a machine with its cursor at `after`, unless the backlog is open already.
 pub(super) async fn open(
     connection: &mut SqliteConnection,
     machine_row: i64,
@@ -103,7 +105,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         let Some(next) = next_boot(connection, machine_row, cursor.position).await? else {
             return sqlx::query(sql::CLOSE_BACKLOG).bind(machine_row).execute(connection).await.map(drop);
         };
-        // The cursor is the number of a real throw: it cannot enter a boot whose first throw is still awaited.
+        // The cursor names an existing throw, so it cannot enter a boot whose first throw is still awaited.
         if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
             break;
         }

@@ -6,19 +6,19 @@ use jiff::Timestamp;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
+    batch::MAX_ROWS,
     disk::{Disk, DiskLevel},
     error::StoreError,
     files::DatabaseFiles,
     judgement::{Judgement, Judgements, Outcome},
-    many::ROWS,
     open::{self, Report},
     page::{Cursor, Page, PageStored, WriteOff},
-    quarantine::{Quarantine, Refused, Statement},
+    quarantine::{Quarantine, QuarantinedMessage, Statement},
     reader::Reader,
     settings::{MIB, Settings},
     spool::{Spool, Spooled, Spools},
     statements as sql,
-    write::Answer,
+    write::CommitReceiver,
     writer::Writer,
     writing::WritingConnection,
 };
@@ -32,25 +32,25 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
-    /// Free part of [`MEMORY_BUDGET_KIB`].
+    /// The unused part of [`MEMORY_BUDGET_KIB`].
     memory_budget: Arc<Semaphore>,
 }
 
-/// Memory of the throws that wait for their commit \[KiB\]: four of the largest throws, or a thousand usual ones.
-/// Further callers wait.
+/// Largest memory of the throws that wait for their commit \[KiB\]: four throws of the largest size, or a thousand of
+/// usual size. Further callers wait.
 const MEMORY_BUDGET_KIB: u32 = 64 * 1024;
 
-/// An opened store with its report.
+/// The result of [`Store::open`].
 pub struct Opened {
     /// The store, ready for throws.
     pub store: Store,
-    /// Report on the opening.
+    /// How the database was found, and the changes to it.
     pub report: Report,
 }
 
 impl Store {
-    /// Opens the database; creates, recovers or migrates it as needed. `now` becomes part of the names of files that
-    /// are set aside.
+    /// Opens the database; creates, recovers or migrates it as needed. `now` becomes part of the new
+    /// names of files that are set aside: renamed and kept.
     ///
     /// # Errors
     /// When the folder is missing or not writable, or the disk is full even without the ballast.
@@ -58,7 +58,7 @@ impl Store {
         let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
         let files = DatabaseFiles::new(&settings.path);
         let (mut connection, report) = open::open(settings, &disk, &files, now).await?;
-        let options = open::continuing(settings, &mut connection).await?;
+        let options = open::use_memory_for_temporary_data(settings, &mut connection).await?;
         let reader = Reader::open(&settings.path).await?;
         let writer = Writer::start(WritingConnection {
             options,
@@ -68,9 +68,9 @@ impl Store {
             reader: reader.clone(),
             broken: false,
             identity: None,
-            looked: None,
-            log_bound: settings.max_wal_mib * MIB,
-            failed_at: 0,
+            files_checked: None,
+            max_log_bytes: settings.max_wal_mib * MIB,
+            failed_log_bytes: 0,
         });
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
@@ -90,10 +90,10 @@ impl Store {
         &self.settings.path
     }
 
-    /// Stores a received throw. After `Ok` it is on the disk.
+    /// Stores a received throw. After `Ok` the throw is on the disk.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the throw could not be stored; the same call may be repeated.
     pub async fn spool(
         &self,
         machine: &MachineId,
@@ -107,8 +107,8 @@ impl Store {
 
     /// Stores several throws in as few commits as possible; returns the results in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut submitted = Vec::with_capacity(throws.len().div_ceil(ROWS));
-        for group in throws.chunks(ROWS) {
+        let mut submitted = Vec::with_capacity(throws.len().div_ceil(MAX_ROWS));
+        for group in throws.chunks(MAX_ROWS) {
             let writes = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
             submitted.push((group, self.submit(writes).await));
         }
@@ -133,12 +133,12 @@ impl Store {
         answers
     }
 
-    async fn submit(&self, throws: Vec<Spool>) -> Result<Answer<Vec<Spooled>>, StoreError> {
+    async fn submit(&self, throws: Vec<Spool>) -> Result<CommitReceiver<Vec<Spooled>>, StoreError> {
         let memory = self.reserve(&throws).await?;
         self.writer.submit(Spools { throws, memory }).await
     }
 
-    /// Waits for the part of the memory budget that these throws need, at most for the whole.
+    /// Waits for the memory that these throws need, at most the whole budget.
     async fn reserve(&self, throws: &[Spool]) -> Result<OwnedSemaphorePermit, StoreError> {
         let kib = throws.iter().map(Spool::kib).fold(0, u32::saturating_add).min(MEMORY_BUDGET_KIB);
         Arc::clone(&self.memory_budget).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)
@@ -147,7 +147,7 @@ impl Store {
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the page could not be stored; the same call may be repeated.
     pub async fn spool_page(
         &self,
         machine: &MachineId,
@@ -161,16 +161,17 @@ impl Store {
         self.writer.write(page).await
     }
 
-    /// Writes off the throws of a machine that were awaited at the query with `cursor`, and are in no backlog.
+    /// Writes off the throws of a machine that were missing when the backlog query with `cursor` was sent: the backlog
+    /// does not have them.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the change could not be stored; the same call may be repeated.
     pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
-    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction; returns whether
-    /// each was written: false if its throw was judged before.
+    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. Returns for
+    /// each whether it was written; a throw that was judged before gives false.
     ///
     /// # Errors
     /// When they could not be stored; the same call may be repeated.
@@ -179,10 +180,10 @@ impl Store {
         self.writer.write(Judgements { judgements, drop_traces }).await
     }
 
-    /// Stores the outcome of an operator's command or of a tick, in one transaction.
+    /// Stores the outcome of an operator's command or of a periodic check, in one transaction.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the outcome could not be stored; the same call may be repeated.
     pub async fn record(&self, outcome: Outcome) -> Result<(), StoreError> {
         self.record_all(Arc::new([outcome])).await
     }
@@ -192,10 +193,10 @@ impl Store {
         self.writer.write(outcomes).await
     }
 
-    /// Removes messages from the outbox that zenoh has accepted.
+    /// Removes messages that zenoh has accepted from the outbox.
     ///
     /// # Errors
-    /// When it could not be stored; the same call may be repeated.
+    /// When the change could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }
@@ -205,21 +206,21 @@ impl Store {
         self.writer.write(Statement(sql::SET_WEBHOOK, i64::from(is_on))).await
     }
 
-    /// Removes the notifications up to a row, which the webhook has accepted.
+    /// Removes the notifications up to the row `last`, after the webhook accepted them.
     pub(crate) async fn notified(&self, last: i64) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::NOTIFIED, last)).await
     }
 
-    /// Stores the starts of rejected messages with their reasons, in one transaction.
+    /// Stores the first bytes of rejected messages, with the reasons, in one transaction.
     ///
     /// # Errors
     /// When they could not be stored.
-    pub async fn quarantine(&self, refused: Vec<Refused>) -> Result<(), StoreError> {
+    pub async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> Result<(), StoreError> {
         self.writer.write(Quarantine { refused, keep: self.settings.max_quarantined }).await
     }
 
-    /// Resolves when the writer has ended, after [`close`](Self::close) or unexpectedly, or when a write or a query
-    /// found the file broken. Then the process should end: the next opening sets a broken file aside.
+    /// Resolves when the writer has ended (after [`close`](Self::close), or unexpectedly), or when a write or a query
+    /// found the file broken. Then the process should end: the next start sets a broken file aside.
     pub async fn stopped(&self) {
         tokio::select! {
             () = self.writer.stopped() => {}

@@ -15,22 +15,22 @@ use tokio::time::Instant;
 
 use super::{
     error::StoreError,
-    pace::RecentCount,
     path::{beside, folder_of},
+    rate_limit::RecentCount,
     settings::MIB,
 };
 
-/// Counters of rows that were needed: throws before their judgement, alarm events before their publication and before the
-/// webhook accepted them.
+/// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before
+/// they were published or before the webhook accepted them.
 const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
 
-/// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: some
-/// hundred rows, a step, are at most some seconds of reading from flash.
+/// A copy of the database hangs if it makes no step for this time, which is also the longest time of a loop without a
+/// heartbeat. A step is some hundred rows, which take at most some seconds to read from flash.
 const COPY_HANGS: Duration = Duration::from_secs(30);
-/// Time in which the loops that waited for a copy show a heartbeat again.
+/// Time after a copy in which the loops that waited for it show a heartbeat again.
 const AFTER_COPY: Duration = Duration::from_secs(5);
 
-/// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
+/// State of the disk of the database. The status shows it as `ok`, `low`, `full` or `failing`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
@@ -40,9 +40,9 @@ pub enum DiskLevel {
     #[serde(rename = "ok")]
     #[strum(serialize = "ok")]
     Ample,
-    /// Below the watermark: the traces of judged throws are dropped.
+    /// Less free space than `low_disk_mib` of the settings: the traces of judged throws are dropped.
     Low,
-    /// The disk was full, and the ballast is removed: the next write may fail.
+    /// The last write found the disk full, and removed the ballast. The next write may fail.
     Full,
     /// The last write failed for another reason.
     Failing,
@@ -60,17 +60,17 @@ pub(super) struct Disk {
     was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
-    /// Times that the database file was found deleted or replaced.
+    /// Number of times that the database file was found deleted or replaced.
     replaced: RecentCount,
-    /// Whether the file could not be written again.
+    /// Whether the last attempt to write the database again failed.
     replacement_fails: AtomicBool,
-    /// New path of the file that was found in its place; `None` if it was deleted.
+    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
     foreign: Mutex<Option<PathBuf>>,
-    /// Time until which a copy of the database counts, during which the writer writes nothing else; `None` before the first.
+    /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
     copies_until: Mutex<Option<Instant>>,
-    /// The counters of the database at the last look.
+    /// The counters of the database at the last call of `note_dropped`.
     counters: Mutex<Option<BTreeMap<String, u64>>>,
-    /// Rows dropped before they were judged or published, by [`LOSSES`].
+    /// Numbers of dropped rows since the start, in the order of [`LOSSES`].
     lost: [RecentCount; LOSSES.len()],
 }
 
@@ -114,8 +114,8 @@ impl Disk {
         }
     }
 
-    /// Records that the database file was deleted or replaced. `written_again`: the new path of the file that was found in
-    /// its place, if any; `None` if the database could not be written again.
+    /// Records that the database file was deleted or replaced. `written_again` is `None` if the database could not be
+    /// written again; otherwise it has the new path of the file that was found in its place, if there was one.
     pub(super) fn note_replaced(&self, written_again: Option<&Option<PathBuf>>) {
         self.replaced.add(1);
         self.replacement_fails.store(written_again.is_none(), Ordering::Relaxed);
@@ -124,7 +124,8 @@ impl Disk {
         }
     }
 
-    /// Whether the file was written again, if it was deleted or replaced in the last hour.
+    /// Whether the database was written again after it was deleted or replaced. `None` without such an event; after a
+    /// success also `None` when an hour has passed.
     pub(super) fn replaced(&self) -> Option<bool> {
         let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
         (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
@@ -135,7 +136,8 @@ impl Disk {
         self.foreign.lock().clone()
     }
 
-    /// Records the counters of the database. Their values at the first look are from before the start.
+    /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those
+    /// rows were dropped before this start.
     pub(super) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
         let mut before = self.counters.lock();
         let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
@@ -147,7 +149,7 @@ impl Disk {
         }
     }
 
-    /// The numbers of [`LOSSES`] since the start, of those that grew in the last hour.
+    /// The losses since the start, in the order of [`LOSSES`]; `None` for a number that did not grow in the last hour.
     pub(super) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
         self.lost.each_ref().map(RecentCount::shown)
     }
@@ -157,7 +159,7 @@ impl Disk {
         *self.copies_until.lock() = Some(Instant::now() + COPY_HANGS);
     }
 
-    /// Records the end of a copy of the database, which counts until the loops that waited for it work again.
+    /// Records the end of a copy of the database. It counts as running until the loops that waited for it work again.
     pub(super) fn end_copying(&self) {
         *self.copies_until.lock() = Some(Instant::now() + AFTER_COPY);
     }
@@ -184,13 +186,13 @@ impl Disk {
         }
     }
 
-    /// The worst level since the last call. The write that finds the disk full removes the ballast and is then repeated
-    /// with success, so [`Self::level`] alone would never show a full disk.
+    /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full
+    /// removes the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
     pub(super) fn worst_level(&self) -> DiskLevel {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 
-    pub(super) fn release_ballast(&self) {
+    fn release_ballast(&self) {
         match std::fs::remove_file(&self.ballast) {
             Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: ballast removed"),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
@@ -201,7 +203,7 @@ impl Disk {
     /// Creates the ballast if there is enough space.
     pub(super) fn restore_ballast(&self) -> Result<(), StoreError> {
         let Some((free, whole)) = self.space() else { return Ok(()) };
-        // A small disk has a small ballast: without it the alarm about the full disk could not be committed.
+        // A small disk gets a small ballast: without any ballast the alarm about the full disk could not be committed.
         let bytes = self.ballast_bytes.min(whole / 8);
         let exists = std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == bytes);
         if bytes == 0 || exists || free <= self.low_bytes.min(whole / 4) + 2 * bytes {
@@ -218,7 +220,7 @@ impl Disk {
             allocated => allocated.map_err(io::Error::from),
         };
         allocated.and_then(|()| file.sync_all()).inspect_err(|_| {
-            // Already an error; without the file the next call tries again.
+            // A second error is ignored. The unfinished file is removed, so that the next call tries again.
             let _ = std::fs::remove_file(&self.ballast);
         })
     }

@@ -20,20 +20,19 @@ pub enum StoreError {
     /// The file is the database of another program, or text, and so not a damaged database.
     #[error("{0}: name another file")]
     Foreign(String),
-    /// The schema is that of another version, which this one could damage or not read, or it cannot be migrated.
+    /// The schema belongs to another version that this one could damage or cannot read, or the migration failed.
     #[error("{0}")]
     Schema(String),
     /// The disk is full. Nothing was stored; repeat the call when there is space.
     #[error("the disk of the database is full: free some space; nothing else is needed")]
     Full,
-    /// A write and its repetition on a new connection failed. It may be stored or not; repeat it, as every write is
-    /// idempotent.
+    /// A write failed, also on a new connection. It may be stored or not. Repeat the call: every write is idempotent.
     #[error("writing to the database failed: {0}")]
     Write(String),
-    /// SQLite refused the statement (constraint, type): its repetition fails too. Nothing was stored.
+    /// SQLite refused the statement (constraint, type). Nothing was stored, and a repetition fails too.
     #[error("writing to the database failed: {0}")]
     Refused(String),
-    /// The statement of a person is wrong, or writes.
+    /// An operator's SQL statement is wrong, or would write.
     #[error("the SQL statement is wrong: {0}")]
     Statement(String),
     /// A query failed.
@@ -50,9 +49,9 @@ pub enum StoreError {
     /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and creates a new one")]
     Broken,
-    /// The answer to a query cannot be written.
-    #[error("cannot write the answer: {0}")]
-    Answer(#[source] std::io::Error),
+    /// The result of a query cannot be written.
+    #[error("cannot write the result: {0}")]
+    Output(#[source] std::io::Error),
     /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,
@@ -69,12 +68,12 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Turns an error of SQLite into that of opening the database at `path`.
+    /// Turns an error of SQLite into a failure to open the database at `path`.
     pub(super) fn open(path: &Path) -> impl Fn(sqlx::Error) -> Self {
         |source| Self::Open { path: path.to_owned(), unwritable: unwritable(path), source: Box::new(source) }
     }
 
-    /// Turns an error of the system into that of a file of the database.
+    /// Turns an error of the operating system into a failed `action` (a verb) on a file of the database.
     pub(super) fn file(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         move |source| Self::File { action, path: path.to_owned(), source }
     }
@@ -83,7 +82,7 @@ impl StoreError {
         Self::Read(Box::new(source))
     }
 
-    /// Turns an error of SQLite into that of the statement of a person.
+    /// Turns an error of SQLite into that of an operator's statement: 1 is `SQLITE_ERROR`, 8 is `SQLITE_READONLY`.
     pub(super) fn statement(source: sqlx::Error) -> Self {
         match (primary_code(&source), source.as_database_error()) {
             (Some(1), Some(error)) => Self::Statement(error.message().to_owned()),
@@ -92,7 +91,7 @@ impl StoreError {
         }
     }
 
-    /// A copy of the error, for another throw of the same write.
+    /// A copy of the error for another throw of the same write: the source of an error cannot be cloned.
     pub(super) fn repeated(&self) -> Self {
         match self {
             Self::Full => Self::Full,
@@ -110,7 +109,7 @@ fn primary_code(error: &sqlx::Error) -> Option<i32> {
     Some(code & 0xff)
 }
 
-/// `SQLITE_FULL`, or an I/O error without space.
+/// `SQLITE_FULL`, or an I/O error because no space is left.
 pub(super) fn is_full(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(13)
         || matches!(error, sqlx::Error::Io(io) if io.kind() == std::io::ErrorKind::StorageFull)
@@ -121,7 +120,7 @@ pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(11 | 26))
 }
 
-/// `SQLITE_NOTADB`: the file has not the format of SQLite.
+/// `SQLITE_NOTADB`: the file does not have the format of SQLite.
 pub(super) fn is_no_database(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(26)
 }
@@ -131,7 +130,7 @@ pub(super) fn is_interrupted(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(9)
 }
 
-/// The statement was refused (constraint, mismatch, range), independent of the disk.
+/// `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` or `RANGE`: the statement was refused, independent of the disk.
 pub(super) fn is_refused(error: &sqlx::Error) -> bool {
     match primary_code(error) {
         Some(code) => matches!(code, 1 | 18 | 19 | 20 | 25),

@@ -13,18 +13,18 @@ use super::{
 };
 use crate::throw::MachineId;
 
-/// Throws in a page. A page is a short read, so that the log of a running daemon can be truncated between two pages.
-const PAGE: u32 = 500;
-/// Columns for paging, before the exported ones.
-const OWN: usize = 2;
+/// Number of throws in a page. A page is a short read, so that a running daemon can truncate its log between two pages.
+const PAGE_THROWS: u32 = 500;
+/// Number of columns for paging, before the exported columns.
+const PAGING_COLUMNS: usize = 2;
 
-/// Throws in the order of their start: of one machine or of all, and in a range of time.
+/// Reads the throws of one machine or of all machines in a range of time, in the order of their start.
 #[derive(Debug)]
 pub(crate) struct Export {
     connection: SqliteConnection,
     /// `None` for all machines.
     machine: Option<MachineId>,
-    /// Start time \[us\] and row after which the next page begins.
+    /// Start time \[µs\] and row after which the next page begins.
     after: (i64, i64),
     until_us: i64,
 }
@@ -38,8 +38,8 @@ pub(crate) struct Exported {
 }
 
 impl Export {
-    /// Opens the database at `path`, which a daemon may use, for throws that started from `since` to before `until`.
-    /// An unknown machine has no throws.
+    /// Opens the database at `path`, which a daemon may use at the same time, for throws that started from `since` to
+    /// before `until`. An unknown machine has no throws.
     pub(crate) async fn open(
         path: &Path,
         machine: Option<MachineId>,
@@ -56,27 +56,29 @@ impl Export {
     /// The names of the columns.
     pub(crate) async fn columns(&mut self) -> Result<Vec<String>, StoreError> {
         let statement = self.connection.prepare(sql::EXPORT.into_sql_str()).await.map_err(StoreError::read)?;
-        Ok(statement.columns().iter().skip(OWN).map(|column| column.name().to_owned()).collect())
+        Ok(statement.columns().iter().skip(PAGING_COLUMNS).map(|column| column.name().to_owned()).collect())
     }
 
-    /// The next throws; none at the end.
+    /// The next throws; empty at the end.
     pub(crate) async fn page(&mut self) -> Result<Vec<Exported>, StoreError> {
         let (after_us, after_row) = self.after;
         let query = match &self.machine {
             Some(id) => sqlx::query(sql::EXPORT_MACHINE).bind(id.site.as_str()).bind(id.machine.as_str()),
             None => sqlx::query(sql::EXPORT).bind(None::<&str>).bind(None::<&str>),
         };
-        let query = query.bind(after_us).bind(after_row).bind(self.until_us).bind(PAGE);
-        let rows = query.fetch_all(&mut self.connection).await.map_err(StoreError::read)?;
-        let exported = |row| {
-            let values = (OWN..Row::len(row)).map(|at| read_only::value(row, at)).collect::<sqlx::Result<_>>()?;
-            Ok(Exported { throw_row: row.try_get("throw_row")?, values })
+        let query = query.bind(after_us).bind(after_row).bind(self.until_us).bind(PAGE_THROWS);
+        let read = async {
+            let rows = query.fetch_all(&mut self.connection).await?;
+            if let Some(last) = rows.last() {
+                self.after = (last.try_get("started_at_us")?, last.try_get("throw_row")?);
+            }
+            let exported = |row| {
+                let values = (PAGING_COLUMNS..Row::len(row)).map(|at| read_only::value(row, at));
+                Ok(Exported { throw_row: row.try_get("throw_row")?, values: values.collect::<sqlx::Result<_>>()? })
+            };
+            rows.iter().map(exported).collect::<sqlx::Result<_>>()
         };
-        if let Some(last) = rows.last() {
-            let place = || Ok((last.try_get("started_at_us")?, last.try_get("throw_row")?));
-            self.after = place().map_err(StoreError::read)?;
-        }
-        rows.iter().map(exported).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        read.await.map_err(StoreError::read)
     }
 
     /// A throw of a page with its trace; `None` if retention has deleted it.

@@ -1,13 +1,14 @@
-//! The files of the database: the configured path, or the file behind it.
+//! The files of the database: the file at the configured path, or the file to which a link there points.
 //!
 //! A program that keeps reading an old state prevents the reuse of the write-ahead log, and its lock cannot be removed.
-//! So at the bound of the log the database moves: a compact copy is written, gets the next free number, and a symbolic
-//! link at the configured path is switched to it atomically. The reader keeps the old file, which has no name any more
-//! and is freed when it is closed. The log is named after its own file, so that no crash and no cleanup by the reader can
-//! combine a log with the wrong database.
+//! So when the log reaches its limit, the database moves: a compact copy is written, the copy gets the next free number
+//! in its name, and a symbolic link at the configured path is switched to the copy atomically. The reader keeps the old
+//! file, which has no name any more and is freed when the reader closes it. The name of a log contains the name of its
+//! database file, so neither a crash nor the reader can combine a log with the wrong database.
 //!
-//! A numbered file is removed only if the link at the configured path shows that another one is in use. Without the link,
-//! as after a backup was restored, it may be the only copy of a history, and is set aside.
+//! A numbered file is removed only if the link at the configured path points to another numbered file. Without the
+//! link, for example after a backup was restored, the numbered file may be the only copy of a history: it is renamed
+//! and kept.
 
 use std::{
     fs::File,
@@ -28,10 +29,11 @@ use super::{
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
 /// Infix of the name of a broken database that was set aside.
 const BROKEN: &str = "-broken-";
-/// Suffix of the unfinished copy of a database that moves, infix of the number of a complete one, and infix of the name of
-/// one that was not in use at a start.
+/// Suffix of the unfinished copy of a database that moves.
 const COPY: &str = "-copy";
+/// Infix of a complete copy, before its number.
 const MOVED: &str = "-moved-";
+/// Infix of a numbered file that was not in use at a start, before the time of that start.
 const UNUSED: &str = "-unused-";
 /// Suffix of the text file with the summary of the saved rows.
 const SAVED: &str = "-saved.txt";
@@ -93,7 +95,8 @@ impl DatabaseFiles {
         Identity { database: of(&file), log: of(&beside(&file, "-wal")) }
     }
 
-    /// Renames foreign files at the path of the database. Returns the new path of a database there; `None` without one.
+    /// Renames the files that are at the path of the database and that this program did not write. Returns the new path
+    /// of the database among them; `None` if there is none.
     pub(super) fn rename_foreign_files(&self) -> Result<Option<PathBuf>, StoreError> {
         // Files that exist at the same time have different inodes, so the names differ.
         let inode = std::fs::metadata(self.file()).ok().map(|file| file.ino());
@@ -118,7 +121,7 @@ impl DatabaseFiles {
         remove(&copy).map(|()| copy)
     }
 
-    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the copy's new path.
+    /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the new path.
     pub(super) fn switch(&self, copy: &Path) -> Result<PathBuf, StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
@@ -143,7 +146,8 @@ impl DatabaseFiles {
         Ok(moved)
     }
 
-    /// Removes unfinished copies, and files left after a switch; sets numbered files aside that no link makes a leftover.
+    /// Removes unfinished copies. If the configured path is a link to a numbered file, also removes the other numbered
+    /// files, which remain from earlier moves; otherwise renames the numbered files and keeps them.
     pub(super) fn clear_leftovers(&self, now: Timestamp) -> Result<(), StoreError> {
         if !self.path.exists() {
             return Ok(());
@@ -178,9 +182,9 @@ impl DatabaseFiles {
         to
     }
 
-    /// Renames a log without its database.
+    /// Renames a log whose database is missing.
     pub(super) fn set_log_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        // The suffix is not `-wal`, which would belong to a database that was set aside.
+        // With the suffix `-wal`, SQLite would take it for the log of a database of that name.
         let to = beside(&self.free_name(BROKEN, now), "-log");
         rename(&beside(&self.file(), "-wal"), &to)?;
         Ok(to)
@@ -215,12 +219,12 @@ impl DatabaseFiles {
         std::fs::read_to_string(beside(file, SAVED)).ok()
     }
 
-    /// The newest database, or log without its database, that was set aside and still exists.
+    /// The newest database, or log without a database, that was set aside and still exists.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
         self.files_with(BROKEN, &["-wal", "-shm", SAVED]).into_iter().max()
     }
 
-    /// The newest database that was set aside and whose rows were not copied to the end: there is no new database.
+    /// The newest database that was set aside and whose rows were not all copied. `None` if a new database exists.
     pub(super) fn unfinished(&self) -> Option<PathBuf> {
         if !self.is_fresh() {
             return None;
@@ -229,7 +233,7 @@ impl DatabaseFiles {
         databases.into_iter().filter(|file| !beside(file, SAVED).exists()).max()
     }
 
-    /// The files beside the configured path whose names continue with `infix`, except those with these suffixes.
+    /// The files whose names are that of the database, `infix` and more, except files with the suffixes `without`.
     fn files_with(&self, infix: &str, without: &[&str]) -> Vec<PathBuf> {
         let mark = beside(&self.path, infix);
         let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();
@@ -244,7 +248,7 @@ impl DatabaseFiles {
     }
 }
 
-/// Renames a database with its log.
+/// Renames a database with its log, as far as they exist.
 fn rename_all(from: &Path, to: &Path) -> Result<(), StoreError> {
     SUFFIXES.iter().try_for_each(|suffix| rename(&beside(from, suffix), &beside(to, suffix)))
 }
@@ -254,7 +258,7 @@ fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
     unless_missing(std::fs::rename(from, to)).map_err(StoreError::file("rename", from))
 }
 
-/// Removes a database with its log.
+/// Removes a database with its log, as far as they exist.
 fn remove(file: &Path) -> Result<(), StoreError> {
     SUFFIXES.iter().try_for_each(|suffix| remove_one(&beside(file, suffix)))
 }

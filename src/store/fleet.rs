@@ -11,7 +11,7 @@ use sqlx::{
 
 use super::{
     error::StoreError,
-    reader::{Reader, about},
+    reader::{Reader, machine_query},
     rows::{json, time, timestamp, word},
     statements as sql,
 };
@@ -30,7 +30,7 @@ pub(crate) struct FleetQuery {
     pub state: Option<MachineState>,
     /// The cause of an open alarm; `None` for all machines.
     pub cause: Option<Cause>,
-    /// A text in `site/machine`; `None` for all.
+    /// A part of `site/machine`; `None` for all.
     pub search: Option<String>,
     pub offset: u32,
     pub limit: u32,
@@ -41,7 +41,7 @@ pub(crate) struct FleetQuery {
 }
 
 impl FleetQuery {
-    /// A statement on the machines of `matching!`, with its first five parameters.
+    /// Binds the five parameters of `matching!`, which are the first ones of `statement`. `itself`: the daemon.
     fn matching<'q, Row>(
         &'q self,
         statement: &'static str,
@@ -59,15 +59,15 @@ impl FleetQuery {
     }
 }
 
-/// Numbers of machines.
+/// Numbers of machines in each state.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Tally {
+pub(crate) struct StateCounts {
     pub states: Vec<(MachineState, u64)>,
     /// Number of machines that are not monitored and have no other open alarm.
     pub silent: u64,
 }
 
-impl Tally {
+impl StateCounts {
     /// Number of all machines.
     pub(crate) fn total(&self) -> u64 {
         self.states.iter().map(|(_, count)| count).sum()
@@ -78,9 +78,9 @@ impl Tally {
     }
 }
 
+/// A machine in the list of the fleet page.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct FleetRow {
-    /// Name of the machine.
     #[serde(flatten)]
     pub machine: MachineId,
     pub state: MachineState,
@@ -88,26 +88,28 @@ pub(crate) struct FleetRow {
     pub drifts: Vec<Drifting>,
     /// Causes of all open alarms.
     pub causes: Vec<Cause>,
-    /// Of these, causes of alarms that are over, and not acknowledged.
+    /// Causes of the alarms that are over, but not acknowledged.
     pub causes_over: Vec<Cause>,
+    /// Start of the last judged throw.
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Throws in the baseline of the last throw's direction (or of normal to reverse), and throws that it needs.
+    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number needed.
     pub baseline: Option<(u64, u64)>,
-    /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
+    /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
     pub spark: Vec<[f64; 3]>,
 }
 
-/// An open alarm about the condition of a machine, with its size when raised and the present drifts.
+/// An open alarm about the condition of a machine, with its change when it was raised, and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
     /// Last event of the alarm.
     #[serde(flatten)]
     pub alarm: Alarm,
-    /// Size and standard deviation when raised \[%\].
+    /// Change and its standard deviation when the alarm was raised \[%\].
     #[serde(skip)]
     pub raised: Option<(f64, f64)>,
+    /// Active drifts of the machine now.
     pub drifts: Vec<Drifting>,
 }
 
@@ -116,10 +118,11 @@ pub(crate) struct Fault {
 pub(crate) struct CommandRow {
     /// Time of the command.
     pub at: Timestamp,
-    /// Name of the command, as `ack`.
+    /// Name of the command, for example `ack`.
     pub command: String,
     /// Cause of the alarm, for commands about an alarm.
     pub cause: Option<Cause>,
+    /// End of the shelving or of the maintenance window.
     pub until: Option<Timestamp>,
     /// Name of the operator.
     pub by: String,
@@ -127,19 +130,22 @@ pub(crate) struct CommandRow {
     pub why: Option<String>,
 }
 
-/// Open alarms of a system-wide cause (not monitored, lost data) at one site.
+/// The open alarms at one site with a cause that often affects many machines at once (`not_monitored`, `data_loss`).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommonAlarm {
     pub cause: Cause,
     pub site: String,
-    /// One of the machines.
+    /// One of the machines: the first by name.
     pub machine: String,
+    /// Number of the alarms.
     pub count: u64,
+    /// Time at which the first alarm was raised.
     pub first: Timestamp,
+    /// Time at which the last alarm was raised.
     pub last: Timestamp,
-    /// Text of an alarm about lost data, which has several kinds.
+    /// Text of the alarms, for `data_loss`, which has several kinds.
     pub text: Option<String>,
-    /// Whether the alarms are cleared, and not acknowledged.
+    /// Whether the alarms are cleared, but not acknowledged.
     pub is_over: bool,
 }
 
@@ -159,7 +165,7 @@ pub struct Window {
     pub why: Option<String>,
 }
 
-/// The states from the worst to the best, as in lists.
+/// The states from the worst to the best: the order in lists.
 pub(crate) const WORST_FIRST: [MachineState; 6] = [
     MachineState::Critical,
     MachineState::NotMonitored,
@@ -170,7 +176,7 @@ pub(crate) const WORST_FIRST: [MachineState; 6] = [
 ];
 
 impl Window {
-    /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
+    /// The window of a shelved alarm, or of an alarm of a machine in maintenance; `None` for an alarm in another state.
     pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
         let cause = match alarm.state {
             AlarmState::Shelved => Some(alarm.cause),
@@ -180,7 +186,7 @@ impl Window {
         windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause)
     }
 
-    /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
+    /// A part of a sentence, such as "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
     pub fn sentence(&self) -> String {
         let until = self.until.map(|until| format!("until {} ", utc(&until)));
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
@@ -208,9 +214,9 @@ impl FromRow<'_, SqliteRow> for FleetRow {
         let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
         let spark = spark.unwrap_or_default().into_iter().rev().map(all).skip_while(Option::is_none);
         let spark: Vec<_> = spark.collect();
-        // Few good throws between many rough ones are no picture of the machine.
-        let is_picture = 2 * spark.iter().flatten().count() > spark.len();
-        let spark = spark.into_iter().flatten().filter(|_| is_picture).collect();
+        // If most throws are rough, the few good ones among them would give a wrong picture of the machine.
+        let is_shown = 2 * spark.iter().flatten().count() > spark.len();
+        let spark = spark.into_iter().flatten().filter(|_| is_shown).collect();
         let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
         Ok(Self {
             machine: MachineId::from_row(row)?,
@@ -287,12 +293,12 @@ impl Reader {
     }
 
     /// Number of machines in each state; the filter of the state is ignored.
-    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
-        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::TALLY, itself)).await?;
+    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<StateCounts, StoreError> {
+        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::STATE_COUNTS, itself)).await?;
         let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
         let states =
             rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
-        Ok(Tally { states: states.collect(), silent })
+        Ok(StateCounts { states: states.collect(), silent })
     }
 
     /// The first `limit` sites by name.
@@ -301,10 +307,10 @@ impl Reader {
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
-    /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
-    /// version cannot read.
+    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of
+    /// alarms among them that this version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
-        let rows: Vec<FaultRow> = self.external(about(sql::FAULTS, itself).bind(limit)).await?;
+        let rows: Vec<FaultRow> = self.external(machine_query(sql::FAULTS, itself).bind(limit)).await?;
         let found = rows.len();
         let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
         let unreadable = found - faults.len();
@@ -313,13 +319,13 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let rows: Vec<(i64,)> = self.external(about(sql::FAULT_COUNT, itself)).await?;
-        Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
+        let count: Option<(i64,)> = self.external_row(machine_query(sql::FAULT_COUNT, itself)).await?;
+        Ok(count.map_or(0, |(count,)| count.cast_unsigned()))
     }
 
-    /// Numbers of open alarms of system-wide causes, by cause, site and text.
+    /// The open alarms with the causes of [`CommonAlarm`], grouped by cause, site and text.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
-        self.external(about(sql::COMMON, itself)).await
+        self.external(machine_query(sql::COMMON, itself)).await
     }
 
     /// The open windows of one machine or of all.
@@ -332,7 +338,7 @@ impl Reader {
 
     /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        self.external(about(sql::COMMANDS, machine).bind(limit)).await
+        self.external(machine_query(sql::COMMANDS, machine).bind(limit)).await
     }
 
     /// The newest `limit` baselines of a machine, newest first.
@@ -341,14 +347,13 @@ impl Reader {
         machine: &MachineId,
         limit: u32,
     ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let rows: Vec<(String,)> = self.external(about(sql::BASELINES, machine).bind(limit)).await?;
+        let rows: Vec<(String,)> = self.external(machine_query(sql::BASELINES, machine).bind(limit)).await?;
         // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let rows: Vec<Present> = self.external(about(sql::STATE, machine)).await?;
-        Ok(rows.into_iter().next().unwrap_or_default())
+        Ok(self.external_row(machine_query(sql::STATE, machine)).await?.unwrap_or_default())
     }
 
     /// The previous and the next throw of a machine, in the order of their start.
@@ -357,7 +362,7 @@ impl Reader {
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<[Option<ThrowRef>; 2], StoreError> {
-        let statement = about(sql::THROW_NEIGHBOURS, machine);
+        let statement = machine_query(sql::THROW_NEIGHBOURS, machine);
         let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
         let rows: Vec<(String, i64, bool)> = self.external(statement).await?;
         let mut neighbours = [None, None];
@@ -367,14 +372,14 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A typical throw of a baseline: the last good one of a direction with a trace, up to `at`.
+    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,
         direction: Direction,
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
-        let statement = about(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
-        Ok(self.external(statement).await?.into_iter().next())
+        let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
+        self.external_row(statement).await
     }
 }

@@ -1,8 +1,8 @@
-//! Replaces a damaged schema in a copy of the database by that of a new database: its tables start on the same pages.
-//! Without the schema SQLite reads no table, even if the table is undamaged.
+//! Replaces a damaged schema table in a copy of the database by the schema table of a new database, whose tables start
+//! on the same pages. Without the schema SQLite cannot read any table, even an undamaged one.
 //!
-//! With auto-vacuum the first pages of the tables depend only on the order of their creation. There are two layouts:
-//! that of the migrations, and that of a moved or restored database.
+//! With auto-vacuum the first page of each table depends only on the order in which the tables were created. There are
+//! two layouts: the layout of the migrations, and the layout of a moved or restored database.
 
 use std::{
     fs::{self, OpenOptions},
@@ -13,14 +13,11 @@ use std::{
 
 use sqlx::{AssertSqlSafe, Connection, FromRow, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use super::{path::beside, statements as sql};
-
-/// Page size: the default of SQLite \[bytes\].
-const PAGE: usize = 4096;
+use super::{path::beside, settings::PAGE_BYTES, statements as sql};
 
 /// Suffix of the copy with a new schema.
 pub(super) const GRAFTED: &str = "-grafted";
-/// Suffix of the empty database with the layout of a moved one.
+/// Suffix of the empty database with the layout of a moved database.
 pub(super) const LAYOUT: &str = "-layout";
 
 /// Adds a row to the schema; needs `PRAGMA writable_schema`.
@@ -36,11 +33,12 @@ struct Entry {
     sql: Option<String>,
 }
 
-/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, whichever makes
-/// more tables readable. `None` if at most half of the tables are readable with either: then a few fit by chance.
+/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, depending on which
+/// makes more tables readable. `None` if at most half of the tables are readable with either: in a wrong layout a few
+/// tables fit by chance.
 pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
     let copy = beside(broken, GRAFTED);
-    let pages = fs::copy(broken, &copy)? / PAGE as u64;
+    let pages = fs::copy(broken, &copy)? / PAGE_BYTES as u64;
     let mut best = (0, None);
     for layout in [entries(fresh).await?, moved(fresh, &beside(broken, LAYOUT)).await?] {
         let sound = apply(&copy, pages, &layout).await?;
@@ -48,7 +46,6 @@ pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::
             best = (sound, Some(layout));
         }
     }
-    // In a wrong layout a few tables fit by chance.
     match best {
         (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
             apply(&copy, pages, &layout).await?;
@@ -73,7 +70,7 @@ async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> 
 
 /// The layout of a moved or restored database.
 async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
-    // Left by an interrupted start; SQLite refuses a file with content.
+    // An interrupted start may have left this file; SQLite refuses a file with content.
     let _ = fs::remove_file(to);
     sqlx::query("VACUUM INTO ?1").bind(to.to_string_lossy()).execute(fresh).await?;
     let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
@@ -109,21 +106,21 @@ async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize>
 /// Writes a first page with an empty schema (<https://sqlite.org/fileformat2.html>), and truncates the file after its
 /// last page.
 fn begin_anew(copy: &Path, pages: u64) -> io::Result<()> {
-    let mut page = [0; PAGE];
+    let mut page = [0; PAGE_BYTES];
     page[..16].copy_from_slice(b"SQLite format 3\0");
     let count = u32::try_from(pages).unwrap_or(u32::MAX).to_be_bytes();
     for (at, bytes) in [
         (16, &[16, 0, 1, 1, 0, 64, 32, 32][..]), // page size, rollback journal, payload fractions
         (24, &[0, 0, 0, 1]),                     // change counter
-        (28, &count),
-        (40, &[0, 0, 0, 1, 0, 0, 0, 4]), // schema cookie and format
-        (56, &[0, 0, 0, 1]),             // UTF-8
-        (92, &[0, 0, 0, 1, 0, 46, 80, 0]),
-        (100, &[13, 0, 0, 0, 0, 16, 0, 0]), // an empty leaf
+        (28, &count),                            // number of pages
+        (40, &[0, 0, 0, 1, 0, 0, 0, 4]),         // schema cookie and format
+        (56, &[0, 0, 0, 1]),                     // UTF-8
+        (92, &[0, 0, 0, 1, 0, 46, 80, 0]),       // change counter at the last write, version of SQLite
+        (100, &[13, 0, 0, 0, 0, 16, 0, 0]),      // an empty leaf
     ] {
         page[at..at + bytes.len()].copy_from_slice(bytes);
     }
     let file = OpenOptions::new().write(true).open(copy)?;
-    file.set_len(pages * PAGE as u64)?;
+    file.set_len(pages * PAGE_BYTES as u64)?;
     file.write_all_at(&page, 0)
 }

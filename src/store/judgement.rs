@@ -1,4 +1,5 @@
-//! Writes of a judged throw, of an operator's command and of a tick, each in a single transaction.
+//! Writes of a judged throw, of an operator's command, and of a tick (the daemon's periodic check of a machine), each
+//! in a single transaction.
 
 use std::sync::Arc;
 
@@ -6,7 +7,7 @@ use jiff::Timestamp;
 use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 
 use super::{
-    many,
+    batch,
     rows::{Gap, ThrowRow},
     spool::{count, machine_row},
     statements as sql,
@@ -22,7 +23,7 @@ use crate::{
 /// Number of operators' commands kept: a hundred a day for ten years, 100 MB. The daemon accepts at most 14,400 a day.
 pub const COMMANDS_KEPT: u32 = 500_000;
 
-/// Number of events kept of an alarm, the last ones.
+/// Number of events kept of an alarm besides its first event: the last ones.
 const EVENTS_KEPT: u32 = 1_000;
 
 /// The result of judging one throw.
@@ -67,8 +68,8 @@ pub struct MonitorRecord {
 }
 
 impl Judgement {
-    /// The judgement in the place of one that the database rejects: the throw counts as not evaluated. The first keeps the
-    /// events and the monitor, the second nothing.
+    /// Two replacements for a judgement that the database rejects; in both the throw counts as not evaluated. The first
+    /// one keeps the events and the monitor. The second one, in case the database rejects the first, keeps nothing.
     pub fn instead(&self, problem: &str) -> [Self; 2] {
         let Health { machine, throw, started_at, .. } = self.health.clone();
         let detail = format!("the database rejects the result: {problem}");
@@ -95,10 +96,10 @@ impl Judgement {
 /// `quality` of a throw whose judgement the database rejects.
 const NOT_STORABLE: &str = "not_storable";
 
-type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
+type BoundStatement<'q> = Query<'q, Sqlite, SqliteArguments>;
 
 impl MonitorRecord {
-    fn bind<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
+    fn bind<'q>(&'q self, query: BoundStatement<'q>) -> BoundStatement<'q> {
         let Present { state, drifts, caveats } = &self.present;
         query
             .bind(&self.snapshot)
@@ -111,17 +112,17 @@ impl MonitorRecord {
 /// Judgements in order.
 pub(super) struct Judgements {
     pub(super) judgements: Arc<[Judgement]>,
-    /// Whether to drop the traces because space is short.
+    /// Whether to drop the traces of the throws, because the disk has little space.
     pub(super) drop_traces: bool,
 }
 
 impl Write for Judgements {
-    /// Whether each was written; false if its throw was judged before.
+    /// Whether each judgement was written; false if its throw was judged before.
     type Output = Vec<bool>;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
         let mut written = Vec::with_capacity(self.judgements.len());
-        for judgements in self.judgements.chunks(many::ROWS) {
+        for judgements in self.judgements.chunks(batch::MAX_ROWS) {
             if self.write(connection, judgements).await? {
                 written.resize(written.len() + judgements.len(), true);
                 continue;
@@ -138,10 +139,10 @@ impl Write for Judgements {
 impl Judgements {
     /// Writes judgements; false, without writing, if one of the throws was judged before.
     async fn write(&self, connection: &mut SqliteConnection, judgements: &[Judgement]) -> sqlx::Result<bool> {
-        let mut pending = many::query(sql::PENDING_AMONG, judgements.len());
-        let mut judge = many::query(sql::SET_JUDGED, judgements.len());
-        let mut estimates = many::query(sql::ADD_ESTIMATES, judgements.len());
-        let mut monitors = many::query(sql::SET_MONITORS_OF, judgements.len());
+        let mut pending = batch::query(sql::PENDING_AMONG, judgements.len());
+        let mut judge = batch::query(sql::SET_JUDGED, judgements.len());
+        let mut estimates = batch::query(sql::ADD_ESTIMATES, judgements.len());
+        let mut monitors = batch::query(sql::SET_MONITORS_OF, judgements.len());
         for judgement in judgements {
             let (row, at_us) = (judgement.row.0, judgement.outcome.at.as_microsecond());
             pending = pending.bind(row);
@@ -172,7 +173,7 @@ impl Judgements {
 }
 
 impl Judgement {
-    /// Writes baselines and events, which few throws have.
+    /// Writes the baselines and the events, which only few throws have.
     async fn write_rare(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
         let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
         for baseline in &self.baselines {
@@ -187,8 +188,10 @@ impl Judgement {
         self.outcome.write_events(connection, machine_row).await
     }
 
-    /// Writes the outcome of a throw that retention has deleted since it was read: its alarms are raised in the monitor,
-    /// and would never be stored. Of a throw that was judged before, returns whether this is that judgement.
+    /// Handles a throw that is not pending any more, and returns whether this judgement is stored. If retention deleted
+    /// the throw after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never
+    /// be stored otherwise. A throw that was judged before may have this same judgement, from an attempt whose commit
+    /// succeeded although it returned an error.
     async fn write_late(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
         let judged_at_us: Option<Option<i64>> =
             sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(&mut *connection).await?;
@@ -199,7 +202,7 @@ impl Judgement {
         Ok(repeated && judged_at_us == Some(self.outcome.at.as_microsecond()))
     }
 
-    fn bind_estimate<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
+    fn bind_estimate<'q>(&'q self, query: BoundStatement<'q>) -> BoundStatement<'q> {
         let (health, found) = (&self.health, self.identification.as_ref());
         let features = found.map(|found| found.features.clone()).unwrap_or_default();
         let estimate: Option<&Estimate> = found.and_then(|found| found.outcome.as_ref().ok());
@@ -293,7 +296,7 @@ impl Outcome {
         }
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);
-            // After a commit with unknown result the event may exist already, with its message.
+            // If an earlier attempt was committed although it returned an error, the event exists already.
             if add_alarm_event(connection, machine_row, &alarm, at_us).await? {
                 let key = machine_key(&self.machine, Kind::Alarm);
                 let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);

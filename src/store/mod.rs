@@ -1,8 +1,9 @@
-//! The SQLite database: raw throws, estimates, alarms, the outbox.
+//! The SQLite database: raw throws, estimates, baselines, alarms, and the outbox of alarm events to publish.
 //!
-//! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. After `Ok` a write is on
-//! the disk and survives a power cut. Every write is idempotent.
+//! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. When a write returns
+//! `Ok`, its data are on the disk and survive a power cut. Every write is idempotent, so a caller may repeat it.
 
+mod batch;
 mod codec;
 mod cursor;
 mod database;
@@ -13,13 +14,13 @@ mod files;
 mod fleet;
 mod graft;
 mod judgement;
-mod many;
+
 mod open;
 mod overview;
-mod pace;
 mod page;
 mod path;
 mod quarantine;
+mod rate_limit;
 mod read_only;
 mod reader;
 mod recent;
@@ -41,17 +42,17 @@ pub use disk::DiskLevel;
 pub use error::StoreError;
 pub(crate) use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Tally, WORST_FIRST};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, StateCounts, WORST_FIRST};
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub(crate) use open::refuse_foreign;
 pub use open::{Found, Report};
-pub(crate) use overview::{AlarmCount, Choice};
-pub(crate) use pace::{RecentCount, Seldom, seldom};
+pub(crate) use overview::{AlarmCount, ThrowSelection};
 pub use page::{Cursor, PageStored};
 pub(crate) use path::{beside, folder_of, unwritable};
-pub use quarantine::{QUARANTINED_BYTES, Refused};
+pub use quarantine::{QUARANTINED_BYTES, QuarantinedMessage};
+pub(crate) use rate_limit::{LogRateLimit, RecentCount, seldom};
 pub use read_only::Value;
-pub(crate) use read_only::{Answer, Backup, ask};
+pub(crate) use read_only::{Backup, ResultWriter, run_query};
 pub use reader::Reader;
 pub use retention::Dropped;
 pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};

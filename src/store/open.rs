@@ -33,16 +33,17 @@ static MIGRATIONS: Migrator = sqlx::migrate!();
 
 /// Size to which SQLite truncates the log after a checkpoint \[bytes\].
 const LOG_KEPT: u64 = 16 * MIB;
-/// Time limit of the check after a clean stop: 644 MB take 0.3 s, so it covers about 6 GB. With 10 million throws the
-/// whole start takes less than 5 s.
+/// Time limit of the check after a clean stop. The check of 644 MB takes 0.3 s, so the limit covers about 6 GB. With 10
+/// million throws the whole start takes less than 5 s.
 const CHECK_LIMIT: Duration = Duration::from_secs(3);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
-/// Bytes at the start of a file that show whether it is text or a database: sixteen pages, as single ones may be damaged.
+/// Bytes at the start of a file that are searched for text: sixteen pages, as single pages of a database may be
+/// damaged.
 const TEXT_BYTES: u64 = 64 * 1024;
 /// Start of the header of SQLite's files.
 const HEADER: &str = "SQLite format 3";
-/// Time limit for the write lock of another program.
+/// Longest wait for a lock that another program holds.
 const BUSY: Duration = Duration::from_secs(5);
 
 /// How the database was found.
@@ -50,13 +51,13 @@ const BUSY: Duration = Duration::from_secs(5);
 pub enum Found {
     /// There was no database.
     Fresh,
-    /// After a clean stop.
+    /// The last stop was clean.
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// Not closed, and without its write-ahead log: the log was removed, or only the database was copied.
+    /// The last stop was not clean, and the write-ahead log is missing: it was removed, or was not copied.
     WithoutLog,
-    /// Broken: renamed, and replaced by a new database with the readable rows.
+    /// The database was broken. It was renamed, and replaced by a new database with the readable rows.
     SetAside {
         /// New path of the broken database.
         to: PathBuf,
@@ -78,9 +79,9 @@ pub struct Report {
     pub newer_schema: bool,
 }
 
-/// Options of the writing connection. Only a new database gets the auto-vacuum mode: SQLite writes it to the header at
-/// each opening, and a broken or too new file must not be changed.
-pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
+/// Options of the writing connection. Only a `fresh` database gets the auto-vacuum mode: SQLite writes it to the header
+/// at each opening, and a broken or too new file must not be changed.
+fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
     let synchronous = if settings.durable { SqliteSynchronous::Full } else { SqliteSynchronous::Normal };
     let options = SqliteConnectOptions::new();
     let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
@@ -94,20 +95,20 @@ pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions 
         .disable_statement_logging()
 }
 
-/// Options of the writing connection after the migrations, also set on `connection`. SQLite copies each page that a
-/// statement changes; in memory instead of a temporary file this takes a tenth less processor time. The indexes that a
-/// migration makes need the file.
-pub(super) async fn continuing(
+/// Moves SQLite's temporary data of `connection` from a file to memory, and returns the options of a later connection
+/// with the same setting. SQLite copies each page that a statement changes; in memory this takes a tenth less processor
+/// time. Called after the migrations: the indexes that they create are too large for memory.
+pub(super) async fn use_memory_for_temporary_data(
     settings: &Settings,
     connection: &mut SqliteConnection,
 ) -> Result<SqliteConnectOptions, StoreError> {
     let set = sqlx::query("PRAGMA temp_store = memory").execute(connection).await;
     set.map_err(StoreError::open(&settings.path))?;
-    Ok(writing(settings, false).pragma("temp_store", "memory"))
+    Ok(write_options(settings, false).pragma("temp_store", "memory"))
 }
 
 /// Options of reading connections.
-pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
+pub(super) fn read_options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }
 
@@ -118,17 +119,17 @@ pub(super) async fn open(
     files: &DatabaseFiles,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
-    // Before a reader opens the database, which makes an empty log.
+    // Checked before a reader opens the database, which creates an empty log.
     let has_log = files.has_log();
     refuse_foreign(&settings.path).await?;
     files.clear_leftovers(now)?;
-    // SQLite would delete a log without its database, with the last commits.
+    // If only the log exists, SQLite would delete it, and with it the last commits.
     let log = (files.is_fresh() && files.log_bytes() > 0).then(|| files.set_log_aside(now)).transpose()?;
     if let Some(broken) = files.unfinished() {
         return recover(settings, disk, files, broken, "copying its rows was interrupted".to_owned()).await;
     }
     match prepare(settings, disk, files.is_fresh()).await {
-        Err(Trouble::Broken(why)) => recover(settings, disk, files, files.set_aside(now)?, why).await,
+        Err(OpenFailure::Broken(why)) => recover(settings, disk, files, files.set_aside(now)?, why).await,
         Ok((connection, report)) if !has_log && report.found == Found::Unclean => {
             Ok((connection, Report { found: Found::WithoutLog, ..report }))
         }
@@ -139,13 +140,14 @@ pub(super) async fn open(
             let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
             Ok((connection, Report { found, ..report }))
         }
-        Err(trouble) => Err(trouble.of(settings)),
+        Err(failure) => Err(failure.into_error(settings)),
     }
 }
 
-/// Copies the readable rows of a broken database into a new file, which gets the configured path when it is complete: an
-/// interrupted copy begins again at the next start. Without space for all rows the most valuable ones are copied; without
-/// space for these the start fails, as all machines would learn anew beside baselines that can be read.
+/// Copies the readable rows of a broken database into a new file. The file gets the configured path when it is
+/// complete, so an interrupted copy begins again at the next start. If there is no space for all rows, the most
+/// valuable ones are copied. If there is no space for these, the start fails: otherwise every machine would learn a new
+/// baseline, although the broken file still has a readable one.
 async fn recover(
     settings: &Settings,
     disk: &Disk,
@@ -165,13 +167,13 @@ async fn recover(
                 salvaged = copied;
                 break;
             }
-            Err(trouble) => {
-                let error = trouble.of(&copy);
+            Err(failure) => {
+                let error = failure.into_error(&copy);
                 tracing::error!(%error, tables, "copying rows from the broken database failed");
                 let is_full = matches!(error, StoreError::Full);
                 disk.note_failure(is_full);
                 if is_full && tables == PARTS[PARTS.len() - 1] {
-                    // The file stays unfinished: the next start copies its rows. A new database now would end that.
+                    // No new database is created, so the next start copies the rows of the broken file.
                     files.salvage_path()?;
                     return Err(error);
                 }
@@ -180,7 +182,7 @@ async fn recover(
     }
     files.salvage_path()?;
     let (connection, report) =
-        prepare(settings, disk, files.is_fresh()).await.map_err(|trouble| trouble.of(settings))?;
+        prepare(settings, disk, files.is_fresh()).await.map_err(|failure| failure.into_error(settings))?;
     tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
     if let Err(error) = DatabaseFiles::describe_set_aside(&to, &salvaged.text()) {
         tracing::warn!(%error, "the summary of the copied rows is in this log only");
@@ -188,8 +190,8 @@ async fn recover(
     Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
 }
 
-/// Copies the readable rows into a new database, and closes it: then it is one file, without a log.
-async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, Trouble> {
+/// Copies the readable rows into a new database, and closes it, so that it is one file without a log.
+async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, OpenFailure> {
     let (mut connection, _) = prepare(copy, disk, true).await?;
     let copied = async {
         let salvaged = salvage(&mut connection, broken, tables).await?;
@@ -198,13 +200,14 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
         Ok(salvaged)
     };
     let copied = copied.await;
-    // A checkpoint has reported a full disk already.
+    // An error is ignored: the checkpoint has reported a full disk already.
     let _ = connection.close().await;
     copied
 }
 
-/// Refuses a file that is not ours: a text file, or the database of another program or of a newer version that this one
-/// could damage. A file that cannot be read here is checked when it is opened for writing.
+/// Refuses a file that pointsd must not change: a text file, the database of another program, or the database of a
+/// newer version that this version could damage. A file that cannot be read here is checked when it is opened for
+/// writing.
 pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
@@ -212,10 +215,10 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if is_text(path) {
         return Err(StoreError::Foreign(format!("{} is a text file, not a database", path.display())));
     }
-    let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
+    let Ok(mut connection) = SqliteConnection::connect_with(&read_options(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
         sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
-    let needed = needed(&mut connection).await;
+    let needed = needed_schema(&mut connection).await;
     // An error of the close does not change the result.
     let _ = connection.close().await;
     match table {
@@ -239,18 +242,18 @@ pub(super) fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {
     )))
 }
 
-/// Oldest schema version that may use the database: see [`migrator`].
-pub(super) async fn needed(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
+/// Version of the last migration that a program must know to use the database: see [`migrator`].
+pub(super) async fn needed_schema(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
     sqlx::query_scalar("PRAGMA user_version").fetch_one(connection).await
 }
 
-/// Whether a file begins with printable text only. A database with damaged pages has zeros in the others.
+/// Whether the start of a file is printable text only. A database has zero bytes in its undamaged pages.
 fn is_text(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = File::open(path).and_then(|file| file.take(TEXT_BYTES).read_to_end(&mut start));
     let text = match std::str::from_utf8(&start) {
         Ok(text) => text,
-        // The last character is cut.
+        // The last character is cut off.
         Err(error) if error.error_len().is_none() => {
             std::str::from_utf8(&start[..error.valid_up_to()]).unwrap_or_default()
         }
@@ -260,15 +263,17 @@ fn is_text(path: &Path) -> bool {
     read.is_ok() && !text.is_empty() && !text.starts_with(HEADER) && text.chars().all(is_printable)
 }
 
-enum Trouble {
+/// A failed opening.
+enum OpenFailure {
+    /// The file is damaged; holds the error that SQLite reported.
     Broken(String),
     Access(sqlx::Error),
     Schema(StoreError),
 }
 
-impl Trouble {
+impl OpenFailure {
     /// The error of opening the database at the path of `settings`.
-    fn of(self, Settings { path, .. }: &Settings) -> StoreError {
+    fn into_error(self, Settings { path, .. }: &Settings) -> StoreError {
         match self {
             Self::Broken(why) => StoreError::open(path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
@@ -278,26 +283,26 @@ impl Trouble {
     }
 }
 
-impl From<sqlx::Error> for Trouble {
+impl From<sqlx::Error> for OpenFailure {
     fn from(error: sqlx::Error) -> Self {
         if is_corrupt(&error) { Self::Broken(error.to_string()) } else { Self::Access(error) }
     }
 }
 
-fn not_migrated(path: &Path, error: MigrateError) -> Trouble {
+fn not_migrated(path: &Path, error: MigrateError) -> OpenFailure {
     match error {
         MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _) => error.into(),
-        error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => Trouble::Broken(error.to_string()),
+        error @ (MigrateError::VersionMismatch(_) | MigrateError::Dirty(_)) => OpenFailure::Broken(error.to_string()),
         error => {
-            Trouble::Schema(StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display())))
+            OpenFailure::Schema(StoreError::Schema(format!("cannot migrate the schema of {}: {error}", path.display())))
         }
     }
 }
 
 /// Opens the database; on a full disk removes the ballast and retries.
-async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
+async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(SqliteConnection, Report), OpenFailure> {
     match prepare_once(settings, fresh).await {
-        Err(Trouble::Access(error)) if is_full(&error) => {
+        Err(OpenFailure::Access(error)) if is_full(&error) => {
             disk.note_failure(true);
             prepare_once(settings, fresh).await
         }
@@ -305,20 +310,20 @@ async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(Sqlit
     }
 }
 
-async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
-    let mut connection = SqliteConnection::connect_with(&writing(settings, fresh)).await?;
+async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnection, Report), OpenFailure> {
+    let mut connection = SqliteConnection::connect_with(&write_options(settings, fresh)).await?;
     match bring_up_to_date(&mut connection, &settings.path, fresh).await {
         Ok(report) => Ok((connection, report)),
-        Err(trouble) => {
-            // Without this call the connection would close later, perhaps after its file was renamed.
+        Err(failure) => {
+            // A dropped connection closes later, perhaps after its file was renamed.
             let _ = connection.close().await;
-            Err(trouble)
+            Err(failure)
         }
     }
 }
 
-async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, Trouble> {
-    refuse_newer(path, needed(&mut *connection).await?).map_err(Trouble::Schema)?;
+async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh: bool) -> Result<Report, OpenFailure> {
+    refuse_newer(path, needed_schema(&mut *connection).await?).map_err(OpenFailure::Schema)?;
     let before = applied(&mut *connection).await?;
     let found = if fresh || before.is_empty() {
         Found::Fresh
@@ -332,7 +337,8 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, path: &Path, fresh:
     };
     migrator().run(&mut *connection).await.map_err(|error| not_migrated(path, error))?;
     sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
-    // Into the database itself, so that a loss of the log shows. With a reader of an old state it may stay in the log.
+    // Copies the mark into the database file, so that a later loss of the log shows. While another program reads an old
+    // state, the mark may stay in the log.
     if let Err(error) = sqlx::query("PRAGMA wal_checkpoint").execute(&mut *connection).await {
         tracing::debug!(%error, "the mark of the start stays in the log");
     }
@@ -377,8 +383,8 @@ async fn has_table(connection: &mut SqliteConnection, name: &str) -> sqlx::Resul
         .await
 }
 
-/// Checks every page for at most `limit`; pages read up to then are correct.
-async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Result<(), Trouble> {
+/// Checks all pages for damage, or as many as it can read within `limit`.
+async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Result<(), OpenFailure> {
     if let Some(limit) = limit {
         let end = Instant::now() + limit;
         connection.lock_handle().await?.set_progress_handler(CHECK_STEPS, move || Instant::now() < end);
@@ -387,7 +393,7 @@ async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Re
     connection.lock_handle().await?.remove_progress_handler();
     match damage {
         Ok(None) => Ok(()),
-        Ok(Some(damage)) => Err(Trouble::Broken(damage)),
+        Ok(Some(damage)) => Err(OpenFailure::Broken(damage)),
         Err(error) if is_interrupted(&error) => {
             tracing::info!(?limit, "large database: checked in part, no damage found");
             Ok(())

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::{
     error::StoreError,
-    reader::{Reader, about},
+    reader::{Reader, machine_query},
     rows::{StoredThrow, ThrowRow},
     statements as sql,
 };
@@ -19,18 +19,18 @@ pub(crate) struct AlarmCount {
     pub(crate) cause: String,
     pub(crate) severity: String,
     pub(crate) open: i64,
-    /// Number of these that are neither over, shelved nor in maintenance.
+    /// Number of these alarms that are neither over, nor shelved, nor in maintenance.
     pub(crate) active: i64,
 }
 
-/// Up to so many throws of a machine in one direction.
+/// Selects throws of a machine in one direction, at most the given number.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Choice {
-    /// The newest.
+pub(crate) enum ThrowSelection {
+    /// The newest throws.
     Newest(u32),
-    /// Spread evenly over all stored ones.
+    /// Throws spread evenly over the whole stored history.
     Spread(u32),
-    /// The last up to this time, among the last throws of both directions.
+    /// The last throws up to this time, searched among four times as many throws of both directions.
     Until(Timestamp, u32),
 }
 
@@ -45,13 +45,13 @@ impl Reader {
         &self,
         machine: &MachineId,
         direction: Direction,
-        choice: Choice,
+        selection: ThrowSelection,
     ) -> Result<Vec<Health>, StoreError> {
-        let of = |statement| about(statement, machine).bind(direction.as_str());
-        let query = match choice {
-            Choice::Newest(limit) => of(sql::WAY_NEWEST).bind(limit),
-            Choice::Spread(limit) => of(sql::WAY_SPREAD).bind(limit),
-            Choice::Until(at, limit) => of(sql::WAY_UNTIL).bind(limit).bind(at.as_microsecond()),
+        let of = |statement| machine_query(statement, machine).bind(direction.as_str());
+        let query = match selection {
+            ThrowSelection::Newest(limit) => of(sql::DIRECTION_NEWEST).bind(limit),
+            ThrowSelection::Spread(limit) => of(sql::DIRECTION_SPREAD).bind(limit),
+            ThrowSelection::Until(at, limit) => of(sql::DIRECTION_UNTIL).bind(limit).bind(at.as_microsecond()),
         };
         let mut rows = self.external(query).await?;
         rows.reverse();
@@ -60,12 +60,12 @@ impl Reader {
 
     /// The newest `limit` throws of a machine, those of unknown direction too, newest first.
     pub(crate) async fn newest_throws_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Health>, StoreError> {
-        self.external(about(sql::MACHINE_NEWEST, machine).bind(limit)).await
+        self.external(machine_query(sql::MACHINE_NEWEST, machine).bind(limit)).await
     }
 
     /// The newest `limit` alarm events of a machine, of its newest `limit` alarms, newest first.
     pub(crate) async fn alarm_events_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Alarm>, StoreError> {
-        self.external_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await
+        self.external_alarms(machine_query(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await
     }
 
     /// A throw of a machine with its health; the health is `None` while the throw is pending. `None` if the throw does
@@ -75,19 +75,18 @@ impl Reader {
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<Option<(StoredThrow, Option<Health>)>, StoreError> {
-        // SQLite has no larger numbers, so the throw does not exist.
+        // The throw does not exist: the database stores no larger numbers.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
-        let query = about(sql::THROW_AT, machine).bind(throw.boot_id.as_str()).bind(throw_no);
-        let stored: Vec<StoredThrow> = self.external(query).await?;
-        let Some(stored) = stored.into_iter().next() else { return Ok(None) };
-        let health = self.external(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
-        Ok(Some((stored, health.into_iter().next())))
+        let query = machine_query(sql::THROW_AT, machine).bind(throw.boot_id.as_str()).bind(throw_no);
+        let Some(stored) = self.external_row::<StoredThrow>(query).await? else { return Ok(None) };
+        let health = self.external_row(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
+        Ok(Some((stored, health)))
     }
 
-    /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, as far as known.
+    /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, if known.
     pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
-        let rows: Vec<(Option<f64>, Option<f64>, Option<f64>)> =
-            self.external(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
-        Ok(rows.into_iter().next().map(Into::into).unwrap_or_default())
+        let motor: Option<(Option<f64>, Option<f64>, Option<f64>)> =
+            self.external_row(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
+        Ok(motor.map(Into::into).unwrap_or_default())
     }
 }

@@ -1,4 +1,4 @@
-//! Storage of a page of a logger's backlog: its throws, and gaps for the numbers that it shows to be lost.
+//! Storage of a page of a logger's backlog: its throws, and gaps for the numbers that the backlog does not have.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
@@ -16,13 +16,13 @@ use crate::throw::{MachineId, ThrowRef};
 pub struct Cursor {
     /// The last throw up to which every throw is stored or written off; `None` to read from the oldest.
     pub after: Option<ThrowRef>,
-    /// Number of throws missing right after it; `None` if unknown.
+    /// Number of throws missing right after `after`; `None` if unknown.
     pub missing: Option<u64>,
-    /// Whether later throws are stored already, so that the backlog should have some.
+    /// Whether later throws are stored already, so that the backlog should have the throws in between.
     pub awaits: bool,
     /// Samples of the newest throw, to estimate the size of the next ones.
     pub samples: Option<u64>,
-    /// The last throw stored so far; a gap behind it was opened later.
+    /// The last stored throw. A gap after this throw opened later, so a query with this cursor does not write it off.
     pub(super) newest: ThrowPosition,
 }
 
@@ -40,7 +40,7 @@ pub struct PageStored {
 /// A page, oldest throw first.
 pub(super) struct Page {
     pub(super) machine: MachineId,
-    /// The throw in the query for the page.
+    /// The throw after which the query asked for the page; `None` for the oldest throws.
     pub(super) after: Option<ThrowRef>,
     pub(super) throws: Vec<Spool>,
     pub(super) at: Timestamp,
@@ -74,7 +74,7 @@ impl Write for Page {
             gone.execute(&mut *connection).await?;
         }
         if self.after.is_none() {
-            // The backlog was read from its start, so that the cursor is valid from now on.
+            // The backlog was read from its start, so the cursor is valid from now on.
             sqlx::query(sql::SET_BACKLOG_READ).bind(machine_row).execute(&mut *connection).await?;
         }
         cursor::advance(connection, machine_row, at_us).await?;
@@ -83,7 +83,8 @@ impl Write for Page {
     }
 }
 
-/// Writes off the rest of the boot at `from` and all boots up to `to`, which the backlog does not have.
+/// Writes off the awaited gaps of the boot at position `from` and of the boots before position `to`, and expects no
+/// later throws of them: the backlog does not have these.
 async fn write_off_boots(
     connection: &mut SqliteConnection,
     machine_row: i64,
@@ -97,7 +98,7 @@ async fn write_off_boots(
     tails.execute(connection).await.map(drop)
 }
 
-/// The cursor after a throw of a page; moves on over stored throws.
+/// The cursor after a throw of a page; it skips the throws that are stored already.
 async fn after(connection: &mut SqliteConnection, machine_row: i64, last: ThrowPosition) -> sqlx::Result<Cursor> {
     let newest = newest(connection, machine_row).await?;
     let Some(boot_row) = last.boot_row else { return Ok(Cursor { newest, ..Cursor::default() }) };
@@ -123,7 +124,7 @@ async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Re
     Ok(boot.as_ref().map(Boot::last).unwrap_or_default())
 }
 
-/// The throws awaited at a query are in no backlog.
+/// Writes off the throws that were missing when a query was sent, as the backlog does not have them.
 pub(super) struct WriteOff {
     pub(super) machine: MachineId,
     /// The last throw stored before the query.

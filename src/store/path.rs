@@ -7,7 +7,7 @@ use std::{
 
 use rustix::fs::{Access, access};
 
-/// The folder of a file; the present folder for a name alone.
+/// The folder of a file; the current folder for a name alone.
 pub(crate) fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

@@ -9,23 +9,23 @@ use crate::{
     wire::{Encoding, Kind, encode_throw, machine_key},
 };
 
-/// Stored start of a message \[bytes\]: enough to recognise format and sender.
+/// Number of bytes stored of a message, from its start: enough to recognise format and sender.
 pub const QUARANTINED_BYTES: usize = 1024;
-/// Largest number of messages stored in one commit, the newest: a sample of a flood is enough.
-const SAMPLE: usize = 256;
-/// Stored length of key and reason \[characters\].
-const TEXT: usize = 512;
+/// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
+const MAX_STORED: usize = 256;
+/// Largest stored length of the key and of the reason \[characters\].
+const MAX_TEXT: usize = 512;
 
 /// A message for quarantine.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Refused {
+pub struct QuarantinedMessage {
     /// Key of the message.
     pub key: String,
     /// Reason for the rejection.
     pub reason: String,
     /// Size of the whole message \[bytes\].
     pub bytes: usize,
-    /// Boot and number of the throw, if the message has both.
+    /// Boot and number of the throw, if both can be read from the message.
     pub id: Option<Box<ThrowRef>>,
     /// The start of the message, up to [`QUARANTINED_BYTES`].
     pub beginning: Vec<u8>,
@@ -33,8 +33,8 @@ pub struct Refused {
     pub at: Timestamp,
 }
 
-impl Refused {
-    /// A valid throw that is not stored, for example of an unknown machine.
+impl QuarantinedMessage {
+    /// A valid throw that the daemon does not accept, for example of an unknown machine.
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
         Self {
@@ -50,8 +50,8 @@ impl Refused {
 
 /// Messages for quarantine, in the order of arrival.
 pub(super) struct Quarantine {
-    pub(super) refused: Vec<Refused>,
-    /// Number of messages kept, the newest.
+    pub(super) refused: Vec<QuarantinedMessage>,
+    /// Largest number of messages kept in the database: the newest ones.
     pub(super) keep: u32,
 }
 
@@ -59,8 +59,8 @@ impl Write for Quarantine {
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<()> {
-        let kept = self.refused.len().min(self.keep as usize).min(SAMPLE);
-        let short = |text: &str| text.chars().take(TEXT).collect::<String>();
+        let kept = self.refused.len().min(self.keep as usize).min(MAX_STORED);
+        let short = |text: &str| text.chars().take(MAX_TEXT).collect::<String>();
         if let Some(newest) = self.refused.last().filter(|_| repeated && kept > 0) {
             let is_stored = sqlx::query_scalar(sql::IS_QUARANTINED)
                 .bind(newest.at.as_microsecond())

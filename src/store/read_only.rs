@@ -39,12 +39,12 @@ pub(super) async fn connect(path: &Path) -> Result<SqliteConnection, StoreError>
     SqliteConnection::connect_with(&options(path).await?).await.map_err(StoreError::open(path))
 }
 
-/// Options of a read-only connection that can be used. A closed database in a read-only folder is opened as immutable. A file
-/// that is no database of pointsd is refused.
+/// Options of a read-only connection. A closed database in a read-only folder is opened as immutable, as SQLite cannot
+/// create its other files there. A file that is no database of pointsd is refused.
 pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreError> {
     let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let error = StoreError::open(path);
-    let options = open::reading(&file);
+    let options = open::read_options(&file);
     let mut first = SqliteConnection::connect_with(&options).await.map_err(&error)?;
     match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
         Ok(_) if open::applied(&mut first).await.is_ok_and(|applied| applied.is_empty()) => {
@@ -63,7 +63,7 @@ pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
 
 /// Refuses a database of another version, for commands that only read it: their queries need every migration.
 pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteConnection) -> Result<(), StoreError> {
-    let versions = async { Ok((open::needed(connection).await?, open::applied(connection).await?)) };
+    let versions = async { Ok((open::needed_schema(connection).await?, open::applied(connection).await?)) };
     let (needed, applied) = versions.await.map_err(StoreError::read)?;
     open::refuse_newer(path, needed)?;
     // Without any migration it is no database of pointsd.
@@ -78,40 +78,40 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
     )))
 }
 
-/// The receiver of an answer, row by row.
-pub(crate) trait Answer {
-    /// The names of the columns, before the rows of each statement, also without rows.
+/// Writes the result of a query, row by row.
+pub(crate) trait ResultWriter {
+    /// Writes the column names of the next rows. Called for the first statement, and for each later one that has rows.
     fn columns(&mut self, names: &[String]) -> io::Result<()>;
     fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
     fn end(&mut self) -> io::Result<()>;
 }
 
-/// Queries the database at `path`, read-only. An error of `answer` ends the query.
-pub(crate) async fn ask(path: &Path, question: &str, answer: &mut dyn Answer) -> Result<(), StoreError> {
+/// Runs the statements in `query` read-only on the database at `path`. An error of `output` ends the query.
+pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultWriter) -> Result<(), StoreError> {
     let mut connection = connect(path).await?;
-    // VACUUM INTO writes another file also on a read-only connection, and with `query_only` still creates it.
-    if question.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
+    // VACUUM INTO writes a new file even on a read-only connection, and with `query_only` it still creates the file.
+    if query.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
         let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
         return Err(StoreError::Statement(problem.to_owned()));
     }
-    let question = AssertSqlSafe(question.to_owned()).into_sql_str();
-    let statement = connection.prepare(question.clone()).await.map_err(StoreError::statement)?;
+    let query = AssertSqlSafe(query.to_owned()).into_sql_str();
+    let statement = connection.prepare(query.clone()).await.map_err(StoreError::statement)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
-    answer.columns(&names(statement.columns())).map_err(StoreError::Answer)?;
-    let mut found = connection.fetch_many(sqlx::raw_sql(question));
+    output.columns(&names(statement.columns())).map_err(StoreError::Output)?;
+    let mut results = connection.fetch_many(sqlx::raw_sql(query));
     let mut is_next_statement = false;
-    while let Some(next) = found.try_next().await.map_err(StoreError::statement)? {
+    while let Some(next) = results.try_next().await.map_err(StoreError::statement)? {
         let Either::Right(row) = next else {
             is_next_statement = true;
             continue;
         };
         if std::mem::take(&mut is_next_statement) {
-            answer.columns(&names(row.columns())).map_err(StoreError::Answer)?;
+            output.columns(&names(row.columns())).map_err(StoreError::Output)?;
         }
         let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
-        answer.row(values.map_err(StoreError::read)?).map_err(StoreError::Answer)?;
+        output.row(values.map_err(StoreError::read)?).map_err(StoreError::Output)?;
     }
-    answer.end().map_err(StoreError::Answer)
+    output.end().map_err(StoreError::Output)
 }
 
 /// Whether a part of a query begins with VACUUM. A statement begins at the start, or after a semicolon or a comment.
@@ -126,7 +126,7 @@ pub(super) fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
     if raw.is_null() {
         return Ok(Value::Null);
     }
-    // The type of the value, as the column of an expression has no type.
+    // The type of this value: the column of an expression has no declared type.
     Ok(match raw.type_info().name() {
         "INTEGER" | "BOOLEAN" => Value::Integer(row.try_get_unchecked(at)?),
         "REAL" => Value::Real(row.try_get_unchecked(at)?),
@@ -154,7 +154,7 @@ impl Backup {
         Ok(Self { from: from.to_owned(), to: to.to_owned(), partial: beside(to, ".partial") })
     }
 
-    /// Size of the database \[bytes\], about that of the copy.
+    /// Size of the database \[bytes\]; the copy has about the same size.
     pub(crate) fn total_bytes(&self) -> u64 {
         std::fs::metadata(&self.from).map_or(0, |file| file.len())
     }
@@ -171,7 +171,7 @@ impl Backup {
         if self.partial.exists() {
             std::fs::remove_file(&self.partial).map_err(file("remove"))?;
         }
-        // SQLite does not say which of the two files it cannot open. It accepts an empty file as the copy.
+        // SQLite would not say which of the two files it cannot open. It accepts an empty file as the copy.
         std::fs::File::create_new(&self.partial).map_err(file("create"))?;
         self.copy().await.inspect_err(|_| {
             // Ignored: the first error is reported.
@@ -190,7 +190,7 @@ impl Backup {
         let mut connection = connect(&self.from).await?;
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
         vacuum.execute(&mut connection).await.map_err(|error| {
-            // The backup writes only the copy, so the full disk is that of the copy.
+            // The backup writes only the copy, so it is the disk of the copy that is full.
             let source = std::io::Error::new(std::io::ErrorKind::StorageFull, "no space is left on its disk");
             let full = StoreError::File { action: "write", path: self.partial.clone(), source };
             if is_full(&error) { full } else { StoreError::read(error) }

@@ -29,13 +29,14 @@ use crate::{
 /// Connections for the daemon. Reader and writer do not wait for each other.
 const CONNECTIONS: u32 = 2;
 /// Connections for external queries (zenoh, dashboard); more queries wait.
-const QUESTIONS: u32 = 3;
-/// Samples of each channel after which a batch of pending throws ends: 32 MiB.
-const SAMPLES: usize = 2 << 20;
+const EXTERNAL_CONNECTIONS: u32 = 3;
+/// Number of samples of each channel after which a batch of pending throws ends: 32 MiB.
+const BATCH_SAMPLES: usize = 2 << 20;
 /// Instructions of SQLite's virtual machine between two checks of the clock: some milliseconds.
 const STEPS: i32 = 100_000;
 
-/// Reads the database. Cheap to clone. Every query has a time limit, so that none holds an old state.
+/// Reads the database. Cheap to clone. Every query has a time limit: while it runs, it keeps an old state of the
+/// database in the log.
 #[derive(Debug, Clone)]
 pub struct Reader {
     /// The connections; replaced when the database moves to another file.
@@ -50,12 +51,12 @@ pub struct Reader {
 /// Separate connections, so that many external queries cannot delay the pipeline.
 #[derive(Debug, Clone)]
 struct Pools {
-    own: SqlitePool,
-    questions: SqlitePool,
+    internal: SqlitePool,
+    external: SqlitePool,
 }
 
 impl Reader {
-    /// Time limit of a query. The log grows while a query reads an old state.
+    /// Time limit of a query. The write-ahead log grows while a query reads an old state.
     pub const TIME_LIMIT: Duration = Duration::from_secs(10);
 
     /// Opens a database that another process may write.
@@ -63,13 +64,13 @@ impl Reader {
     /// # Errors
     /// When the database does not exist or cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
-        Self::with(path, open::reading(path)).await
+        Self::with(path, open::read_options(path)).await
     }
 
     /// Opens a database for a command that may have no right to write into its folder.
     pub(crate) async fn open_outside(path: &Path) -> Result<Self, StoreError> {
         let reader = Self::with(path, read_only::options(path).await?).await?;
-        let mut connection = reader.pools().own.acquire().await.map_err(StoreError::open(path))?;
+        let mut connection = reader.pools().internal.acquire().await.map_err(StoreError::open(path))?;
         read_only::refuse_other_version(path, &mut connection).await?;
         drop(connection);
         Ok(reader)
@@ -77,7 +78,7 @@ impl Reader {
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let pools = Pools::new(&options);
-        pools.own.acquire().await.map_err(StoreError::open(path))?;
+        pools.internal.acquire().await.map_err(StoreError::open(path))?;
         Ok(Self {
             pools: Arc::new(RwLock::new(pools)),
             broken: CancellationToken::new(),
@@ -88,15 +89,15 @@ impl Reader {
 
     pub(super) async fn close(&self) {
         self.closing.cancel();
-        let Pools { own, questions } = self.pools();
-        own.close().await;
-        questions.close().await;
+        let Pools { internal, external } = self.pools();
+        internal.close().await;
+        external.close().await;
     }
 
-    /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
-    /// so that they do not fail.
+    /// Opens the file that is at `path` now. Running queries keep the old file until they end: the old pools are
+    /// dropped, not closed, so that these queries do not fail.
     pub(super) fn reopen(&self, path: &Path) {
-        *self.pools.write() = Pools::new(&open::reading(path));
+        *self.pools.write() = Pools::new(&open::read_options(path));
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
@@ -122,7 +123,7 @@ impl Reader {
     }
 
     pub(super) fn pool(&self) -> SqlitePool {
-        self.pools().own
+        self.pools().internal
     }
 
     fn pools(&self) -> Pools {
@@ -147,14 +148,25 @@ impl Reader {
         Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
     {
         let answer = async {
-            let mut connection = self.pools().questions.acquire().await?;
+            let mut connection = self.pools().external.acquire().await?;
             let end = Instant::now() + Self::TIME_LIMIT;
             let closing = self.closing.clone();
-            let goes_on = move || Instant::now() < end && !closing.is_cancelled();
-            connection.lock_handle().await?.set_progress_handler(STEPS, goes_on);
+            let continues = move || Instant::now() < end && !closing.is_cancelled();
+            connection.lock_handle().await?.set_progress_handler(STEPS, continues);
             query.fetch_all(&mut *connection).await
         };
         self.limited(answer).await
+    }
+
+    /// Runs an external query for its first row.
+    pub(super) async fn external_row<Row>(
+        &self,
+        query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
+    ) -> Result<Option<Row>, StoreError>
+    where
+        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
+    {
+        Ok(self.external(query).await?.into_iter().next())
     }
 
     /// Runs an external query for alarms. Alarms of a newer version that cannot be read are left out.
@@ -171,9 +183,9 @@ impl Reader {
         Ok(alarms)
     }
 
-    /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
-    /// Later throws of a machine with an open backlog are left out, for at most `wait` after the backlog last shrank.
-    /// Also returns whether the batch is full.
+    /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
+    /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
+    /// machine was opened or last became smaller. Also returns whether the batch is full.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -204,13 +216,13 @@ impl Reader {
                 Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
                 None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop() {
                     Some(stored) => stored,
-                    // Retention has just deleted it.
+                    // Retention has just deleted the throw.
                     None => continue,
                 },
             };
             samples += stored.throw.as_ref().map_or(0, |throw| throw.trace.len());
             throws.push(stored);
-            if samples >= SAMPLES {
+            if samples >= BATCH_SAMPLES {
                 is_full = true;
                 break;
             }
@@ -230,12 +242,12 @@ impl Reader {
         self.limited(read).await
     }
 
-    /// Up to `limit` machines with throws that may be in their backlog, the longest waiting first.
+    /// Up to `limit` machines with missing throws that their backlog may have, the longest waiting first.
     pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
         self.rows(sqlx::query_as(sql::BACKLOGS).bind(limit)).await
     }
 
-    /// Number of missing throws that may be in a backlog.
+    /// Number of missing throws that a backlog may have.
     pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
         let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
         Ok(count.cast_unsigned())
@@ -249,7 +261,7 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
+    /// The monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -268,8 +280,8 @@ impl Reader {
         Ok(at_us.map(timestamp))
     }
 
-    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from its
-    /// present baseline.
+    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from
+    /// its present baseline.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -343,8 +355,9 @@ impl Reader {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
     }
 
-    /// Up to `limit` gaps not reported to the monitors yet, oldest first: gaps that no backlog can fill, and gaps of
-    /// machines after the wait for their backlog; without gaps from before the first contact.
+    /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps
+    /// of machines for whose backlog the judge does not wait any longer (see [`Self::to_judge`]). Gaps from before the
+    /// first contact are left out.
     pub(crate) async fn unreported_gaps(
         &self,
         limit: u32,
@@ -357,7 +370,7 @@ impl Reader {
 }
 
 /// A query about one machine, whose site and name are the first two parameters.
-pub(super) fn about<'q, Row>(
+pub(super) fn machine_query<'q, Row>(
     statement: &'static str,
     machine: &'q MachineId,
 ) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
@@ -381,7 +394,7 @@ impl Pools {
             let options = SqlitePoolOptions::new().max_lifetime(None).idle_timeout(None).max_connections(connections);
             options.connect_lazy_with(database.clone())
         };
-        Self { own: pool(CONNECTIONS), questions: pool(QUESTIONS) }
+        Self { internal: pool(CONNECTIONS), external: pool(EXTERNAL_CONNECTIONS) }
     }
 }
 
@@ -397,9 +410,9 @@ mod tests {
         let store = Store::open(&settings, Timestamp::UNIX_EPOCH).await.unwrap().store;
         let reader = store.reader().clone();
         let endless = "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT max(x) FROM c";
-        let questions = reader.pools().questions;
+        let external = reader.pools().external;
         let query = tokio::spawn(async move { reader.external::<(i64,)>(sqlx::query_as(endless)).await });
-        while questions.size() == 0 {
+        while external.size() == 0 {
             tokio::task::yield_now().await;
         }
         let start = Instant::now();

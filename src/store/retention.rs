@@ -1,10 +1,11 @@
-//! Retention: keeps the database within its bounds, in small transactions.
+//! Retention: keeps the database within its bounds, in small transactions, which run between those of received throws.
 //!
-//! Traces are dropped first, then throws with their estimates, last closed alarms. Each row comes from the machine with
-//! the most, so that a flood of one machine removes only its own history; of its throws, those that are judged first,
-//! then the oldest pending ones. So each bound holds also if throws arrive faster than they are judged.
-//! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database. The
-//! small transactions run between those of received throws.
+//! Traces are dropped first, then throws with their estimates, last closed alarms. Each dropped trace or throw is taken
+//! from the machine that has the most rows or bytes, so that a flood from one machine removes only its own history. Its
+//! judged throws are dropped first, then its oldest pending throws: so each bound holds even if throws arrive faster
+//! than they are judged.
+//!
+//! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database.
 
 use std::{
     collections::{BTreeMap, BinaryHeap},
@@ -15,26 +16,33 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::{Sqlite, SqliteConnection, query::QueryScalar, sqlite::SqliteArguments};
 
 use super::{
-    database::Store, disk::DiskLevel, error::StoreError, pace::seldom, settings::MIB, spool::count, statements as sql,
-    statistics::Statistics, write::Write,
+    database::Store,
+    disk::DiskLevel,
+    error::StoreError,
+    rate_limit::seldom,
+    settings::{MIB, PAGE_BYTES},
+    spool::count,
+    statements as sql,
+    statistics::Statistics,
+    write::Write,
 };
 
-/// Rows dropped in one transaction: some tens of milliseconds of work.
+/// Largest number of rows dropped in one transaction: some tens of milliseconds of work.
 const BATCH: u64 = 1024;
-/// Largest number of transactions in one call, which then ends even if throws arrive faster than rows are dropped.
+/// Largest number of transactions in one call of [`Store::keep_bounds`]. With it the call ends even if throws arrive
+/// faster than rows are dropped.
 const ROUNDS: usize = 256;
-/// Pages returned to the disk in one transaction.
+/// Number of pages returned to the disk in one transaction.
 const PAGES: u64 = 512;
-/// Size of a page \[bytes\].
-const PAGE: u64 = 4096;
 /// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
 
-/// Drops throws: boots remember up to which number, so that a repeat is not stored again.
-const THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
+/// Statements that drop throws. Each boot keeps the highest dropped number, so that a repeated throw is not stored
+/// again.
+const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// Rows that are dropped to keep the database within its bounds. The word, after `dropped_`, names a counter in the
-/// database.
+/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a
+/// counter in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Dropped {
@@ -42,33 +50,33 @@ pub enum Dropped {
     Traces,
     /// Judged throws with their estimates.
     Throws,
-    /// Throws that were not judged yet.
+    /// Pending throws, which were never judged.
     PendingThrows,
     /// Closed alarms with their events.
     Alarms,
-    /// Messages of the outbox, the oldest: alarm events that were never published.
+    /// The oldest messages of the outbox: alarm events that were never published.
     Messages,
-    /// Alarm events that the webhook had not accepted, by a trigger.
+    /// Alarm events that the webhook had not accepted. A trigger of the database drops them.
     Notifications,
-    /// Free pages of the file, returned to a disk with little space.
+    /// Unused pages of the file, returned to a disk with little space.
     Pages,
 }
 
 /// The statement that selects the machines with the most rows or bytes, which lose rows first.
-type Holdings = &'static str;
+type LargestMachines = &'static str;
 
-/// Limits of the time of reception, for the age of traces \[µs\].
+/// Limits of the time of reception of a trace that is too old \[µs since 1970\].
 #[derive(Debug, Clone, Copy)]
-struct Ages {
+struct AgeLimits {
     before_us: i64,
     now_us: i64,
 }
 
-impl Ages {
-    /// Earlier times are those of a clock that was not set yet, after a loss of power: 2020.
+impl AgeLimits {
+    /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
     const FIRST_US: i64 = 1_577_836_800_000_000;
 
-    /// Selects the aged traces.
+    /// The query for up to `rows` traces that are too old.
     fn query<'q>(self, rows: u64) -> QueryScalar<'q, Sqlite, i64, SqliteArguments> {
         let query = sqlx::query_scalar(sql::AGED_TRACES).bind(rows.cast_signed());
         query.bind(self.before_us).bind(Self::FIRST_US).bind(self.now_us)
@@ -78,18 +86,19 @@ impl Ages {
 /// Rows that can be dropped.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    Traces(Holdings),
-    AgedTraces(Ages),
-    Throws(Holdings),
+    Traces(LargestMachines),
+    AgedTraces(AgeLimits),
+    /// Judged throws.
+    Throws(LargestMachines),
     /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
-    Pending(Holdings),
+    Pending(LargestMachines),
     Alarms,
     Messages,
     Pages,
 }
 
 impl Kind {
-    /// Drops up to this number of rows; returns how many there were.
+    /// Drops up to `rows` rows; returns the number of dropped rows.
     async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
         let (what, chosen, statements): (_, _, &[&'static str]) = match self {
             Self::Traces(holdings) => {
@@ -100,11 +109,11 @@ impl Kind {
                 (Dropped::Traces, ages.query(rows).fetch_all(&mut *connection).await?, &[sql::DROP_TRACES])
             }
             Self::Throws(holdings) => {
-                (Dropped::Throws, oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await?, THROWS)
+                (Dropped::Throws, oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await?, DROP_THROWS)
             }
             Self::Pending(holdings) => {
                 let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await?;
-                (Dropped::PendingThrows, chosen, THROWS)
+                (Dropped::PendingThrows, chosen, DROP_THROWS)
             }
             Self::Alarms => {
                 (Dropped::Alarms, oldest(connection, sql::OLDEST_ALARMS, rows, None).await?, &[sql::DROP_ALARMS])
@@ -130,6 +139,7 @@ impl Kind {
     }
 }
 
+/// The row numbers from a statement for the oldest rows, whose second parameter is `argument`.
 async fn oldest(
     connection: &mut SqliteConnection,
     choice: &'static str,
@@ -141,46 +151,46 @@ async fn oldest(
     chosen.fetch_all(connection).await
 }
 
-/// The oldest rows of the machines with the most.
+/// The oldest rows of the machines that have the most rows or bytes.
 async fn oldest_of_largest(
     connection: &mut SqliteConnection,
-    holdings: Holdings,
+    largest: LargestMachines,
     choice: &'static str,
     rows: u64,
 ) -> sqlx::Result<Vec<i64>> {
-    let holdings: Vec<Holding> = sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let machines: Vec<Usage> = sqlx::query_as(largest).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
     let mut chosen = Vec::new();
-    for (machine_row, rows) in shares(holdings, rows) {
+    for (machine_row, rows) in shares(machines, rows) {
         chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
     }
     Ok(chosen)
 }
 
-/// Rows or bytes of one machine.
+/// Number of rows or bytes that one machine has in the database.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
-struct Holding {
-    /// Rows or bytes.
+struct Usage {
+    /// Rows or bytes, as the statement selects. First, so that the machines are ordered by it.
     size: i64,
     machine_row: i64,
     rows: i64,
 }
 
-/// Number of rows that each machine loses: each row comes from the machine with the most at that point, so equal
-/// machines lose equally, and a small one loses nothing.
-fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
-    let mut largest_first = BinaryHeap::from(holdings);
+/// Number of rows that each machine loses. Each row is taken from the machine that has the most at that point, so equal
+/// machines lose equally, and a small machine loses nothing.
+fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
+    let mut largest_first = BinaryHeap::from(machines);
     let mut shares = BTreeMap::new();
     for _ in 0..rows {
-        let Some(Holding { size, machine_row, rows }) = largest_first.pop() else { break };
+        let Some(Usage { size, machine_row, rows }) = largest_first.pop() else { break };
         *shares.entry(machine_row).or_default() += 1;
         if rows > 1 {
-            largest_first.push(Holding { size: size - size / rows, machine_row, rows: rows - 1 });
+            largest_first.push(Usage { size: size - size / rows, machine_row, rows: rows - 1 });
         }
     }
     shares
 }
 
-/// A transaction that drops up to `rows` rows, of a later kind only as far as the earlier ones have too few.
+/// A transaction that drops up to `rows` rows. Rows of a later kind are dropped only if the earlier kinds have too few.
 struct DropRows {
     kinds: Vec<Kind>,
     rows: u64,
@@ -207,8 +217,8 @@ impl Write for DropRows {
 }
 
 impl Store {
-    /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
-    /// second; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
+    /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called
+    /// every second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.
@@ -216,7 +226,7 @@ impl Store {
         let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {
             let mut round = BTreeMap::new();
-            // A bound that cannot be met must not keep the others from being met.
+            // If a bound cannot be met, the next one is tried.
             for drop in self.excess(now, clock_trusted).await? {
                 round = self.writer.write(drop).await?;
                 if !round.is_empty() {
@@ -231,14 +241,14 @@ impl Store {
             }
         }
         let disk = Arc::clone(&self.disk);
-        // A missing ballast must not hide what was dropped.
+        // An error is only logged: the caller still needs the numbers of dropped rows.
         if let Ok(Err(error)) = tokio::task::spawn_blocking(move || disk.restore_ballast()).await {
             seldom!(warn, %error, "no ballast file: recovery from a full disk will be harder");
         }
         Ok(done)
     }
 
-    /// The next rows to drop, the least valuable first; empty within all bounds.
+    /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
     async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
@@ -249,11 +259,11 @@ impl Store {
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
         if excess > 0 || missing > 0 {
-            // The number of rows follows from the mean size of a throw with its trace.
+            // The number of rows is estimated from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
             let mut kinds = vec![Kind::Traces(sql::MOST_TRACE_BYTES)];
-            // A disk that others fill costs traces only.
+            // If other programs fill the disk, only traces are dropped.
             if excess > 0 {
                 kinds.extend([Kind::Throws(sql::MOST_THROW_BYTES), Kind::Pending(sql::MOST_THROW_BYTES), Kind::Alarms]);
             }
@@ -281,13 +291,13 @@ impl Store {
         }
         if clock_trusted {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
-            let ages = Ages { before_us: before.as_microsecond(), now_us: now.as_microsecond() };
+            let ages = AgeLimits { before_us: before.as_microsecond(), now_us: now.as_microsecond() };
             if self.reader.limited(ages.query(1).fetch_optional(&self.reader.pool())).await?.is_some() {
                 due.push(DropRows { kinds: vec![Kind::AgedTraces(ages)], rows: BATCH });
             }
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        if disk_low && figures.free_bytes > PAGES * PAGE {
+        if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
             due.push(DropRows { kinds: vec![Kind::Pages], rows: PAGES });
         }
         Ok(due)

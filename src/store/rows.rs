@@ -24,13 +24,13 @@ impl ThrowRow {
 #[derive(Clone, Copy, strum::AsRefStr)]
 #[strum(serialize_all = "snake_case")]
 pub(super) enum GapKind {
-    /// Missing, and in no backlog.
+    /// Missing after the first contact with the machine; a backlog may still have the throws.
     Missed,
-    /// Made before the first throw that this daemon received of the machine.
+    /// Recorded before the first throw that this daemon received of the machine.
     BeforeFirstContact,
 }
 
-/// Selects the machines of a query by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any characters.
+/// Selects machines by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any characters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selector {
     /// Pattern of the site.
@@ -70,20 +70,20 @@ pub struct StoredThrow {
     pub throw: Result<Throw, UnreadableTrace>,
     /// Whether the machine sent the same trace before.
     pub repeats: bool,
-    /// Whether another throw had the same number: then this one is stored under the next number of a separate boot.
+    /// Whether another throw already had the number: then this one has the next number of a separate boot.
     pub renumbered: bool,
 }
 
-/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats another, whether
-/// it is judged at another position than that of its boot.
+/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats an earlier
+/// one, and whether it is judged at another position than the position of its boot.
 #[derive(Debug, serde::Deserialize)]
 pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
 
-/// Suffix of the separate `boot_id` for throws whose number was taken. A `boot_id` of a logger may end like this too.
+/// Suffix of the separate `boot_id` for throws whose number was already stored. A logger may use this suffix too.
 pub(super) const RENUMBERED: &str = "~again";
 
-/// Whether a throw was stored in a separate boot, as its number was taken. `moved`: the throw is judged at another position
-/// than that of this boot.
+/// Whether a throw was stored in a separate boot because its number was already stored. `moved`: the throw is judged at
+/// another position than the position of its boot.
 fn is_renumbered(id: &ThrowRef, moved: bool) -> bool {
     moved && id.boot_id.ends_with(RENUMBERED)
 }
@@ -111,9 +111,9 @@ pub struct Gap {
     pub first_no: u64,
     /// Last missing throw number.
     pub last_no: u64,
-    /// Missing throws whose messages are in quarantine.
+    /// Number of missing throws whose messages are in quarantine.
     pub refused: u64,
-    /// Reason for the last of them.
+    /// Reason of the newest of these messages.
     pub reason: Option<String>,
 }
 
@@ -133,8 +133,8 @@ fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::
     sqlx::Error::Decode(Box::new(error))
 }
 
-/// The time of a column. A number out of range gives the nearest time, so that one invalid row does not hide the
-/// others.
+/// The time at `at_us` \[µs since 1970\]. A number out of range gives the nearest time, so that one invalid row does
+/// not hide the others.
 pub(super) fn timestamp(at_us: i64) -> Timestamp {
     let nearest = if at_us < 0 { Timestamp::MIN } else { Timestamp::MAX };
     Timestamp::from_microsecond(at_us).unwrap_or(nearest)
@@ -177,7 +177,7 @@ fn three(row: &SqliteRow, columns: [&str; 3]) -> sqlx::Result<Option<[f64; 3]>> 
     Ok(b0?.zip(a1?).zip(a0?).map(|((b0, a1), a0)| [b0, a1, a0]))
 }
 
-/// Decodes the trace of a row; the outer error is that of the row.
+/// Decodes the trace of a row. The outer error is about the row, the inner one about the trace.
 fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
     let channel = |codec: &str, data: &str| -> sqlx::Result<Option<Channel>> {
         let (codec, data): (Option<String>, Option<Vec<u8>>) = (row.try_get(codec)?, row.try_get(data)?);
@@ -193,7 +193,7 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
 }
 
 impl StoredThrow {
-    /// A throw from memory, with the columns added by the insertion.
+    /// A throw from memory, with the columns that were computed when it was stored.
     pub(super) fn from_memory(row: PendingRow, throw: Throw) -> sqlx::Result<Self> {
         let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats, moved) = row;
         let id = ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };

@@ -1,8 +1,8 @@
 //! Copies the readable rows of a broken database into the new one, table by table.
 //!
 //! SQLite can read a b-tree from any key that is reachable through intact pages. So a table is copied in ranges of its
-//! key; a failing range is halved down to single keys, and only these are lost. At the end rows without their parent
-//! are removed.
+//! key. A range that fails is halved down to single keys, and only the keys that fail are lost. At the end, rows whose
+//! parent row is lost are removed.
 
 use std::{
     collections::BTreeMap,
@@ -13,20 +13,20 @@ use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
 use super::{error::is_full, graft::graft, statements::is_retired};
 
-/// Keys in one statement.
+/// Number of keys that one statement copies.
 const RANGE: i64 = 1024;
-/// Highest tried key of a table whose bounds cannot be read: these tables have far fewer rows.
-const FEW: i64 = 1 << 20;
-/// Largest possible key: 10,000 throws a second reach it in 800 years. After a row with the largest key of SQLite no other
-/// could be added.
+/// Highest key that is tried in a table whose bounds cannot be read: such a table has far fewer rows.
+const HIGHEST_TRIED: i64 = 1 << 20;
+/// Largest key that is copied: 10,000 throws a second reach it in 800 years. A garbage row with the largest key of
+/// SQLite would let no other row be added.
 const LARGEST_KEY: i64 = 1 << 48;
-/// Failed statements after which the rest of a table is skipped: at most a minute in a completely damaged table.
+/// Number of failed statements after which the rest of a table is skipped. They take a minute at most.
 const MOST_FAILURES: u32 = 50_000;
-/// Keys tried before the whole table counts as lost.
+/// Number of keys that are tried before the whole table counts as lost.
 const PROBES: i64 = 64;
 
-/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. Such texts often contain a NUL
-/// byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
+/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage
+/// rows often contain a NUL byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
 struct Table(&'static str, &'static str, &'static str);
 
 /// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
@@ -65,11 +65,11 @@ const TABLES: [Table; 15] = [
     ),
 ];
 
-/// The tables that are copied at the first try, and at the next ones if there is no space: all of [`TABLES`], those without
-/// the traces, those that the diagnosis needs.
+/// Number of tables that are copied at the first try, and at the next tries if there is no space: all of [`TABLES`];
+/// all but the traces; the first eight, which the diagnosis needs.
 pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
 
-/// Machines and boots are also read from the index of their names: the loss of such a row loses all its throws.
+/// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
      SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
@@ -79,7 +79,7 @@ const FROM_INDEX: [&str; 2] = [
      FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
 ];
 
-/// Removal of rows without their parent, and the table of latest throws of the rest.
+/// Statements that remove rows whose parent row is lost, and then fill the table of latest throws again.
 const ORPHANS: [&str; 13] = [
     "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
@@ -108,19 +108,19 @@ const ORPHANS: [&str; 13] = [
 /// Result of the recovery.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Salvaged {
-    /// Copied rows of each table.
+    /// Number of copied rows of each table.
     pub rows: BTreeMap<&'static str, u64>,
-    /// Keys of each table whose rows could not be read; for a table without readable rows its whole range.
+    /// Number of unreadable rows of each table; for a table without readable rows, its whole range of keys.
     pub lost: BTreeMap<&'static str, u64>,
 }
 
 impl Salvaged {
-    /// Copied rows of a table.
+    /// Number of copied rows of a table.
     pub fn saved(&self, table: &str) -> u64 {
         self.rows.get(table).copied().unwrap_or(0)
     }
 
-    /// Lost rows of a table.
+    /// Number of lost rows of a table.
     pub fn lost(&self, table: &str) -> u64 {
         self.lost.get(table).copied().unwrap_or(0)
     }
@@ -133,7 +133,9 @@ impl Salvaged {
         let part = |table, noun| match (self.saved(table), self.lost(table)) {
             (0, 0) => None,
             (saved, 0) => Some(format!("all {saved} {noun}")),
-            (saved, lost) if lost >= FEW.unsigned_abs() => Some(format!("{saved} {noun} (an unknown number lost)")),
+            (saved, lost) if lost >= HIGHEST_TRIED.unsigned_abs() => {
+                Some(format!("{saved} {noun} (an unknown number lost)"))
+            }
             (saved, lost) => Some(format!("{saved} {noun} ({lost} lost)")),
         };
         let parts = [
@@ -147,7 +149,7 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
+/// Copies the readable rows of the first `tables` tables of the file `broken` into the database of `connection`.
 ///
 /// # Errors
 /// When the new database cannot be written.
@@ -155,8 +157,11 @@ pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, ta
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
     }
-    let has_space = tables == TABLES.len();
-    let Some(grafted) = with_new_schema(connection, broken, has_space).await else { return Ok(Salvaged::default()) };
+    // A copy with a new schema needs as much space as all tables.
+    if tables < TABLES.len() {
+        return Ok(Salvaged::default());
+    }
+    let Some(grafted) = with_new_schema(connection, broken).await else { return Ok(Salvaged::default()) };
     let salvaged = copy_tables(connection, tables).await;
     std::fs::remove_file(grafted)?;
     salvaged
@@ -173,10 +178,10 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
         }
     }
     for copy in FROM_INDEX {
-        // Ignored: the index may be broken too.
+        // An error is ignored: the index may be broken too.
         let _ = sqlx::query(copy).execute(&mut *connection).await;
     }
-    // Counters have a text as key and need only one page.
+    // The counters have a text as key, and fit into one page. An error is ignored: they may be lost.
     let _ =
         sqlx::query("INSERT OR IGNORE INTO main.counter SELECT * FROM broken.counter").execute(&mut *connection).await;
     for orphans in ORPHANS {
@@ -192,11 +197,8 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
     Ok(salvaged)
 }
 
-/// Attaches a copy with the schema of the new database, if the disk has space for it.
-async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_space: bool) -> Option<PathBuf> {
-    if !has_space {
-        return None;
-    }
+/// Attaches a copy of the broken file with the schema of the new database; returns its path.
+async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path) -> Option<PathBuf> {
     let failed = |error: &sqlx::Error| tracing::error!(%error, "the schema of the broken database cannot be replaced");
     let copy = graft(connection, broken).await.inspect_err(failed).ok().flatten()?;
     if attach(connection, &copy).await {
@@ -224,7 +226,8 @@ async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
     false
 }
 
-/// The common columns of both databases, as lists for INSERT and SELECT; `None` if the table is missing.
+/// The columns of a table in both databases, as lists for INSERT and SELECT; `None` if the broken one has no such
+/// table.
 async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
     let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;
@@ -235,7 +238,7 @@ async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result
         .iter()
         .filter(|column| table != "machine" || !counted.contains(&column.as_str()))
         .filter_map(|column| match column.as_str() {
-            // The column was renamed in migration 10.
+            // Migration 10 renamed this column.
             "payload" if table == "baseline" && !old.contains(column) => Some(("payload", "details")),
             column => old.iter().any(|old| old == column).then_some((column, column)),
         })
@@ -253,16 +256,16 @@ struct Copy {
 }
 
 impl Copy {
-    /// Copies all ranges; returns the number of lost keys.
+    /// Copies the whole table; returns the number of lost keys.
     async fn all(&self, connection: &mut SqliteConnection) -> sqlx::Result<u64> {
         let (first, last) = self.bounds(connection).await;
         if self.has_no_root(connection, first, last).await {
-            return Ok(FEW.unsigned_abs().max(last.abs_diff(first)));
+            return Ok(HIGHEST_TRIED.unsigned_abs().max(last.abs_diff(first)));
         }
         let (mut lost, mut failures) = (0, 0);
         let mut start = first;
         while start <= last {
-            // A damaged key may be far from all others: only ranges with rows are copied.
+            // A damaged key may be far from all others, so ranges without rows are skipped.
             match self.next_key(connection, start).await {
                 Ok(Some(next)) => start = next,
                 Ok(None) => return Ok(lost),
@@ -298,7 +301,7 @@ impl Copy {
         sqlx::query_scalar(AssertSqlSafe(next)).bind(from).fetch_optional(connection).await
     }
 
-    /// Whether no key is readable, as the root page of the table is broken.
+    /// Whether none of the tried keys is readable, which means that the root page of the table is broken.
     async fn has_no_root(&self, connection: &mut SqliteConnection, first: i64, last: i64) -> bool {
         let Self { table, key, .. } = self;
         let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
@@ -327,7 +330,7 @@ impl Copy {
             }
             None => None,
         };
-        (first.unwrap_or(0).max(0), last.unwrap_or(FEW).min(LARGEST_KEY))
+        (first.unwrap_or(0).max(0), last.unwrap_or(HIGHEST_TRIED).min(LARGEST_KEY))
     }
 
     /// Copies the valid rows of a range of keys and returns the number of invalid ones; `None` if a row cannot be read.

@@ -8,6 +8,8 @@ use crate::throw::{Range::Within, settings};
 
 /// One mebibyte \[bytes\].
 pub(super) const MIB: u64 = 1 << 20;
+/// Size of a page of the database \[bytes\]: the default of SQLite.
+pub(super) const PAGE_BYTES: usize = 4096;
 
 settings! {
     /// The `[store]` section of the configuration. Sizes are in MiB (1,048,576 bytes).
@@ -37,8 +39,8 @@ settings! {
         pub max_wal_mib: u64 = 256, Within(32.0, 65_536.0, "MiB");
         /// Largest number of messages in quarantine, 0 to 100,000.
         pub max_quarantined: u32 = 1000, Within(0.0, 100_000.0, "messages");
-        /// Whether a commit returns when it is on the disk. Not a key of the configuration: without it a power cut loses
-        /// acknowledged rows. It exists to show that the power-cut test can fail.
+        /// Whether a commit waits until its data are on the disk. Not a key of the configuration: if it is false, a
+        /// power cut loses acknowledged rows. It exists to show that the power-cut test can fail.
         #[serde(skip)]
         pub durable: bool = true;
     }

@@ -1,4 +1,4 @@
-//! Storage of received throws: each once, with gaps for missing numbers.
+//! Storage of received throws, each once, and of gaps for the missing numbers.
 
 use std::collections::HashSet;
 
@@ -7,9 +7,9 @@ use sqlx::{Row as _, SqliteConnection};
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
+    batch,
     codec::{self, Channel, Checksums, reverse_checksum},
     cursor::{self, Boot, ThrowPosition},
-    many,
     rows::{GapKind, RENUMBERED, ThrowRow},
     statements as sql,
     write::Write,
@@ -21,7 +21,7 @@ use crate::throw::{Direction, MachineId, Throw};
 pub enum Spooled {
     /// Stored, with this row number.
     New(ThrowRow),
-    /// Stored before, and perhaps pruned since.
+    /// Stored before, and perhaps deleted by retention since.
     Duplicate,
 }
 
@@ -34,7 +34,8 @@ pub(super) struct Spool {
     current: Channel,
     position: Channel,
     trace_crc32: u32,
-    /// CRC-32 of the current in the upper half, of the position in the lower half: detects repeated traces.
+    /// Detects repeated traces: CRC-32 of the current in the upper half, of the position in the lower half (without a
+    /// position: of the reversed current).
     trace_hash: i64,
 }
 
@@ -47,7 +48,7 @@ impl Spool {
     pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         let has_position = throw.trace.has_position();
-        let second = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
+        let lower_half = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
         Self {
             machine: machine.clone(),
             throw: throw.clone(),
@@ -56,8 +57,8 @@ impl Spool {
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
-            // 64 bits, so that two throws of a machine are never taken for repetitions of each other by chance.
-            trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(second),
+            // With 64 bits, two different traces of a machine do not get the same value by chance.
+            trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(lower_half),
         }
     }
 
@@ -67,8 +68,8 @@ impl Spool {
         insert(connection, &[place]).await
     }
 
-    /// Handles a throw whose number is stored already: it is the same throw, or another one if the logger restarted its
-    /// numbers with the same `boot_id`. The latter is stored under the next number of a separate boot.
+    /// Handles a throw whose number is stored already. It may be the same throw. If the logger restarted its numbers
+    /// with the same `boot_id`, it is another throw, which is stored under the next number of a separate boot.
     async fn store_again(
         &self,
         connection: &mut SqliteConnection,
@@ -77,7 +78,7 @@ impl Spool {
         repeated: bool,
     ) -> sqlx::Result<Spooled> {
         if taken.content_crc32 == self.content_crc32 {
-            // After a commit with unknown result the stored throw may be this one.
+            // If an earlier attempt was committed although it returned an error, the stored throw is this one.
             let is_own = repeated && taken.received_at_us == self.received_at_us;
             return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
@@ -101,15 +102,15 @@ impl Spool {
             return Ok(Spooled::Duplicate);
         }
         count(connection, "contradicted_throws", 1).await?;
-        // A logger may use this boot too, up to the highest number: then SQLite refuses the throw.
+        // A logger may send this `boot_id` itself, with the highest number: then SQLite refuses the throw.
         let throw_no = again.highest_no.saturating_add(1);
-        // It was made after the stored throws of the boot, so it is judged after them.
+        // The throw was recorded after the stored throws of the real boot, so it is judged after them.
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
         self.insert(connection, judged_as, throw_no).await.map(Spooled::New)
     }
 }
 
-/// CRC-32 of the whole throw.
+/// CRC-32 of the whole throw except its boot and number.
 fn content_checksum(throw: &Throw, trace_crc32: u32) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&trace_crc32.to_le_bytes());
@@ -139,9 +140,9 @@ struct Placed<'a> {
 }
 
 /// Adds throws of different machines, with their traces and the highest numbers of their boots. Returns the row of the
-/// first; the rows of the others follow it without gaps, as there is one writer and no row number is used again.
+/// first throw. The rows of the others follow without gaps: there is one writer, and no row number is used again.
 async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sqlx::Result<ThrowRow> {
-    let mut add = many::query(sql::ADD_THROWS, places.len());
+    let mut add = batch::query(sql::ADD_THROWS, places.len());
     for &Placed { throw: spool, machine_row, boot_row, position, throw_no } in places {
         let throw = &spool.throw;
         add = add
@@ -166,7 +167,7 @@ async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sql
         return Err(sqlx::Error::RowNotFound);
     }
     let first = added.last_insert_rowid() - count.cast_signed() + 1;
-    let mut add = many::query(sql::ADD_TRACES, places.len());
+    let mut add = batch::query(sql::ADD_TRACES, places.len());
     for (row, Placed { throw, .. }) in (first..).zip(places) {
         add = add
             .bind(row)
@@ -180,7 +181,7 @@ async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sql
     Ok(ThrowRow(first))
 }
 
-/// Received throws, at most [`many::ROWS`].
+/// Received throws, at most [`batch::MAX_ROWS`].
 pub(super) struct Spools {
     pub(super) throws: Vec<Spool>,
     /// Permit for the memory of the waiting throws; released after the answer.
@@ -192,12 +193,12 @@ impl Write for Spools {
     type Output = Vec<Spooled>;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<Spooled>> {
-        let usual = self.usual(connection).await?;
-        let mut row = if usual.is_empty() { ThrowRow::START } else { insert(connection, &usual).await? };
+        let in_sequence = self.in_sequence(connection).await?;
+        let mut row = if in_sequence.is_empty() { ThrowRow::START } else { insert(connection, &in_sequence).await? };
         let mut done = 0;
         let mut spooled = Vec::with_capacity(self.throws.len());
         for throw in &self.throws {
-            if usual.get(done).is_some_and(|place| std::ptr::eq(place.throw, throw)) {
+            if in_sequence.get(done).is_some_and(|place| std::ptr::eq(place.throw, throw)) {
                 spooled.push(Spooled::New(row));
                 row.0 += 1;
                 done += 1;
@@ -212,22 +213,22 @@ impl Write for Spools {
 }
 
 impl Spools {
-    /// The first throw of each machine, if it is the next one of a known boot and no throw of the machine is missing, or
-    /// the first throw of a new machine.
-    async fn usual(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
-        let mut found = self.next(connection).await?;
+    /// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known
+    /// boot and no throw of the machine is missing, or if the machine is new and the number is 1.
+    async fn in_sequence(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
+        let mut found = self.next_of_known_boots(connection).await?;
         let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
         let first: Vec<&Spool> =
             self.throws.iter().filter(|throw| throw.throw_no() == FIRST_NO && !is_found(throw)).collect();
         if !first.is_empty() && add_new_machines(connection, &first).await? > 0 {
-            found = self.next(connection).await?;
+            found = self.next_of_known_boots(connection).await?;
         }
         Ok(found)
     }
 
-    /// The first throw of each machine, if it is the next one of a known boot and no throw of the machine is missing.
-    async fn next(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
-        let mut find = many::query(sql::NEXT_THROWS, self.throws.len());
+    /// The throws of [`Self::in_sequence`] whose boots are known.
+    async fn next_of_known_boots(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
+        let mut find = batch::query(sql::NEXT_THROWS, self.throws.len());
         for (at, throw) in (0_i64..).zip(&self.throws) {
             let MachineId { site, machine } = &throw.machine;
             find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
@@ -247,16 +248,16 @@ impl Spools {
     }
 }
 
-/// Adds the machines of first throws that are new, each with the boot of its throw. Returns their number. When the
-/// loggers of a large fleet start, this takes three statements for 64 throws instead of ten for each.
+/// Adds the new machines among those of the throws `first`, each with the boot of its throw. Returns the number of
+/// added machines. When the loggers of a large fleet start, 64 throws need three statements here, instead of ten each.
 async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -> sqlx::Result<u64> {
-    let mut machines = many::query(sql::ADD_NEW_MACHINES, first.len());
+    let mut machines = batch::query(sql::ADD_NEW_MACHINES, first.len());
     for throw in first {
         machines = machines.bind(throw.machine.site.as_str()).bind(throw.machine.machine.as_str());
     }
     let added = machines.execute(&mut *connection).await?.rows_affected();
     if added > 0 {
-        let mut boots = many::query(sql::ADD_FIRST_BOOTS, first.len());
+        let mut boots = batch::query(sql::ADD_FIRST_BOOTS, first.len());
         for throw in first {
             boots = boots.bind(throw.machine.site.as_str()).bind(throw.machine.machine.as_str());
             boots = boots.bind(&throw.throw.id.boot_id).bind(throw.received_at_us).bind(SPACING);
@@ -266,17 +267,17 @@ async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -
     Ok(added)
 }
 
-/// The position of a new boot.
+/// Place of a new boot in the order of the machine's boots.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Follows {
-    /// After all boots: live throws are of the newest boot.
+    /// After all other boots, for a live throw: a logger sends live throws of its newest boot only.
     All,
-    /// In a backlog: right after the boot at this position.
+    /// Right after the boot at this position, for a throw from a backlog.
     Boot(i64),
 }
 
 impl Spool {
-    /// Sequence number of the throw; the wire admits none above `i64::MAX`.
+    /// Sequence number of the throw; the decoder of messages accepts none above `i64::MAX`.
     pub(super) fn throw_no(&self) -> i64 {
         self.throw.id.throw_no.cast_signed()
     }
@@ -345,10 +346,10 @@ pub(super) async fn boot(
     sqlx::query_as(sql::BOOT).bind(machine_row).bind(boot_id).fetch_optional(connection).await
 }
 
-/// Number of the first throw of a boot; some loggers begin with 0, which is noticed then.
+/// Number of the first throw of a boot. Some loggers begin with 0: their first throw 0 sets `counts_from_zero`.
 const FIRST_NO: i64 = 1;
 
-/// Distance between the positions of live boots, with space for boots that only the backlog has.
+/// Distance between the positions of live boots. Boots that only the backlog has get positions in between.
 const SPACING: i64 = 1 << 20;
 
 /// A boot that is received for the first time.
@@ -360,8 +361,8 @@ struct NewBoot<'a> {
 }
 
 impl NewBoot<'_> {
-    /// Adds the boot, with a gap before the first received throw. Numbers start at 1, or at 0 if this logger is known
-    /// to do so.
+    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 for a machine that has
+    /// sent a throw 0.
     async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
         let (position, is_last) = self.position(connection).await?;
         let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
@@ -386,7 +387,7 @@ impl NewBoot<'_> {
         Ok(boot)
     }
 
-    /// The position of the boot, and whether it is the last.
+    /// The position of the boot, and whether it is the last boot.
     async fn position(&self, connection: &mut SqliteConnection) -> sqlx::Result<(i64, bool)> {
         if let Follows::Boot(position) = self.follows
             && let Some(next) = cursor::next_boot(connection, self.machine_row, position).await?
@@ -436,7 +437,7 @@ async fn add_gap(
     gap.execute(connection).await.map(|_| true)
 }
 
-/// Removes a late throw from its gap, at an end or by splitting it; returns whether there was a gap.
+/// Removes the number of a late throw from its gap: shortens, splits or fills the gap. Returns whether there was a gap.
 async fn fill_gap(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64, at_us: i64) -> sqlx::Result<bool> {
     let gap: Option<(i64, i64, i64)> =
         sqlx::query_as(sql::GAP_AT).bind(boot_row).bind(throw_no).fetch_optional(&mut *connection).await?;

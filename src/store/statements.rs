@@ -1,5 +1,5 @@
-//! The statements of the store that are prepared by a test against the real schema. Those of a recovery are in `graft`
-//! and `salvage`.
+//! The SQL statements of the store. A test prepares each of them against the migrated schema. The statements of a
+//! recovery are in `graft` and `salvage`.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {
@@ -20,8 +20,10 @@ macro_rules! throw_rows {
     };
 }
 
-/// Change of the ratio of a coefficient to b0 from the last baseline before the throw \[%\], for a throw without the changes of
-/// the coefficients; as in the view `health_history`. `$throws`: the throws in the baseline of the throw.
+/// Column with the change of the ratio of a coefficient to b0 from the last baseline before the throw \[%\], with the
+/// formula of the view `health_history`. It is NULL if the throw has changes of the coefficients themselves. `$at`:
+/// index of the coefficient in the centre of the baseline. `$throws`: number of throws in the baseline when the throw
+/// was judged.
 macro_rules! ratio_pct {
     ($coefficient:literal, $at:literal, $throws:literal) => {
         concat!(
@@ -44,7 +46,8 @@ macro_rules! ratio_pct {
     };
 }
 
-/// The columns of [`Health`](crate::wire::Health); direction, state and progress of the baseline depend on the query.
+/// The columns of [`Health`](crate::wire::Health). The parameters are the columns that depend on the query; for
+/// `$throws` see `ratio_pct`.
 macro_rules! health {
     ($direction:literal, $state:literal, $drift:literal, $drifts:literal, $caveats:literal, $throws:literal) => {
         concat!(
@@ -84,9 +87,10 @@ macro_rules! rfc3339 {
     };
 }
 
-/// The columns of `pointsd export`, after two for paging, of the first ?6 throws after time ?3 and row ?4, before time ?5.
+/// Query of one page of `pointsd export`: the first ?6 throws that started after time ?3 and row ?4, and before time
+/// ?5. The first two columns are for paging; the others are exported. `$condition` selects the machines.
 macro_rules! export {
-    ($which:expr) => {
+    ($condition:expr) => {
         concat!(
             "SELECT throw_row, started_at_us, site, machine, boot_id, throw_no, ",
             rfc3339!("started_at_us"), " AS started_at, ",
@@ -98,7 +102,7 @@ macro_rules! export {
              travel_mm, start_position_mm, end_position_mm, estimate.state AS state, started_at_us \
              FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
              LEFT JOIN estimate USING (throw_row) \
-             WHERE ", $which, " AND (started_at_us, throw_row) > (?3, ?4) AND started_at_us < ?5 \
+             WHERE ", $condition, " AND (started_at_us, throw_row) > (?3, ?4) AND started_at_us < ?5 \
              ORDER BY started_at_us, throw_row LIMIT ?6"
         )
     };
@@ -118,7 +122,7 @@ macro_rules! throw_health {
     };
 }
 
-/// Health of throws.
+/// Columns and joins of a query of the health of throws.
 macro_rules! history {
     () => {
         concat!(
@@ -129,7 +133,7 @@ macro_rules! history {
     };
 }
 
-/// Boots of loggers, for [`Boot`](super::cursor::Boot).
+/// Columns and table of a query of boots, for [`Boot`](super::cursor::Boot).
 macro_rules! boots {
     () => {
         "machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
@@ -143,8 +147,9 @@ macro_rules! awaited {
     };
 }
 
-/// A column of the messages in quarantine that may be throws of a gap: those with its numbers, and those without a readable
-/// number that were received since the throw before it.
+/// Subquery of the messages in quarantine that may be throws of a gap: messages with a number in the gap, and messages
+/// without a readable number that arrived after the throw before the gap. `$column`: an aggregate, or a column of the
+/// newest message.
 macro_rules! refused {
     ($column:literal) => {
         concat!(
@@ -160,14 +165,14 @@ macro_rules! refused {
     };
 }
 
-/// Condition for the machine in the first two parameters.
+/// Row of the machine with site ?1 and name ?2.
 macro_rules! one_machine {
     () => {
         "(SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2)"
     };
 }
 
-/// The chosen rows, as a JSON list.
+/// The row numbers in the JSON list ?1.
 macro_rules! chosen {
     () => {
         "(SELECT value FROM json_each(?1))"
@@ -185,12 +190,12 @@ macro_rules! figures {
     };
 }
 
-/// Adds or replaces the monitor of `$machine`, a row or a query of rows.
+/// Adds or replaces monitors. `$rows`: `VALUES`, or a query of the columns.
 macro_rules! set_monitor {
-    ($machine:literal) => {
+    ($rows:literal) => {
         concat!(
             "INSERT INTO monitor (machine_row, updated_at_us, snapshot, state, drifts, caveats) ",
-            $machine,
+            $rows,
             " ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
              state = excluded.state, drifts = excluded.drifts, caveats = excluded.caveats"
         )
@@ -206,8 +211,8 @@ macro_rules! all_machines {
 /// Machine name of the alarms about all machines of a site.
 pub(crate) const ALL_MACHINES: &str = all_machines!();
 
-/// Whether the machine of a row was retired by an operator: it has no monitor until its next throw is judged. `monitor` is
-/// joined to the row.
+/// Whether an operator retired the machine of a row: then it has no monitor until its next throw is judged. Needs a
+/// LEFT JOIN of the row with `monitor`.
 macro_rules! is_retired {
     () => {
         "(monitor.machine_row IS NULL AND EXISTS (SELECT 1 FROM command \
@@ -216,8 +221,8 @@ macro_rules! is_retired {
 }
 pub(super) use is_retired;
 
-/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
-/// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.
+/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself (?4/?5) and
+/// [`ALL_MACHINES`]. A machine is silent if it is not monitored and has no open alarm about its condition.
 macro_rules! matching {
     () => {
         concat!(
@@ -263,8 +268,8 @@ statements! {
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
-    // Statements with one row of `?`: see the module `many`.
-    // The usual throws: each the next one of a known boot, without missing throws.
+    // Statements with one row of `?`: see the module `batch`.
+    // The throws that are the next one of a known boot, of machines without missing throws.
     NEXT_THROWS = "WITH new (at, site, machine, boot_id, throw_no) AS (VALUES (?, ?, ?, ?, ?)) \
         SELECT json_group_array(json_array(at, machine_row, boot_row, position)) \
         FROM new CROSS JOIN machine USING (site, machine) CROSS JOIN boot USING (machine_row, boot_id) \
@@ -272,7 +277,7 @@ statements! {
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
     ADD_NEW_MACHINES = "INSERT OR IGNORE INTO machine (site, machine) \
         SELECT * FROM (VALUES (?, ?)) WHERE column1 IS NOT NULL";
-    // The first boots of machines without a boot: their first throw has the number 1, and nothing is missing.
+    // The first boots of machines without a boot. Their first throw has the number 1, so no throw is missing.
     ADD_FIRST_BOOTS = "WITH new (site, machine, boot_id, first_seen_us, position) AS (VALUES (?, ?, ?, ?, ?)) \
         INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position, tail_open) \
         SELECT machine_row, boot_id, first_seen_us, 0, position, 0 FROM new CROSS JOIN machine USING (site, machine) \
@@ -321,9 +326,9 @@ statements! {
     BACKLOGS = "SELECT site, machine FROM backlog JOIN machine USING (machine_row) ORDER BY since_us LIMIT ?1";
     AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
 
-    // Judging. Machines with pending throws, in turn after a given one; of each the first throws that can be judged, so
-    // that neither a long queue nor an open backlog of one machine delays others. (SQLite prepares a statement again at
-    // each call if a parameter alone is its LIMIT.)
+    // Judging. Takes machines with pending throws in turn, after a given machine, and from each its first throws that
+    // can be judged, so that neither a long queue nor an open backlog of one machine delays the others. `LIMIT ?2 + 0`:
+    // SQLite prepares a statement again at each call if its LIMIT is a parameter alone.
     TO_JUDGE = "WITH RECURSIVE waiting (machine_row) AS (\
         SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
         AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
@@ -350,7 +355,7 @@ statements! {
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
     JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
-    // Statements with one row of `?`: see the module `many`.
+    // Statements with one row of `?`: see the module `batch`.
     PENDING_AMONG = "SELECT count(*) FROM throw WHERE throw_row IN (VALUES (?)) AND judged_at_us IS NULL";
     SET_JUDGED = "WITH new (throw_row, at_us) AS (VALUES (?, ?)) \
         UPDATE throw SET judged_at_us = new.at_us FROM new WHERE throw.throw_row = new.throw_row";
@@ -379,12 +384,12 @@ statements! {
         VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (alarm_id) DO NOTHING";
     ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload, known_at_us) \
         SELECT alarm_row, ?2, ?3, ?4, ?5, ?6, ?7 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
-    // Of an alarm that is raised and cleared for ever, the first event and the last ones stay.
+    // An alarm may be raised and cleared for ever: only its first event and its last events stay.
     TRIM_ALARM_EVENTS = "DELETE FROM alarm_event WHERE alarm_row = (SELECT alarm_row FROM alarm WHERE alarm_id = ?1) \
         AND event_no BETWEEN 2 AND ?2 - ?3";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
-    // `+site`: no index, as SQLite would prepare a statement again for each pattern.
-    // Without statistics SQLite reads all alarms in the order of time, to save the sort of the few open ones.
+    // `+site`: with an index on the site SQLite would prepare the statement again for each pattern. INDEXED BY: without
+    // statistics SQLite would read all alarms in the order of time, to avoid sorting the few open ones.
     OPEN_ALARMS = "SELECT payload \
         FROM alarm INDEXED BY alarm_open JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
@@ -394,7 +399,7 @@ statements! {
         FROM alarm_event JOIN alarm USING (alarm_row) JOIN machine USING (machine_row) \
         WHERE coalesce(known_at_us, event_at_us) >= ?3 AND +site GLOB ?1 AND +machine GLOB ?2 \
         ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
-    // CROSS JOIN: of one machine, its few alarms are searched instead of all events in the order of time.
+    // CROSS JOIN makes SQLite search the few alarms of the machine, instead of all events in the order of time.
     ALARM_HISTORY_OF_MACHINE = "SELECT payload FROM machine \
         CROSS JOIN alarm INDEXED BY alarm_of_machine USING (machine_row) CROSS JOIN alarm_event USING (alarm_row) \
         WHERE +site GLOB ?1 AND machine = ?2 AND coalesce(known_at_us, event_at_us) >= ?3 \
@@ -424,20 +429,20 @@ statements! {
     // The newest rows are at the end of the table.
     NEWEST_HEALTH = concat!("SELECT ", history!(), " \
         ORDER BY throw_row DESC LIMIT ?1");
-    // Rows of some machines, or since a time, are selected by an index before their wide rows are read.
+    // An index selects the rows of some machines, or since a time, before the wide rows are read.
     HEALTH_SINCE = concat!("SELECT ", history!(), " \
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    // A throw of unknown direction, as an unreadable one, counts until the next of a known direction.
+    // A throw of unknown direction (as with an unreadable trace) is left out after a later throw of a known direction.
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats", "estimate.baseline_throws"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 AND (latest.direction <> '' OR NOT EXISTS (SELECT 1 FROM latest AS later \
         WHERE later.machine_row = latest.machine_row AND later.direction <> '' AND later.start_us > latest.start_us)) \
         ORDER BY site, machine, latest.direction");
-    // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
+    // A gap that a backlog may still fill is left out while the judge waits for it: while its backlog was opened or
     // last became smaller between ?2 and ?3.
     UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",
         "min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) AS refused, ", refused!("reason"), " AS reason \
@@ -451,15 +456,15 @@ statements! {
             sum(alarm.state IN ('active_unacknowledged', 'active_acknowledged')) AS active \
         FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' GROUP BY cause, severity ORDER BY cause, severity";
-    WAY_NEWEST = concat!("SELECT ", history!(), " \
+    DIRECTION_NEWEST = concat!("SELECT ", history!(), " \
         WHERE estimate.machine_row = ", one_machine!(), " \
         AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
-    // The index of the starts: the throws of a baseline may be far behind the newest.
-    WAY_UNTIL = concat!("SELECT ", history!(), " \
+    // Searched in the index of start times: the throws of a baseline may be far behind the newest throw.
+    DIRECTION_UNTIL = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row IN (SELECT throw_row FROM throw WHERE machine_row = ", one_machine!(), " \
         AND started_at_us <= ?5 ORDER BY started_at_us DESC LIMIT 4 * ?4) \
         AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
-    WAY_SPREAD = concat!("WITH RECURSIVE span AS (SELECT \
+    DIRECTION_SPREAD = concat!("WITH RECURSIVE span AS (SELECT \
         (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
         (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \
         spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
@@ -481,8 +486,8 @@ statements! {
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
     THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
-    // The previous and the next throw of a machine, in the order of their start. CROSS JOIN: SQLite would read all throws
-    // of the machine to find one.
+    // The previous and the next throw of a machine, in the order of their start. Without CROSS JOIN SQLite would read
+    // all throws of the machine to find one.
     THROW_NEIGHBOURS = "WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM machine JOIN boot USING (machine_row) \
         CROSS JOIN throw ON throw.boot_row = boot.boot_row \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4) \
@@ -500,7 +505,7 @@ statements! {
         WHERE estimate.throw_row = ?1");
 
     // The fleet page.
-    // The matching machines of state ?6, without silent ones if ?7, the worst state first, in the order of ?11.
+    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first).
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -530,8 +535,8 @@ statements! {
     LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
     );
 
-    // Number of matching machines in each state, and of the silent ones among them.
-    TALLY = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
+    // Number of matching machines in each state, and of the silent machines among them.
+    STATE_COUNTS = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
 
     SITES = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
 
@@ -551,7 +556,7 @@ statements! {
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
-    // The text distinguishes the kinds of data loss. Few machines have it, while a lost link makes thousands not monitored.
+    // The text distinguishes the kinds of data loss. Few machines lose data; a lost link makes thousands not monitored.
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
@@ -597,12 +602,13 @@ statements! {
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
-    // The latest throws of a machine show the progress of its baselines, which begin anew. Their changes in the history stay.
+    // After a rebaseline the latest throws of a machine show that its new baselines have no throws yet. The changes
+    // from the old baselines stay in the history.
     RESTART_BASELINES = "UPDATE estimate SET baseline_before = coalesce(baseline_before, baseline_throws), \
         baseline_throws = 0, throws_since_baseline = 0 \
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
 
-    // A retired machine keeps its history, and is no machine of the present any more. Its gaps are not reported.
+    // A retired machine keeps its history, and is not listed any more. Its gaps are not reported.
     RETIRE = "DELETE FROM monitor WHERE machine_row = ?1; DELETE FROM latest WHERE machine_row = ?1; \
         UPDATE gap SET told_at_us = ?2 WHERE told_at_us IS NULL AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1)";
 
@@ -616,12 +622,13 @@ statements! {
         ORDER BY size DESC LIMIT ?1";
     MOST_THROW_BYTES = "SELECT stored_bytes AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
         ORDER BY size DESC LIMIT ?1";
-    // Looks at the oldest rows only: of a machine that floods, most throws are pending.
+    // Reads only the oldest 4,096 rows: a machine that sends too many throws has mostly pending ones.
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
         WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time ?4 is
-    // not usable: such a trace is as old as the next one with a usable time. No trace after the first young one is aged.
+    // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time
+    // ?4 is not usable: such a trace is as old as the next one with a usable time. No trace after the first young one
+    // is aged.
     AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM trace JOIN throw USING (throw_row) \
         WHERE throw_row <= (SELECT max(throw_row) FROM trace JOIN throw USING (throw_row) \
             WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{database::Store, disk::DiskLevel, error::StoreError, statements as sql};
 
-/// Figures of the database. The retention reads only the first ones, which are fast enough for every second.
+/// Figures of the database. Retention reads every second only the first seven, which are fast to read.
 #[derive(Debug, Clone, PartialEq, Eq, Default, sqlx::FromRow)]
 #[sqlx(default)]
 pub struct Statistics {
@@ -18,7 +18,7 @@ pub struct Statistics {
     pub outbox: u64,
     /// Size of the data \[bytes\].
     pub data_bytes: u64,
-    /// Free pages in the file \[bytes\].
+    /// Size of the unused pages in the file \[bytes\].
     pub free_bytes: u64,
     /// [`Self::counters`] as a JSON object.
     counters: String,
@@ -28,7 +28,7 @@ pub struct Statistics {
     pub notifications: u64,
     /// Open alarms.
     pub open_alarms: u64,
-    /// Throw numbers in gaps.
+    /// Number of missing throws, without throws from before the first contact.
     pub missing_throws: u64,
     /// Messages in quarantine.
     pub quarantined: u64,
@@ -36,7 +36,7 @@ pub struct Statistics {
     pub wal_bytes: u64,
     /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
-    /// State of the disk below the database.
+    /// State of the disk that holds the database.
     #[sqlx(skip)]
     pub disk: DiskLevel,
     /// Failed write transactions since the start.
@@ -51,18 +51,18 @@ impl Statistics {
 }
 
 impl Store {
-    /// Reads the figures, on the connections for external queries. Counts rows, so it is too slow for every second.
+    /// Reads all figures, on the connections for external queries. It counts rows: too slow for every second.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let read: Vec<Statistics> = self.reader.external(sqlx::query_as(sql::STATISTICS)).await?;
+        let read: Option<Statistics> = self.reader.external_row(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
             disk: self.disk.level(),
             failed_writes: self.disk.failures(),
-            ..read.into_iter().next().unwrap_or_default()
+            ..read.unwrap_or_default()
         })
     }
 
@@ -71,7 +71,8 @@ impl Store {
         self.disk.level()
     }
 
-    /// Whether the database is being copied to a new file, with progress in the last 30 s. Writes wait meanwhile.
+    /// Whether the database is being copied to a new file and the copy made progress in the last 30 s, or such a copy
+    /// ended in the last 5 s. Writes wait during the copy.
     pub fn is_copying(&self) -> bool {
         self.disk.is_copying()
     }

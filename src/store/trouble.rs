@@ -1,12 +1,14 @@
-//! Problems of the store, as texts for an alarm.
+//! Problems of the store, as the text of an alarm.
 
 use super::{database::Store, disk::DiskLevel, files::DatabaseFiles};
 use crate::{diagnose::Severity, throw::counted};
 
 impl Store {
-    /// The highest severity and one text for all present problems, for those since the last call, and for `more`.
-    /// Cheap: called every few seconds. The alarm can be stored on a full disk too: its write fails once, which removes
-    /// the ballast, and the freed space holds thousands of alarms.
+    /// The highest severity of all problems that exist now or occurred since the last call, and of the problems in
+    /// `more`, with one text for all of them. `None` without problems. Called every few seconds, so it must be fast.
+    ///
+    /// The alarm can be stored even on a full disk: its first write fails and removes the ballast, whose space is
+    /// enough for thousands of alarms.
     pub fn trouble(&self, more: impl IntoIterator<Item = (Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {
             DiskLevel::Ample => None,
@@ -20,20 +22,20 @@ impl Store {
                 "writing to its disk fails, and received throws cannot be stored. Check the disk",
             )),
         };
-        let disk = disk.map(|(severity, said)| (severity, said.to_owned()));
+        let disk = disk.map(|(severity, text)| (severity, text.to_owned()));
         let set_aside = self.files.set_aside_before().map(|file| {
             let saved = DatabaseFiles::saved_from(&file);
             let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
-            let said = format!(
+            let text = format!(
                 "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
                  later recovery",
                 file.display()
             );
-            (Severity::Critical, said)
+            (Severity::Critical, text)
         });
         let replaced = self.disk.replaced().map(|succeeded| {
             let file = self.path().display();
-            let said = match (succeeded, self.disk.foreign()) {
+            let text = match (succeeded, self.disk.foreign()) {
                 (true, None) => format!(
                     "its database {file} was deleted during operation. All data were written to a new file there. \
                      Find out who or what deleted it"
@@ -49,33 +51,28 @@ impl Store {
                      and disk, and do not stop pointsd before: it has the only copy open"
                 ),
             };
-            (Severity::Critical, said)
+            (Severity::Critical, text)
         });
-        let [throws, messages, notifications] = self.disk.lost();
-        let throws = throws.map(|throws| {
-            format!(
-                "it dropped {} before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly \
-                 of one machine. Check the logger that sends so many",
-                counted(throws, "throw")
-            )
+        // In the order of the numbers in `lost`.
+        let losses = [
+            (
+                "throw",
+                "before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly of one \
+                 machine. Check the logger that sends so many",
+            ),
+            ("alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
+            (
+                "alarm event",
+                "before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
+            ),
+        ];
+        let dropped = self.disk.lost().into_iter().zip(losses).filter_map(|(count, (noun, rest))| {
+            Some((Severity::Critical, format!("it dropped {} {rest}", counted(count?, noun))))
         });
-        let messages = messages.map(|events| {
-            format!(
-                "it dropped {} before publishing, as too many were waiting. Check the link of zenoh",
-                counted(events, "alarm event")
-            )
-        });
-        let notifications = notifications.map(|events| {
-            format!(
-                "it dropped {} before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
-                counted(events, "alarm event")
-            )
-        });
-        let dropped = [throws, messages, notifications].into_iter().flatten().map(|said| (Severity::Critical, said));
         let all: Vec<(Severity, String)> =
             disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;
-        let said: Vec<&str> = all.iter().map(|(_, said)| said.as_str()).collect();
-        Some((severity, format!("pointsd loses data: {}.", said.join("; "))))
+        let texts: Vec<&str> = all.iter().map(|(_, text)| text.as_str()).collect();
+        Some((severity, format!("pointsd loses data: {}.", texts.join("; "))))
     }
 }

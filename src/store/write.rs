@@ -1,4 +1,4 @@
-//! A write: a part of a transaction, with the caller that waits for its commit.
+//! A write: a part of a transaction, whose caller waits for the commit.
 
 use std::pin::Pin;
 
@@ -7,7 +7,7 @@ use tokio::sync::oneshot;
 
 use super::error::StoreError;
 
-/// A write, which runs in a transaction with others, and runs again if the transaction failed.
+/// A write. It runs in a transaction together with other writes, and again if the transaction failed.
 pub(super) trait Write: Send + Sync + 'static {
     /// Result for the caller after the commit.
     type Output: Send + 'static;
@@ -20,30 +20,32 @@ pub(super) trait Write: Send + Sync + 'static {
     ) -> impl Future<Output = sqlx::Result<Self::Output>> + Send;
 }
 
-/// The result of a write, sent after the commit.
-pub(super) type Answer<T> = oneshot::Receiver<Result<T, StoreError>>;
+/// Receives the result of a write after the commit.
+pub(super) type CommitReceiver<T> = oneshot::Receiver<Result<T, StoreError>>;
 
 type Running<'a> = Pin<Box<dyn Future<Output = sqlx::Result<()>> + Send + 'a>>;
 
-/// A [`Write`] with its caller.
+/// A [`Write`] with its caller, without the type of its result: so that a queue can hold different writes.
 pub(super) trait Job: Send {
+    /// Runs the write and keeps its result.
     fn run<'a>(&'a mut self, connection: &'a mut SqliteConnection, repeated: bool) -> Running<'a>;
+    /// Sends the result of the write, or the error of the commit, to the caller.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
-struct Waiting<W: Write> {
+struct QueuedWrite<W: Write> {
     write: W,
     output: Option<W::Output>,
     reply: oneshot::Sender<Result<W::Output, StoreError>>,
 }
 
 /// Makes a job from a write, with the receiver of its result.
-pub(super) fn job<W: Write>(write: W) -> (Box<dyn Job>, Answer<W::Output>) {
+pub(super) fn job<W: Write>(write: W) -> (Box<dyn Job>, CommitReceiver<W::Output>) {
     let (reply, answer) = oneshot::channel();
-    (Box::new(Waiting { write, output: None, reply }), answer)
+    (Box::new(QueuedWrite { write, output: None, reply }), answer)
 }
 
-impl<W: Write> Job for Waiting<W> {
+impl<W: Write> Job for QueuedWrite<W> {
     fn run<'a>(&'a mut self, connection: &'a mut SqliteConnection, repeated: bool) -> Running<'a> {
         Box::pin(async move {
             self.output = Some(self.write.run(connection, repeated).await?);

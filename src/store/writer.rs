@@ -1,18 +1,19 @@
 //! The task that writes: commits queued writes in groups.
 //!
-//! A write is answered after its commit. No future in this file is cancelled, as a dropped commit may still happen.
+//! The caller of a write gets its answer after the commit. No future in this file is cancelled: SQLite may still
+//! complete the commit of a dropped future.
 
 use tokio::sync::{mpsc, oneshot};
 
 use super::{
     error::StoreError,
-    write::{Answer, Job, Write, job},
+    write::{CommitReceiver, Job, Write, job},
     writing::WritingConnection,
 };
 
-/// Largest number of writes in a commit. At the measured rates this takes 5 to 20 ms; larger groups are not faster.
+/// Largest number of writes in a commit. At the measured rates it takes 5 to 20 ms; larger groups are not faster.
 const GROUP: usize = 64;
-/// Capacity of the queue: four groups, a tenth of a second. Further callers wait.
+/// Capacity of the queue \[writes\]: four groups, about a tenth of a second. Further callers wait.
 const QUEUE: usize = 4 * GROUP;
 
 enum Request {
@@ -35,7 +36,7 @@ impl Writer {
     }
 
     /// Queues a write; the answer comes after the commit.
-    pub(super) async fn submit<W: Write>(&self, write: W) -> Result<Answer<W::Output>, StoreError> {
+    pub(super) async fn submit<W: Write>(&self, write: W) -> Result<CommitReceiver<W::Output>, StoreError> {
         let (job, answer) = job(write);
         self.requests.send(Request::Write(job)).await.map_err(|_| StoreError::Closed)?;
         Ok(answer)

@@ -1,7 +1,7 @@
-//! The writing connection, which is replaced after every failure, and the bound of its write-ahead log.
+//! The writing connection: commits, replacement after a failure, and the limit of the write-ahead log.
 //!
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
-//! and the result of a failed commit is unknown. Then the group is written once more, as every write is idempotent.
+//! and the result of a failed commit is unknown. Then the group of writes runs once more, as every write is idempotent.
 
 use std::{path::Path, sync::Arc, time::Duration};
 
@@ -12,15 +12,15 @@ use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
     files::{DatabaseFiles, Identity},
-    pace::seldom,
+    rate_limit::seldom,
     reader::Reader,
     statements as sql,
     write::Job,
 };
 
-/// Least time between two checks of the file names. The daemon writes at least every 5 s, so a deleted file is noticed
-/// within 6 s.
-const LOOK: Duration = Duration::from_secs(1);
+/// Least time between two checks whether the open files still are at the configured path. The daemon writes at least
+/// every 5 s, so a deleted file is noticed within 6 s.
+const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
@@ -33,14 +33,14 @@ pub(super) struct WritingConnection {
     pub(super) reader: Reader,
     /// Whether SQLite found the file broken; the next start sets it aside.
     pub(super) broken: bool,
-    /// Identity of the open files, after the first write; renewed after each move.
+    /// Identity of the open files; `None` before the first write and after a move.
     pub(super) identity: Option<Identity>,
     /// Time of the last comparison of the open files with those at the configured path.
-    pub(super) looked: Option<Instant>,
-    /// Size of the log that starts a checkpoint or a move \[bytes\].
-    pub(super) log_bound: u64,
+    pub(super) files_checked: Option<Instant>,
+    /// Size of the log from which on it is truncated, or the database moves \[bytes\].
+    pub(super) max_log_bytes: u64,
     /// Size of the log when both failed last \[bytes\]; 0 after a success.
-    pub(super) failed_at: u64,
+    pub(super) failed_log_bytes: u64,
 }
 
 impl WritingConnection {
@@ -52,7 +52,7 @@ impl WritingConnection {
         if self.transaction(&mut jobs, false).await.is_ok() {
             answer(jobs, || Ok(()));
             self.notice_replaced_files().await;
-            return self.bound_log().await;
+            return self.limit_log().await;
         }
         match self.transaction(&mut jobs, true).await {
             Ok(()) => answer(jobs, || Ok(())),
@@ -71,7 +71,7 @@ impl WritingConnection {
         }
     }
 
-    /// Runs the jobs in one transaction; replaces the connection after an error, as its transaction may still be open.
+    /// Runs the jobs in one transaction; closes the connection after an error, as its transaction may still be open.
     async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> sqlx::Result<()> {
         let outcome = self.run(jobs, repeated).await;
         if let Err(error) = &outcome {
@@ -104,8 +104,8 @@ impl WritingConnection {
         Ok(self.connection.insert(connection))
     }
 
-    /// Whether the file of the last connection is not at the configured path any more: closed, it is deleted. A new
-    /// connection would write into another file, which the monitors do not match.
+    /// Whether the file of the closed connection is no longer at the configured path: then it is deleted. A new
+    /// connection would write into another file, which does not match the monitors in memory.
     fn has_lost_its_file(&self) -> bool {
         let database = self.files.identity().database;
         self.files.is_fresh() || self.identity.is_some_and(|known| known.database != database)
@@ -126,13 +126,13 @@ impl WritingConnection {
         }
     }
 
-    /// Detects a deleted or replaced database file or log. The connection still has the old files with all committed
-    /// rows open, and copies them to a new file.
+    /// Detects a deleted or replaced database file or log. The connection still has the old files open, with all
+    /// committed rows, and copies the rows to a new file.
     async fn notice_replaced_files(&mut self) {
-        if self.looked.is_some_and(|looked| looked.elapsed() < LOOK) {
+        if self.files_checked.is_some_and(|checked| checked.elapsed() < FILE_CHECK_INTERVAL) {
             return;
         }
-        self.looked = Some(Instant::now());
+        self.files_checked = Some(Instant::now());
         let now = self.files.identity();
         let known = *self.identity.get_or_insert(now);
         if now == known {
@@ -149,14 +149,15 @@ impl WritingConnection {
         }
     }
 
-    /// Bounds the log, which grows while a reader holds an old state.
-    async fn bound_log(&mut self) {
+    /// Limits the log, which grows while a reader keeps an old state open: truncates the log, or moves the database to
+    /// a new file. After a failure both are tried again when the log has grown by a quarter.
+    async fn limit_log(&mut self) {
         let log = self.files.log_bytes();
-        if log < self.log_bound {
-            self.failed_at = 0;
+        if log < self.max_log_bytes {
+            self.failed_log_bytes = 0;
             return;
         }
-        if log < self.failed_at + self.failed_at / 4 {
+        if log < self.failed_log_bytes + self.failed_log_bytes / 4 {
             return;
         }
         match self.checkpoint().await {
@@ -172,12 +173,12 @@ impl WritingConnection {
                 free,
                 "a program keeps reading an old state of the database, and there is no space to move the database: end that program"
             );
-            self.failed_at = log;
+            self.failed_log_bytes = log;
             return;
         }
         if let Err(error) = self.move_database("a program keeps reading an old state of it").await {
             tracing::error!(%error, log, "moving the database away from a slow reader failed");
-            self.failed_at = log;
+            self.failed_log_bytes = log;
             self.reopen_path().await;
         }
     }
@@ -191,7 +192,7 @@ impl WritingConnection {
         }
     }
 
-    /// Copies the log into the database and truncates it; false if a reader needs it for longer than a second.
+    /// Copies the log into the database and truncates it; false if a reader needs the log for more than a second.
     async fn checkpoint(&mut self) -> sqlx::Result<bool> {
         let connection = self.connected().await?;
         sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;
@@ -214,8 +215,8 @@ impl WritingConnection {
         Ok(())
     }
 
-    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: a copy that
-    /// makes progress is no hang.
+    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: the
+    /// watchdog must not stop a copy that makes progress.
     async fn copy_to(&mut self, copy: &Path) -> sqlx::Result<()> {
         let disk = Arc::clone(&self.disk);
         let note_step = move || {
@@ -239,15 +240,15 @@ impl WritingConnection {
         }
         let connection = self.connected().await.map_err(|error| store_error(&error))?;
         sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| store_error(&error))?;
-        // Pages that a reader keeps from being copied stay in the log, which is as durable.
+        // Pages that cannot be copied because of a reader stay in the log, which is as durable.
         let copied = self.checkpoint().await;
         self.disconnect().await;
         copied.map(drop).map_err(|error| store_error(&error))
     }
 }
 
-/// Answers the jobs, the last one first: a caller with several jobs waits for its first job, so it wakes once, when all
-/// its answers are there.
+/// Answers the jobs, the last job first: a caller with several jobs waits for its first one, so it wakes up only once,
+/// when all its answers have arrived.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
     for job in jobs.into_iter().rev() {
         job.answer(committed());

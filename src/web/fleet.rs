@@ -24,7 +24,7 @@ use super::{
 use crate::{
     daemon::{StatusReport, View, clock},
     diagnose::{Cause, MachineState, Severity},
-    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
+    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, StateCounts, WORST_FIRST, Window},
     throw::{MachineId, counted, utc},
     wire,
 };
@@ -236,13 +236,13 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
 
 /// Number of the silent machines if they are one line of the list, which the query then leaves out. They have a common
 /// cause, such as a lost link, and would push machines with faults out of sight.
-fn group_silent(query: &mut FleetQuery, tally: &Tally) -> u64 {
+fn group_silent(query: &mut FleetQuery, tally: &StateCounts) -> u64 {
     let is_chosen = query.state.is_some() || query.cause.is_some() || query.search.is_some();
     query.without_silent = tally.silent > SILENT_ROWS && !is_chosen;
     if query.without_silent { tally.silent } else { 0 }
 }
 
-fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)> {
+fn tally_links(tally: &StateCounts, filters: &Filters) -> Vec<(Badge, String, String)> {
     // A machine with a fault is not monitored either when its link is lost: the fault must stay in sight.
     let with_other_alarms = tally.of(MachineState::NotMonitored).saturating_sub(tally.silent);
     let number = |state| match state {

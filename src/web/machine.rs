@@ -21,7 +21,7 @@ use super::{
 use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
-    store::{Choice, CommandRow, Reader, StoreError, Window},
+    store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
     wire::{Alarm, Health},
 };
@@ -265,9 +265,11 @@ async fn rows(
     span: Span,
 ) -> Result<Vec<Health>, StoreError> {
     let mut rows = match span {
-        Span::Newest(limit) => trend::thinned(reader.throws_in(machine, direction, Choice::Newest(limit)).await?),
+        Span::Newest(limit) => {
+            trend::thinned(reader.throws_in(machine, direction, ThrowSelection::Newest(limit)).await?)
+        }
         Span::All => {
-            let choice = Choice::Spread(u32::try_from(trend::POINTS).unwrap_or(u32::MAX));
+            let choice = ThrowSelection::Spread(u32::try_from(trend::POINTS).unwrap_or(u32::MAX));
             reader.throws_in(machine, direction, choice).await?
         }
     };
@@ -290,7 +292,7 @@ async fn throws_of_baseline(
         return Ok(Vec::new());
     }
     let throws = u32::try_from(baseline.throws).unwrap_or(u32::MAX);
-    reader.throws_in(machine, *direction, Choice::Until(baseline.taken_at, throws)).await
+    reader.throws_in(machine, *direction, ThrowSelection::Until(baseline.taken_at, throws)).await
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {

@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Reader, Statistics, StoreError, Tally},
+    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Reader, StateCounts, Statistics, StoreError},
     wire::Alarm,
 };
 
@@ -26,7 +26,7 @@ const SITES: u32 = 200;
 #[derive(Debug)]
 pub(super) struct Overview {
     /// Number of machines in each state; states without machines are left out.
-    pub(super) tally: Tally,
+    pub(super) tally: StateCounts,
     /// Open alarms about the condition of machines, the worst first, up to [`FAULTS`].
     pub(super) faults: Vec<Fault>,
     pub(super) fault_count: u64,

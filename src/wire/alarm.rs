@@ -11,8 +11,8 @@ use crate::{
     throw::{MachineId, without_digits},
 };
 
-/// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`, `event_at`):
-/// after a restore of a backup a number may be used again.
+/// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`, `event_at`): after a
+/// backup was restored, an event number may be used again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alarm {
     /// Always [`Alarm::SCHEMA`].
@@ -27,7 +27,7 @@ pub struct Alarm {
     pub event: AlarmEvent,
 }
 
-/// Gives direct access to the fields of the event, as in the JSON message.
+/// Direct access to the fields of the event, which are fields of the alarm in JSON too.
 impl Deref for Alarm {
     type Target = AlarmEvent;
 
@@ -50,7 +50,7 @@ impl Alarm {
         }
     }
 
-    /// The message without operators and boots, which stay in the database.
+    /// The message without the operators' names and reasons and without boots: these stay in the database.
     #[must_use]
     pub fn published(mut self) -> Self {
         (self.event.by, self.event.why, self.event.acknowledged_by) = (None, None, None);
@@ -66,19 +66,19 @@ impl Alarm {
     }
 }
 
-/// The identity of an alarm: machine, cause and time of the raise. A daemon that judges a throw again after a crash
-/// makes the same identity.
+/// The identity of an alarm: machine, cause, and the time at which it was raised. A daemon that judges a throw again
+/// after a crash makes the same identity.
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
 
-/// The text of an alarm without its subject, "Machine north/21B, normal to reverse: ".
+/// The text of an alarm without its subject, such as "Machine north/21B, normal to reverse: ".
 pub fn without_subject(text: &str) -> &str {
     text.split_once(": ").map_or(text, |(_, rest)| rest)
 }
 
-/// The text without its subject and its numbers. Lists group the alarms of many machines by it, as one cause has several
-/// kinds of alarms: lost throws and a wrong clock have the same cause.
+/// The text of an alarm without its subject and its numbers. Lists group the alarms of many machines by it, as one
+/// cause may have several kinds of alarms: lost throws and a wrong clock have the same cause.
 pub fn kind_of(text: &str) -> String {
     without_digits(without_subject(text))
 }

@@ -1,5 +1,5 @@
-//! The selector of a query for a page of a logger's backlog, and the start of this page:
-//! `…/throw?after_boot=B;after_no=N;limit=K`.
+//! The query for a page of a logger's backlog (`…/throw?after_boot=B;after_no=N;limit=K`), and the throw at which the
+//! page starts.
 
 use std::fmt::Write as _;
 
@@ -9,8 +9,8 @@ use crate::throw::ThrowRef;
 
 /// Largest page \[throws\]; a higher `limit` is reduced to it.
 pub const MAX_PAGE: usize = 1_000;
-/// Characters that are escaped in a `boot_id`: those with a meaning in a selector, and `%`. Zenoh has no escape of its
-/// own.
+/// Characters that are percent-encoded in a `boot_id`: those with a meaning in a selector, and `%`. Zenoh has no escape
+/// sequence of its own.
 const ESCAPED: [char; 7] = ['%', ';', '=', '&', '|', '?', '#'];
 
 /// A query for one page of a backlog.
@@ -48,9 +48,9 @@ impl BacklogQuery {
         Self { after, limit: limit.clamp(1, MAX_PAGE) }
     }
 
-    /// Index in `kept` (the backlog, oldest first) where the page starts: behind the last throw of the boot of `after`
-    /// whose number is not above that of `after`. If only later throws of this boot are left, the page starts at
-    /// the first of them; at 0 if the boot is unknown, or without `after`.
+    /// Index in `kept` (the backlog, oldest first) where the page starts. It is behind the last throw of the boot of
+    /// `after` whose number is not above the number of `after`. If the backlog has only later throws of this boot, it
+    /// is their first one. It is 0 if the boot is unknown, or without `after`.
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };
         let mut last_of_boot = None;

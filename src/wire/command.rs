@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Invalid,
-    text::{not_an_object, unmarked},
+    text::{not_an_object, without_byte_order_mark},
 };
 use crate::diagnose::Command;
 
-/// Largest command \[bytes\]: room for names and a reason.
+/// Largest command \[bytes\]: enough for names and a reason.
 const MAX_BYTES: usize = 8 * 1024;
 
 /// Decodes a command.
@@ -20,7 +20,7 @@ pub fn decode_command(payload: &[u8]) -> Result<Command, Invalid> {
         return Err(Invalid(format!("the command has {} bytes, must be 1 to {MAX_BYTES}", payload.len())));
     }
     let example = "{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}";
-    serde_json::from_slice(unmarked(payload)).map_err(|error| {
+    serde_json::from_slice(without_byte_order_mark(payload)).map_err(|error| {
         let problem = not_an_object(payload).unwrap_or_else(|| error.to_string());
         Invalid(format!("not a command: {problem}; for example {example}"))
     })
@@ -38,13 +38,13 @@ pub struct Reply {
     pub monitor: String,
 }
 
-/// A daemon that applies the commands of a machine: its reply to a query without payload on the machine's command key.
-/// With its session in the selector (`?session=…`) a command goes to this daemon only.
+/// Identifies a daemon that applies the commands for a machine: the reply to a query without payload on the machine's
+/// command key. A command with this session in its selector (`?session=…`) is applied by this daemon only.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Commander {
-    /// Name: `{site}/{id}` of its section `[monitor]`.
+pub struct CommandTarget {
+    /// Name of the daemon: `{site}/{id}` of its section `[monitor]`.
     pub monitor: String,
-    /// Identifier of its zenoh session; differs between two daemons of the same name.
+    /// Identifier of its zenoh session: two daemons may have the same name, but not the same session.
     pub session: String,
 }
 

@@ -9,7 +9,7 @@ use crate::{
     throw::{Direction, MachineId, ThrowRef},
 };
 
-/// Health of one throw. A value that the throw does not give is null in JSON.
+/// Health of one throw. `None` is a value that the throw does not have; it is null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Health {
     /// Always [`Health::SCHEMA`].
@@ -38,7 +38,7 @@ pub struct Health {
     pub change_pct: Option<[f64; 3]>,
     /// Fit of the model `R²_T` \[%\].
     pub fit_pct: Option<f64>,
-    /// a1/b0 = Kf / KT \[A s rad⁻¹\]; does not need the start of the throw, so a "rough" throw has it too.
+    /// a1/b0 = Kf / KT \[A s rad⁻¹\]. A "rough" throw has it too, as its estimate does not need the start of the throw.
     pub a1_per_b0: Option<f64>,
     /// Standard deviation of `a1_per_b0`.
     pub a1_per_b0_sd: Option<f64>,
@@ -46,7 +46,7 @@ pub struct Health {
     pub a0_per_b0: Option<f64>,
     /// Standard deviation of `a0_per_b0`.
     pub a0_per_b0_sd: Option<f64>,
-    /// Change of `a1_per_b0` from the baseline \[%\], with the effect of the temperature; `None` if `change_pct` is known.
+    /// Change of `a1_per_b0` from the baseline \[%\], not corrected for temperature; `None` if `change_pct` is known.
     pub a1_per_b0_pct: Option<f64>,
     /// Change of `a0_per_b0` from the baseline \[%\]; see `a1_per_b0_pct`.
     pub a0_per_b0_pct: Option<f64>,
@@ -70,10 +70,10 @@ pub struct Health {
     /// Why the throw is rejected or rough, as a sentence. Not published.
     #[serde(skip)]
     pub detail: Option<String>,
-    /// Throws in the baseline of this direction, and the throws that it needs. Not published.
+    /// Number of throws in the baseline of this direction, and number that it needs. Not published.
     #[serde(skip)]
     pub baseline: Option<(u64, u64)>,
-    /// Evaluated throws of this direction since the baseline was complete. Not published.
+    /// Number of evaluated throws of this direction since the baseline was complete. Not published.
     #[serde(skip)]
     pub throws_since_baseline: u64,
 }
@@ -82,8 +82,8 @@ impl Health {
     /// Name and version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
-    /// Health of a throw without an estimate: `quality` is the code of the reason, `detail` its sentence. Features, state and
-    /// baseline are absent.
+    /// Health of a throw whose estimate was rejected. `quality` is the code of the reason, `detail` the reason as a
+    /// sentence. Features, state and baseline are `None`.
     pub fn rejected(
         machine: MachineId,
         throw: ThrowRef,
@@ -126,7 +126,8 @@ impl Health {
         self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
     }
 
-    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], of a throw without `change_pct`.
+    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], for a throw without `change_pct`; `None`
+    /// if a new baseline began after the throw.
     pub fn present_ratio_changes_pct(&self) -> Option<[f64; 2]> {
         let changes = self.a1_per_b0_pct.zip(self.a0_per_b0_pct).map(|(friction, stiffness)| [friction, stiffness]);
         changes.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
@@ -143,13 +144,13 @@ impl Health {
     }
 }
 
-/// Whether a quality is the code of a rejection and no grade. Throws with the grade `current_only` may have no estimate: their
-/// features are monitored.
+/// Whether a quality is the code of a rejection, and not a grade. `current_only` is a grade: such a throw may have no
+/// estimate, but its features are monitored.
 pub fn is_rejection(quality: &str) -> bool {
     quality.parse::<Grade>().is_err()
 }
 
-/// JSON of a direction; `None` is `unknown`.
+/// JSON of a direction: `None` is `unknown`.
 mod direction {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
@@ -170,7 +171,7 @@ mod direction {
     }
 }
 
-/// JSON of one number for each coefficient, all three or none.
+/// JSON of one number for each coefficient: all three are present, or all are null.
 macro_rules! three {
     ($name:ident, $b0:literal, $a1:literal, $a0:literal) => {
         mod $name {

@@ -1,4 +1,4 @@
-//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The site and machine of a message are those of its key.
+//! Key expressions: `points/v1/{site}/{machine}/{kind}`. A message belongs to the machine in its key.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,9 +14,9 @@ const PREFIX: &str = "points/v1/";
 pub enum Kind {
     /// Throws, from the logger.
     Throw,
-    /// Estimates, from the monitor.
+    /// The health of throws, from the daemon.
     Health,
-    /// Alarm events, from the monitor.
+    /// Alarm events, from the daemon.
     Alarm,
     /// Operators' commands.
     Command,
@@ -34,23 +34,23 @@ pub fn every_key(kind: Kind) -> String {
     format!("{PREFIX}*/*/{}", kind.as_ref())
 }
 
-/// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a monitor is that of a
-/// machine.
+/// The key of a daemon's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a daemon (`site` and `id`
+/// of its section `[monitor]`) has the form of a machine's name.
 pub fn monitor_alive_key(MachineId { site, machine }: &MachineId) -> String {
     format!("{PREFIX}{site}/monitor/{machine}/alive")
 }
 
-/// Key expression of the liveliness tokens of all monitors.
+/// Key expression of the liveliness tokens of all daemons.
 pub const EVERY_MONITOR_ALIVE: &str = "points/v1/*/monitor/*/alive";
 
-/// The name of the monitor of a liveliness token or of a status, as a machine; `None` for another key.
+/// The name of the daemon in the key of a liveliness token or of a status; `None` for another key.
 pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
     let chunks: Vec<&str> = key.strip_prefix(PREFIX)?.split('/').collect();
     let [site, "monitor", id, "alive" | "status"] = chunks[..] else { return None };
     MachineId::new(site, id).ok()
 }
 
-/// The key of a monitor's status: `points/v1/{site}/monitor/{id}/status`.
+/// The key of a daemon's status: `points/v1/{site}/monitor/{id}/status`.
 pub fn monitor_status_key(MachineId { site, machine }: &MachineId) -> String {
     format!("{PREFIX}{site}/monitor/{machine}/status")
 }
@@ -67,10 +67,10 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), Invalid> {
     Ok((MachineId::new(site, machine).map_err(|error| Invalid(error.to_string()))?, kind))
 }
 
-/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite; `None` if the expression has
-/// `**` twice, so that the position of a name is unknown.
+/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite. `None` if it includes no
+/// key of a machine, or has `**` twice, so that the position of the names is unknown.
 pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
-    /// Chunks of the key of a machine.
+    /// Number of chunks in the key of a machine.
     const CHUNKS: usize = 5;
     let chunks: Vec<&str> = key_expression.split('/').collect();
     if chunks.iter().filter(|chunk| **chunk == "**").count() > 1 {
@@ -141,7 +141,7 @@ impl Scope {
     }
 }
 
-/// `*`, a name, or a name with `$*` in it (the wildcards of zenoh within one chunk).
+/// Whether a chunk is `*`, a name, or a name with `$*` in it (zenoh's wildcards within one chunk).
 fn is_name_pattern(chunk: &str) -> bool {
     chunk == "*" || chunk.replace("$*", "x").parse::<Name>().is_ok() && !chunk.contains("$*$*") && chunk != "$*"
 }

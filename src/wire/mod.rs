@@ -1,7 +1,7 @@
 //! Keys and payloads on zenoh: pure encoding and decoding.
 //!
-//! Decoding returns a value or an error for any bytes. It does not panic, recurses to a fixed depth at most, and
-//! allocates at most a small multiple of the payload.
+//! Decoding returns a value or an error for any bytes. It does not panic, its recursion has a fixed limit, and it
+//! allocates at most a small multiple of the size of the payload.
 
 mod alarm;
 mod backlog;
@@ -14,12 +14,12 @@ mod throw;
 
 pub use alarm::{Alarm, alarm_id, kind_of, without_subject};
 pub use backlog::{BacklogQuery, MAX_PAGE};
-pub use command::{Commander, Reply, decode_command};
+pub use command::{CommandTarget, Reply, decode_command};
 pub use health::{Health, is_rejection};
 pub use key::{
     EVERY_MONITOR_ALIVE, Kind, Scope, every_key, machine_key, machine_patterns, monitor_alive_key, monitor_status_key,
     parse_key, parse_monitor_key,
 };
-pub use query::{HistoryQuery, MAX_HISTORY, only_known};
-pub use text::{Invalid, json, json_bytes, unmarked};
+pub use query::{HistoryQuery, MAX_HISTORY, check_parameters};
+pub use text::{Invalid, json, json_bytes, without_byte_order_mark};
 pub use throw::{Encoding, decode_throw, encode_throw, is_boot_id, throw_id};

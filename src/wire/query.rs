@@ -16,7 +16,7 @@ pub enum HistoryQuery {
     Current,
     /// The newest `limit` rows since `since`, oldest first.
     History {
-        /// Time of the oldest row; 1970 for no bound.
+        /// Earliest time of a row; 1970 for no limit.
         since: Timestamp,
         /// Largest number of rows.
         limit: u32,
@@ -29,13 +29,13 @@ impl HistoryQuery {
     /// # Errors
     /// When `since` or `limit` is invalid, or another parameter is given.
     pub fn parse(parameters: &str) -> Result<Self, Invalid> {
-        only_known(parameters, &["since", "limit"])?;
+        check_parameters(parameters, &["since", "limit"])?;
         let value = |name: &str| pairs(parameters).find(|(key, _)| *key == name).map(|(_, value)| value);
         let wrong = |name: &str, text: &str, must: &str| {
             let text: String = text.chars().take(60).collect();
             Invalid(format!("{name}={text:?} {must}"))
         };
-        // URL encoders write `+` as a space, so both are accepted in the offset.
+        // URL decoders turn the `+` of an offset into a space, so a space is accepted too.
         let since = value("since").map(|text| {
             let must = "is not an RFC 3339 time with Z or an offset, as 2026-05-04T10:11:12Z";
             text.replace(' ', "+").parse().map_err(|_| wrong("since", text, must))
@@ -60,12 +60,12 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
     pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|pair| *pair != ("", ""))
 }
 
-/// Refuses parameters that are neither `known` nor of zenoh, whose names begin with `_`: a misspelt one would change the
-/// meaning of a query without notice.
+/// Checks that every parameter is in `known` or belongs to zenoh (its name begins with `_`): ignoring a misspelt
+/// parameter would change the meaning of a query without notice.
 ///
 /// # Errors
-/// When there is one: it is named, with the known ones.
-pub fn only_known(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
+/// When a parameter is unknown; the error names it and the known parameters.
+pub fn check_parameters(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
     let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
     let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
     let unknown: String = unknown.chars().take(60).collect();
@@ -94,9 +94,9 @@ mod tests {
             let error = HistoryQuery::parse(text).unwrap_err().to_string();
             assert!(error.starts_with("unknown parameter") && error.ends_with("known are since, limit"), "{error}");
         }
-        assert!(only_known("_time=[now(-1h)..];_anyke", &[]).is_ok());
+        assert!(check_parameters("_time=[now(-1h)..];_anyke", &[]).is_ok());
         assert_eq!(
-            only_known("limit=1", &[]).unwrap_err().to_string(),
+            check_parameters("limit=1", &[]).unwrap_err().to_string(),
             "unknown parameter \"limit\": this query has none"
         );
     }

@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::{bus::Questions, throw::ThrowRef};
+use pointsd::{bus::QueryQueue, throw::ThrowRef};
 use tokio::runtime::Handle;
 
 use crate::{
@@ -34,7 +34,7 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     let session = zenoh::open(config).await.unwrap();
     let tasks = || Handle::current().metrics().num_alive_tasks();
     let before = tasks();
-    let mut questions = Questions::declare(&session, KEY).await.unwrap();
+    let mut questions = QueryQueue::declare(&session, KEY).await.unwrap();
     assert_eq!(tasks(), before, "nothing observes a task of the queue");
     let mut queries = Vec::new();
     for _ in 0..65 {

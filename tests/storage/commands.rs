@@ -66,7 +66,7 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     assert!(code == Some(66) && error.contains("is empty"), "{error}");
 }
 
-/// Every command that reads a database names a file that is none, with one exit code.
+/// Every command that reads a database refuses another file with the same text and exit code.
 #[tokio::test]
 async fn a_file_that_is_no_database_of_pointsd_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -105,7 +105,7 @@ async fn a_backup_is_complete_opens_and_never_overwrites() {
     assert!(said.contains("checked") && error.is_empty(), "{said} {error}");
     let (code, ..) = pointsd(&["backup", copy.to_str().unwrap()], store.path());
     assert_eq!(code, Some(73), "a second backup replaced the first");
-    // The copy is checked when it is first opened, as the source was in use.
+    // The database was in use, so its copy is not marked as cleanly stopped, and its first opening checks it.
     let opened = open(restored.path()).await;
     assert_eq!(opened.report.found, Found::WithoutLog);
     assert_eq!(opened.store.statistics().await.unwrap().pending, 40);

@@ -24,7 +24,7 @@ async fn sql_reads_a_stopped_database_where_nothing_may_be_written() {
     assert_eq!(String::from_utf8_lossy(&output.stdout), "throws\n1\n", "{error}");
 }
 
-/// Spools throws until a write fails; returns the number of the last stored throw.
+/// Stores throws until the disk is full; returns the number of the last stored throw.
 async fn spool_until_full(store: &Store, first: u64) -> u64 {
     for throw_no in first..first + 10_000 {
         match store.spool(&machine("21B"), &throw("b1", throw_no), at(0)).await {
@@ -39,7 +39,7 @@ async fn spool_until_full(store: &Store, first: u64) -> u64 {
 #[tokio::test]
 async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     let Some(disk) = SmallDisk::mount() else { return };
-    // The configured ballast is larger than the disk; a smaller one is made.
+    // The configured ballast is larger than the disk, so a smaller ballast is created.
     let bounds = Settings { ballast_mib: 16, ..settings(disk.folder()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     let ballast = fs::metadata(disk.folder().join("points.db-ballast")).unwrap().len();
@@ -48,7 +48,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
         spooled(&store, "21B", "b1", throw_no).await;
     }
     disk.fill();
-    // The ballast gives room for some writes; then the disk is full.
+    // The space of the removed ballast is enough for some writes; then the disk is full.
     let last = spool_until_full(&store, 21).await;
     assert!(last > 20, "the ballast was of no use");
     assert!(!disk.folder().join("points.db-ballast").exists());

@@ -1,4 +1,4 @@
-//! Common input of the tests: real stores in their own folders, throws, estimates, alarm events.
+//! Common input of the tests: stores on disk in folders of their own, throws, estimates, alarm events.
 
 use std::path::Path;
 
@@ -22,12 +22,12 @@ pub(crate) async fn open(folder: &Path) -> Opened {
     Store::open(&settings(folder), at(0)).await.unwrap()
 }
 
-/// A new store, in a folder that is removed when it is dropped.
+/// A new store in a new folder; dropping the returned folder removes it.
 pub(crate) async fn fresh() -> (TempDir, Store) {
     fresh_with(|settings| settings).await
 }
 
-/// A new store with some other settings.
+/// A new store with settings changed by `change`.
 pub(crate) async fn fresh_with(change: impl FnOnce(Settings) -> Settings) -> (TempDir, Store) {
     let folder = tempfile::tempdir().unwrap();
     let opened = Store::open(&change(settings(folder.path())), at(0)).await.unwrap();
@@ -38,7 +38,7 @@ pub(crate) fn machine(name: &str) -> MachineId {
     MachineId::new("north", name).unwrap()
 }
 
-/// Time of the tests after this number of seconds.
+/// The start time of the tests plus `seconds`.
 pub(crate) fn at(seconds: i64) -> Timestamp {
     "2026-03-01T06:00:00.25Z".parse::<Timestamp>().unwrap() + SignedDuration::from_secs(seconds)
 }
@@ -130,7 +130,7 @@ pub(crate) async fn gaps(store: &Store) -> Vec<(String, i64, i64)> {
     query(store, "SELECT boot_id, first_throw_no, last_throw_no FROM data_gaps WHERE filled_at IS NULL").await
 }
 
-/// Outcome of a machine with these alarm events.
+/// The outcome of a machine with these alarm events and without a monitor.
 pub(crate) fn outcome(name: &str, events: Vec<AlarmEvent>) -> Outcome {
     Outcome { machine: machine(name), at: at(1), monitor: None, events, reported_gaps: Vec::new(), command: None }
 }
@@ -160,7 +160,7 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
     }
 }
 
-/// An alarm event of machine 21B (warning), and its monitor with a larger drift.
+/// The outcome of an alarm event (warning) of machine 21B, whose present drift is larger than the change in the event.
 pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
     let monitor = MonitorRecord {
         snapshot: format!("{{\"events\":{event_no}}}"),
@@ -191,7 +191,7 @@ pub(crate) async fn outsider(database: impl AsRef<Path>) -> SqliteConnection {
     SqliteConnection::connect_with(&options).await.unwrap()
 }
 
-/// A connection of another program that keeps reading the present state.
+/// A connection of another program that keeps the present state open: the log cannot be truncated meanwhile.
 pub(crate) async fn reading(store: &Store) -> SqliteConnection {
     let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
     let mut holder = SqliteConnection::connect_with(&options).await.unwrap();

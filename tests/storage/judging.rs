@@ -1,4 +1,4 @@
-//! Judgements, alarms and messages are stored together, and once.
+//! Judgements, alarms and messages are stored together, each of them once.
 
 use jiff::Timestamp;
 use pointsd::{
@@ -113,7 +113,7 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
     let everything = Selector::default();
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
     store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
-    // A repetition after a commit with an unknown result.
+    // A repetition, as after a commit that succeeded although it returned an error.
     store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
 
     let [open_alarm] = &store.reader().open_alarms(&everything).await.unwrap()[..] else { panic!() };
@@ -165,7 +165,7 @@ async fn a_restart_finds_snapshots_and_pending_throws() {
     assert!(reader.health_history(&elsewhere, at(0), 5).await.unwrap().is_empty());
 }
 
-/// The clock of a logger that stands in 1970 dates its alarms, and hides none of them.
+/// If the clock of a logger is not set, its alarms are dated 1970. A query since a later time still finds them.
 #[tokio::test]
 async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it() {
     let (_folder, store) = fresh().await;
@@ -177,7 +177,7 @@ async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it(
     }
 }
 
-/// An alarm that nobody acknowledges is raised and cleared for ever.
+/// An alarm that nobody acknowledges may be raised and cleared without end.
 #[tokio::test]
 async fn the_events_of_an_alarm_are_bounded() {
     let (_folder, store) = fresh().await;
@@ -192,7 +192,8 @@ async fn the_events_of_an_alarm_are_bounded() {
     assert_eq!(events, [(1_001, 1, 11)]);
 }
 
-/// Retention deletes a pending throw of a flood while it is judged: the alarm that it raised is stored and published.
+/// Retention deletes a pending throw of a flood while the throw is judged. An alarm that the throw raised is still
+/// stored and published.
 #[tokio::test]
 async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
     let (_folder, store) = fresh().await;
@@ -205,7 +206,7 @@ async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
     assert_eq!(store.reader().monitors(None, 10).await.unwrap().len(), 1);
 }
 
-/// Throws from a backlog arrive after later ones.
+/// Throws from a backlog arrive after throws that were recorded later.
 #[tokio::test]
 async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arrived() {
     let (_folder, store) = fresh().await;
@@ -217,7 +218,7 @@ async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arriv
     assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(6,)]);
 }
 
-/// A throw that waits for an earlier one does not hide the judged ones.
+/// A pending throw that waits for a missing one does not hide the judged throws.
 #[tokio::test]
 async fn pending_throws_take_no_place_in_a_limited_history() {
     let (_folder, store) = fresh().await;

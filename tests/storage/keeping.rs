@@ -1,4 +1,4 @@
-//! Long operation: bounds on rows, bytes, age and log; broken files; clock jumps.
+//! Long operation: limits of rows, bytes, age and log; broken files; clock jumps.
 
 use std::{collections::BTreeMap, fs, os::unix::fs::FileExt, path::Path, time::Duration};
 
@@ -14,7 +14,7 @@ use crate::given::{
     spooled, throw,
 };
 
-/// Spools and judges throws `first` to `last`, received one minute after another.
+/// Stores and judges the throws `first` to `last`, received one minute after another.
 async fn judged(store: &Store, first: u64, last: u64) {
     for throw_no in first..=last {
         judged_at(store, throw_no, at(60 * i64::try_from(throw_no).unwrap())).await;
@@ -32,7 +32,7 @@ async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, max_throws: 150, ..settings }).await;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
-    // The bound includes the pending throw.
+    // The pending throw counts for both limits.
     let done = store.keep_bounds(at(0), true).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 101), (Dropped::Throws, 51)]));
     let statistics = store.statistics().await.unwrap();
@@ -40,7 +40,7 @@ async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let (pending, _) = store.reader().to_judge(None, 9, at(0), Duration::ZERO).await.unwrap();
     assert_eq!(pending[0].row, waits);
     assert_eq!((statistics.counters()["dropped_traces"], statistics.counters()["dropped_throws"]), (101, 51));
-    // A deleted throw that arrives again is still a repetition, and not a gap.
+    // A deleted throw that arrives again is a duplicate, and the deleted numbers are not a gap.
     let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, Spooled::Duplicate);
     assert_eq!(statistics.missing_throws, 0);
@@ -60,7 +60,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(400,)]);
 }
 
-/// Pending throws count too, so that no flood makes the database larger than its bound.
+/// Pending throws count too, so that a flood does not make the database larger than its limit.
 #[tokio::test]
 async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
@@ -74,13 +74,14 @@ async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
     let (severity, said) = store.trouble(None).unwrap();
     assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("throws before judging"), "{said}");
-    // The deleted throws are known: they are not a gap, and are repetitions when they arrive again.
+    // The numbers of the deleted throws are kept: they are not a gap, and a throw that arrives again is a duplicate.
     assert_eq!(statistics.missing_throws, 0);
     let again = store.spool(&machine("loud"), &throw("b1", 3), at(0)).await.unwrap();
     assert_eq!(again, Spooled::Duplicate);
 }
 
-/// What is dropped by others too shows: the webhook's queue by a trigger, counts of an earlier start not at all.
+/// The alarm also reports rows that retention did not drop itself: a trigger drops notifications for the webhook. Rows
+/// that were dropped before the start of the daemon are not reported.
 #[tokio::test]
 async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     let (_folder, store) = fresh().await;
@@ -96,7 +97,8 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     assert!(said.contains("it dropped 2 alarm events before publishing"), "{said}");
 }
 
-/// A burst after a long life: the estimates of old throws, whose traces are gone, are not pending throws.
+/// A burst after long operation: retention drops pending throws of the burst, and keeps the estimates of old throws,
+/// whose traces were dropped before.
 #[tokio::test]
 async fn a_burst_of_pending_throws_costs_no_history() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
@@ -110,7 +112,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
 }
 
-/// Other programs fill the disk, and no trace is left to drop: the other bounds hold all the same.
+/// Other programs fill the disk, and no trace is left to drop: the other limits still hold.
 #[tokio::test]
 async fn a_disk_that_others_fill_does_not_end_the_retention() {
     let (_folder, store) = fresh_with(|settings| Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings }).await;
@@ -120,7 +122,7 @@ async fn a_disk_that_others_fill_does_not_end_the_retention() {
     assert_eq!((statistics.traces, statistics.throws), (0, 150));
 }
 
-/// Retention deletes the history of the largest machine first; that of the others stays complete.
+/// Retention deletes the history of the largest machine first; the history of the other machines stays complete.
 #[tokio::test]
 async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
     for bounds in [
@@ -165,7 +167,7 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
-/// Two throws were received while the daemon's clock was years ahead, two while it was not set yet, after a loss of power.
+/// Two throws were received while the daemon's clock was years ahead, two while it was not set after a loss of power.
 #[tokio::test]
 async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     let (_folder, store) = fresh_with(|settings| Settings { trace_days: 30, ..settings }).await;
@@ -190,7 +192,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         judged(&opened.store, 1, 100).await;
         opened.store.close().await.unwrap();
         let path = folder.path().join("points.db");
-        // Overwrites pages in the middle or the first one, and clears the mark of the clean stop.
+        // Clears the mark of the clean stop, then overwrites pages in the middle, or the first page.
         change(&path, ["UPDATE shutdown SET clean = 0", "PRAGMA wal_checkpoint(TRUNCATE)"]).await;
         let mut bytes = fs::read(&path).unwrap();
         bytes[pages.start * 4096..pages.end * 4096].fill(0x5a);
@@ -206,7 +208,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
-/// The mark of an unclean stop is in the database itself, not only in the log that is lost.
+/// A running daemon marks the database file itself, so a copy without its log does not count as cleanly stopped.
 #[tokio::test]
 async fn a_lost_log_is_no_clean_stop() {
     let folder = stopped().await;
@@ -217,14 +219,14 @@ async fn a_lost_log_is_no_clean_stop() {
     assert_eq!(open(copied.path()).await.report.found, Found::WithoutLog);
 }
 
-/// The last commits may only be in the log, which SQLite deletes if the database is missing.
+/// The last commits may be in the log only, and SQLite deletes the log if the database is missing.
 #[tokio::test]
 async fn a_log_without_its_database_is_set_aside() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("points.db");
     let store = open(folder.path()).await.store;
     judged(&store, 1, 10).await;
-    // The files after a kill, of a store that was not closed.
+    // A log of a store that was not closed, as after a kill.
     let left = tempfile::tempdir().unwrap();
     fs::copy(folder.path().join("points.db-wal"), left.path().join("points.db-wal")).unwrap();
     let log = fs::read(left.path().join("points.db-wal")).unwrap();
@@ -272,8 +274,7 @@ async fn stopped() -> tempfile::TempDir {
     folder
 }
 
-/// An open database with 1,500 throws; all pages after the first 60 are overwritten, which is detected at their first
-/// use.
+/// An open database with 1,500 throws. All pages after the first 60 are broken; SQLite detects this when it reads them.
 async fn broken_under_way() -> (tempfile::TempDir, Store) {
     let folder = stopped().await;
     let opened = open(folder.path()).await;
@@ -299,7 +300,7 @@ async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_set
     opened.store.spool(&machine("21B"), &throw("b2", 1), at(0)).await.unwrap();
 }
 
-/// The file may be damaged after a clean stop.
+/// A file may be damaged after a clean stop: it is checked at the start in any case.
 #[tokio::test]
 async fn a_file_that_was_broken_after_a_clean_stop_is_found_at_the_start() {
     let folder = stopped().await;
@@ -350,7 +351,7 @@ fn remove_database(folder: &Path) {
     }
 }
 
-/// All commits are in the open files without a name; they get a name again.
+/// The writer still has the deleted files open, with all commits, and writes the rows to a new file.
 #[tokio::test]
 async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
     for replaced in [false, true] {
@@ -362,7 +363,7 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         if replaced {
             fs::write(&path, "a backup of the operator").unwrap();
         }
-        // The daemon does the same every 5 s.
+        // The daemon writes at least every 5 s, like this.
         let noticed = async {
             while store.trouble(None).is_none() {
                 tokio::time::sleep(Duration::from_millis(100)).await;
@@ -387,7 +388,8 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
     }
 }
 
-/// The open connection has the rows of a deleted file, until a write fails and it is closed.
+/// The open connection has the rows of a deleted file until a write fails. Then the connection is closed, and the rows
+/// are lost.
 #[tokio::test]
 async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
     for replaced in [false, true] {
@@ -400,7 +402,7 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
         let refuse = "CREATE TRIGGER refuse BEFORE INSERT ON throw WHEN NEW.throw_no = 99 \
                       BEGIN SELECT RAISE(ABORT, 'refused'); END";
         change(&path, [refuse]).await;
-        // The writer looks for its file at most once a second.
+        // The writer checks its files at most once per second.
         tokio::time::sleep(Duration::from_millis(1_100)).await;
         store.outbox_sent(&[]).await.unwrap();
         remove_database(folder.path());
@@ -415,7 +417,8 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
     }
 }
 
-/// After the end of a slow reader the log has its bound again, also if the database could not move away from it.
+/// The database could not move to a new file while a slow reader kept an old state. After the end of this reader the
+/// log is limited again.
 #[tokio::test]
 async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     const BOUND_MIB: u64 = 20;
@@ -428,10 +431,10 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
             sqlx::query(large).execute(&mut outsider).await.unwrap();
         }
         store.outbox_sent(&[]).await.unwrap();
-        // The writer bounds the log after its answer.
+        // The writer limits the log after its answer, so a second write waits for this.
         store.outbox_sent(&[]).await.unwrap();
     };
-    // The copy cannot have its name.
+    // A folder has the name of the copy, so the move fails.
     let blocked = folder.path().join("points.db-copy");
     fs::create_dir_all(blocked.join("in the way")).unwrap();
     let holder = reading(&store).await;
@@ -450,7 +453,7 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     assert!(moved.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
 }
 
-/// After a move the configured path is a link. A backup that takes its place must not cost the history behind the link.
+/// After a move the configured path is a link. If a backup replaces the link, the history behind the link must stay.
 #[tokio::test]
 async fn a_backup_restored_in_place_of_the_link_and_files_with_a_number_delete_nothing() {
     const MIB: u64 = 1;
@@ -496,7 +499,7 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
         largest = largest.max(store.wal_bytes());
     }
     assert!(largest < 3 << 20, "the log grew to {largest} bytes");
-    // The reader keeps its old state, other connections get the new one.
+    // The reader keeps its old state; other connections get the new file.
     assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(&mut holder).await.unwrap(), 5);
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(605,)]);
     assert_eq!(store.reader().throws(ThrowRow::START, 1000).await.unwrap().len(), 605);
@@ -513,7 +516,8 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
     assert_eq!(databases.count(), 2, "the link and its file");
 }
 
-/// The copy of a large database takes minutes on flash; meanwhile the loops that wait for the writer do not hang.
+/// The copy of a large database takes minutes on flash. Its progress shows that the loops that wait for the writer do
+/// not hang.
 #[tokio::test]
 async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     let (_folder, store) = fresh_with(|settings| Settings { max_wal_mib: 1, ..settings }).await;
@@ -522,14 +526,14 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     let holder = reading(&store).await;
     let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&throws).await;
-    // The writer copies after its answer; the next write waits for it.
+    // The writer copies after its answer; the next write waits for the copy.
     store.outbox_sent(&[]).await.unwrap();
     assert!(store.is_copying(), "no progress was recorded");
     holder.close().await.unwrap();
     store.close().await.unwrap();
 }
 
-/// Three hundred alarms with two events each; all but the first are closed.
+/// Three hundred alarms with two events each. All alarms but the first are closed.
 const OLD_ALARMS: [&str; 3] = [
     "INSERT INTO machine (site, machine) VALUES ('north', '21B')",
     "WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 300)
@@ -552,7 +556,7 @@ async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay()
     assert_eq!(query::<(i64,)>(&store, oldest_closed).await, [(201,)]);
 }
 
-/// A logger that restarts at each throw, in a fleet of many quiet machines: its empty boots do not stay for ever.
+/// A logger restarts at each throw, in a fleet of many quiet machines. Its boots are deleted after all their throws.
 #[tokio::test]
 async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
     let (_folder, store) = fresh_with(|settings| Settings { max_throws: 1_000, max_traces: 1_000, ..settings }).await;
@@ -568,7 +572,7 @@ async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
     }
     store.keep_bounds(at(0), true).await.unwrap();
     let loud = "SELECT count(*) FROM boot JOIN machine USING (machine_row) WHERE machine = 'loud'";
-    // The boots with throws, and the one at which the backlog of the logger starts.
+    // The boots with throws, and the boot at which the backlog cursor of the machine is.
     assert_eq!(query::<(i64,)>(&store, loud).await, [(1_001,)]);
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM boot").await, [(2_501,)]);
 }

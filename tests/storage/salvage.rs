@@ -1,4 +1,4 @@
-//! Salvage of a database with broken pages: baselines and open alarms first.
+//! Copying the readable rows of a database with broken pages: first the baselines and open alarms.
 
 use std::{fs, os::unix::fs::FileExt, path::Path, time::Duration};
 
@@ -19,7 +19,7 @@ const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
 const THROWS: u64 = 100;
 
-/// Ten machines, each with a monitor of usual size, an open alarm and 100 judged throws; stopped cleanly.
+/// A database with ten machines, each with a monitor of usual size, an open alarm and 100 judged throws.
 async fn database(folder: &Path) {
     let store = open(folder).await.store;
     for name in MACHINES {
@@ -37,7 +37,7 @@ async fn database(folder: &Path) {
     change(folder.join("points.db"), ["UPDATE shutdown SET clean = 0"]).await;
 }
 
-/// Overwrites `number` random pages, except the first.
+/// Overwrites `number` random pages, but never the first page.
 fn break_pages(file: &Path, number: u64, seed: u64) {
     let file = fs::OpenOptions::new().write(true).open(file).unwrap();
     let pages = file.metadata().unwrap().len() / PAGE;
@@ -72,7 +72,7 @@ async fn readable_rows_of_a_broken_database_are_kept() {
             }
             let opened = open(folder.path()).await;
             let Found::SetAside { salvaged, .. } = &opened.report.found else {
-                // The page was free, or the check does not read it.
+                // No damage was found: the page was not in use, or the check does not read it.
                 (machines, alarms, throws, traces) = (machines + 10, alarms + 10, throws + all, traces + all);
                 continue;
             };
@@ -106,8 +106,8 @@ async fn readable_rows_of_a_broken_database_are_kept() {
     }
 }
 
-/// The copy goes from key to key, not through the 2^40 keys between the last one and that of garbage. A key of SQLite's
-/// largest would let no other throw be added.
+/// The copy skips the 2^40 keys between the last valid row and a garbage row, as no row has them. A garbage row with
+/// the largest key of SQLite is not copied: it would let no other throw be added.
 #[tokio::test]
 async fn keys_of_garbage_far_above_all_others_cost_no_time_and_no_later_throw() {
     let folder = tempfile::tempdir().unwrap();
@@ -144,7 +144,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     file.write_all_at(&[0x5a; 4096], (page.cast_unsigned() - 1) * PAGE).unwrap();
     drop(file);
 
-    // Stopped cleanly, but broken.
+    // The stop was clean, but the file is broken.
     let (store, salvaged) = salvaged(folder.path()).await;
     assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm"), salvaged.saved("throw")), (1, 1, 200));
     assert!(salvaged.lost("trace") > 0 && salvaged.saved("trace") > 150, "{salvaged:?}");
@@ -154,12 +154,12 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
         event(1, AlarmState::ActiveUnacknowledged)
     );
     assert_eq!(reader.monitors(None, 10).await.unwrap()[0].machine, machine("21B"));
-    // A stored throw is still a repetition.
+    // A saved throw that arrives again is a duplicate.
     let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, pointsd::store::Spooled::Duplicate);
 }
 
-/// A kill or a full disk during the copy: the file is renamed, and there is no new database yet.
+/// A kill or a full disk interrupted the copy: the broken file is renamed, and there is no new database yet.
 #[tokio::test]
 async fn an_interrupted_salvage_begins_again_at_the_next_start() {
     let folder = tempfile::tempdir().unwrap();
@@ -184,7 +184,7 @@ async fn an_interrupted_salvage_begins_again_at_the_next_start() {
     assert!(names.is_empty(), "{names:?}");
 }
 
-/// The first page holds the beginning of the schema: without it SQLite reads no table.
+/// The first page holds the start of the schema: without it SQLite cannot read any table.
 #[tokio::test]
 async fn without_its_schema_a_database_is_read_where_this_program_puts_its_tables() {
     for moved in [false, true] {

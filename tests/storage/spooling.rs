@@ -34,7 +34,8 @@ async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
     assert_eq!(back.temperature_c, Some(12.5));
 }
 
-/// A logger that restarts without a new boot id counts from 1 again; a logger with a stuck counter repeats its number.
+/// A logger that restarts without a new boot id counts from 1 again. A logger whose counter is stuck repeats its
+/// number.
 #[tokio::test]
 async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     let (_folder, store) = fresh().await;
@@ -60,7 +61,7 @@ async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     let again: Vec<_> = (1..=4).map(|throw_no| ("b1~again", throw_no)).collect();
     assert_eq!(ids, [&[("b1", 1), ("b1", 2), ("b1", 3)][..], &again, &[("b1", 4)]].concat());
     assert!(throws.iter().all(|throw| throw.renumbered == (throw.id.boot_id != "b1")));
-    // A logger may name its own boot like this.
+    // A logger may send a boot id with this suffix itself.
     spooled(&store, "22A", "mine~again", 1).await;
     let (pending, _) = store.reader().to_judge(None, 100, at(9), Duration::ZERO).await.unwrap();
     let renumbered: Vec<_> =
@@ -71,7 +72,7 @@ async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     assert!(gaps(&store).await.is_empty());
 }
 
-/// A query for the backlog of the machine found nothing.
+/// Writes off all missing throws, as after a backlog query without a reply.
 async fn write_off(store: &Store) {
     let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
     store.write_off(&machine("21B"), &cursor, at(1)).await.unwrap();
@@ -133,12 +134,12 @@ async fn a_batch_is_answered_in_its_order() {
     assert_eq!(*answers[150].as_ref().unwrap(), Spooled::Duplicate);
 }
 
-/// The first throws of a large fleet arrive together: the same rows as if each had arrived alone.
+/// The first throws of a large fleet arrive together. The stored rows are the same as if each throw had arrived alone.
 #[tokio::test]
 async fn new_machines_in_a_batch_are_stored_like_single_ones() {
     let mut batch: Vec<_> = (1..=60).map(|n| (machine(&n.to_string()), throw("b1", 1), at(n))).collect();
     let also = |n: u32, boot_id: &str, throw_no| (machine(&n.to_string()), throw(boot_id, throw_no), at(100));
-    // Another boot, a repeat, the next one, missing throws before the first, numbers from 0, a late number 0.
+    // Another boot, a repeated throw, the next throw; missing throws before the first, numbers from 0, a late number 0.
     batch.extend([also(5, "b2", 1), also(7, "b1", 1), also(9, "b1", 2)]);
     batch.extend([also(70, "b1", 4), also(71, "b1", 0), also(72, "b1", 1), also(72, "b1", 0), also(70, "b0", 1)]);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
@@ -178,15 +179,16 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
         spooled(&store, "21B", boot_id, 3).await;
     }
     assert_eq!(pending(&store).await, 9);
-    // Each gap counts as in the view.
+    // Each gap counts at most 2^40 throws, as in the view.
     assert!((3 << 40..4 << 40).contains(&store.statistics().await.unwrap().missing_throws));
-    // The sum of the gaps is within 64 bits in SQL too.
+    // The sum of the gaps fits into 64 bits in SQL too.
     write_off(&store).await;
     let missing = query::<(i64,)>(&store, "SELECT sum(missing_throws) FROM data_gaps").await;
     assert!(missing[0].0 > 1 << 40, "{missing:?}");
 }
 
-/// The number for a throw under a taken number is the next one of a separate boot, which may have no next one.
+/// A throw whose number is stored already gets the next number of a separate boot. If that boot has the highest number,
+/// there is no next one.
 #[tokio::test]
 async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_writer() {
     let (_folder, store) = fresh().await;
@@ -201,7 +203,7 @@ async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_w
     spooled(&store, "21B", "b1", 2).await;
 }
 
-/// A logger with a new boot id for each throw slows neither its own throws nor those of others.
+/// A logger with a new boot id for each throw slows neither its own throws nor the throws of other machines.
 #[tokio::test]
 async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
     const STARTS: u64 = 200;
@@ -213,7 +215,7 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
     change(store.path(), [many]).await;
     let mut seconds = [Vec::new(), Vec::new()];
     for number in 0..STARTS {
-        // Both in turn, so that other load on the computer slows both.
+        // Both machines in turn, so that other load on the computer slows both.
         for (machine, seconds) in ["21B", "22A"].into_iter().zip(&mut seconds) {
             let start = tokio::time::Instant::now();
             spooled(&store, machine, &format!("new {number}"), 1).await;
@@ -224,11 +226,11 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]
     });
-    // With a cost in proportion to the starts the factor would be ten.
+    // If the cost were proportional to the number of starts, the factor would be ten.
     assert!(after_many < 3.0 * after_none, "{after_many} s after 20,000 starts, {after_none} s after none");
 }
 
-/// The throws for the next judgements while the backlog is open.
+/// The throws that would be judged next while the backlog is open.
 async fn next(store: &Store) -> Vec<(String, u64)> {
     let (throws, _) = store.reader().to_judge(None, 16, at(100), Duration::from_hours(1)).await.unwrap();
     throws.into_iter().map(|throw| (throw.id.boot_id, throw.id.throw_no)).collect()
@@ -238,8 +240,8 @@ fn ids(list: &[(&str, u64)]) -> Vec<(String, u64)> {
     list.iter().map(|(boot_id, throw_no)| ((*boot_id).to_owned(), *throw_no)).collect()
 }
 
-/// Live throws of the third start arrive before the rest of the first and the whole second start. The backlog delivers
-/// those, and all are judged in the order of their recording.
+/// Live throws of the third boot arrive before the rest of the first boot and the whole second boot. The backlog
+/// delivers the missing throws, and all throws are judged in the order in which they were recorded.
 #[tokio::test]
 async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     let (_folder, store) = fresh().await;
@@ -248,7 +250,7 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
         spooled(&store, "21B", boot_id, throw_no).await;
     }
     assert_eq!(next(&store).await, ids(&[("b1", 1), ("b1", 2)]));
-    // The backlog has throw 4 of b1, the new start b2, and b3 from 1.
+    // The backlog has throw 4 of b1, the unknown boot b2, and b3 from throw 1.
     let page: Vec<_> = [("b1", 4), ("b2", 1), ("b2", 2), ("b3", 1)].map(|(boot, no)| throw(boot, no)).into();
     let stored = store.spool_page(&machine("21B"), Some(&id("b1", 2)), &page, at(1)).await.unwrap();
     assert_eq!((stored.new, stored.duplicates), (4, 0));
@@ -266,7 +268,7 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     assert_eq!(gaps, [("b1".to_owned(), 3, 3), ("b3".to_owned(), 4, 5)]);
 }
 
-/// The pending throws of one machine do not fill a batch while others have some.
+/// The pending throws of one machine do not fill a batch while other machines have pending throws.
 #[tokio::test]
 async fn machines_take_turns_in_the_batches_to_judge() {
     let (_folder, store) = fresh().await;
@@ -282,7 +284,7 @@ async fn machines_take_turns_in_the_batches_to_judge() {
         ["21B", "22A", "23"].map(|name| throws.iter().filter(|throw| throw.machine == machine(name)).count())
     };
     assert_eq!(judged(None, 8).await, [6, 1, 1]);
-    // More machines than places: those after the last one judged.
+    // With more machines than places in the batch, the machines after the last judged one come first.
     assert_eq!(judged(None, 1).await, [1, 0, 0]);
     assert_eq!(judged(Some("21B"), 1).await, [0, 1, 0]);
 }
@@ -301,11 +303,11 @@ async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
     let of = |list: &[(&str, u64)]| ids(list);
     assert_eq!(judged(10, 60).await, of(&[("21B", 1), ("22A", 1)]));
     assert_eq!(judged(70, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
-    // After the clock was set back no throw waits for the earlier time.
+    // If the clock was set back after the gap was found, no throw waits until that time.
     assert_eq!(judged(-1000, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
 }
 
-/// Writes that come together share a transaction. One that the database refuses costs none of the others.
+/// Writes that arrive together share a transaction. If the database refuses one of them, the others are still stored.
 #[tokio::test]
 async fn a_refused_write_costs_no_other_write_of_its_group() {
     let (_folder, store) = fresh().await;

@@ -22,7 +22,7 @@ async fn every_statement_prepares_against_the_migrated_schema() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The statements for each throw do not read the whole history.
+/// The statements that run for each throw do not read the whole history.
 #[tokio::test]
 async fn the_statements_of_every_throw_find_their_rows_by_index() {
     let (_folder, store) = fresh().await;
@@ -30,7 +30,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
         judged(&store, "21B", "b1", throw_no).await;
     }
     let mut connection = outsider(store.path()).await;
-    // These are limited and ordered by row, so they end after a few rows, or they read a small table.
+    // These statements are ordered by row and limited, so they end after a few rows.
     let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_RECEIVED"];
     let single = statements::ALL.iter().flat_map(|(name, all)| all.split("; ").map(move |sql| (*name, sql)));
     for (name, sql) in single {
@@ -69,7 +69,7 @@ async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
     }
 }
 
-/// All forms of a query of the history return the same rows.
+/// The history query has several statements, for all or some machines, with or without a time: all select the same way.
 #[tokio::test]
 async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     let (_folder, store) = fresh().await;
@@ -97,7 +97,7 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     assert_eq!(numbers(&none, whenever, 100).await, []);
 }
 
-/// A rough throw has only the ratios: their changes from the last baseline are in the views.
+/// A rough throw has only the ratios a1/b0 and a0/b0. The views show their changes from the last baseline.
 #[tokio::test]
 async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
     let (_folder, store) = fresh().await;
@@ -130,7 +130,7 @@ async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
     let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
     let near = |is: Option<f64>, pct: f64| is.is_some_and(|is| (is - pct).abs() < 1e-9);
     assert!(near(health.a1_per_b0_pct, 20.0) && near(health.a0_per_b0_pct, 0.0), "{health:?}");
-    // A new baseline changes the present, not the history.
+    // A rebaseline changes the present health, but not the history.
     let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "new motor".to_owned() };
     for _ in 0..2 {
         store.record(Outcome { command: Some(rebaseline.clone()), ..outcome("21B", Vec::new()) }).await.unwrap();
@@ -144,7 +144,7 @@ async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
     assert_eq!(health.a1_per_b0_pct, None);
     let history = store.reader().health_history(&Selector::default(), at(0), 9).await.unwrap();
     assert!(near(history[0].a1_per_b0_pct, 20.0), "{history:?}");
-    // A new baseline is being learned.
+    // The new baseline has 3 throws: it is not complete.
     connection.execute("UPDATE estimate SET baseline_before = NULL, baseline_throws = 3").await.unwrap();
     let change: (Option<f64>,) =
         sqlx::query_as("SELECT a1_per_b0_pct FROM machine_health").fetch_one(&mut connection).await.unwrap();
@@ -189,7 +189,7 @@ async fn every_foreign_key_has_an_index() {
     .fetch_all(&mut connection)
     .await
     .unwrap();
-    // Machines are never deleted, and the backlog has one row for each machine that waits.
+    // Machines are never deleted, and the table `backlog` is small: one row for each machine with missing throws.
     let without: Vec<_> =
         without.into_iter().filter(|(table, column)| column != "machine_row" && table != "backlog").collect();
     assert_eq!(without, []);

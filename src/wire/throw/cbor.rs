@@ -18,18 +18,18 @@ use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
 /// Tag "self-described CBOR" (RFC 8949, 3.4.6), which some encoders put before the map.
 const SELF_DESCRIBED: Tag = Tag::new(55799);
-/// Tag of a text that is a time of RFC 3339 (RFC 8949, 3.4.1): encoders put it before a date of their language.
+/// Tag of a text that is an RFC 3339 time (RFC 8949, 3.4.1): some encoders put it before a value of a date type.
 const TIME: Tag = Tag::new(0);
 /// Typed array of little-endian float32 (RFC 8746, table 4).
 const F32_LITTLE_ENDIAN: Tag = Tag::new(85);
 /// Typed array of little-endian float64.
 const F64_LITTLE_ENDIAN: Tag = Tag::new(86);
-/// Deepest nesting in ignored fields.
+/// Largest nesting depth in ignored fields.
 const MAX_DEPTH: usize = 16;
 /// Longest text of a field \[bytes\].
 const MAX_TEXT_BYTES: usize = 4096;
 
-/// Decodes a message; returns the fields before the error too, as the number of a refused throw is worth knowing.
+/// Decodes a message. After an error the fields before it are returned too, for boot and number of the rejected throw.
 pub(super) fn decode(payload: &[u8]) -> (Fields, Result<(), Invalid>) {
     let mut decoder = Decoder::new(payload);
     let mut fields = Fields::default();
@@ -93,7 +93,8 @@ fn read(decoder: &mut Decoder<'_>, fields: &mut Fields) -> Decoded<()> {
     Ok(())
 }
 
-/// Whether another item follows in an array or map of known (`Some`) or indefinite length; skips the break.
+/// Whether another item follows in an array or map, which has `left` more items, or an indefinite length (`None`).
+/// Skips the break at the end of an indefinite length.
 fn next_item(decoder: &mut Decoder<'_>, left: &mut Option<u64>) -> Decoded<bool> {
     match left {
         Some(0) => Ok(false),
@@ -150,7 +151,7 @@ fn set<T>(
     Ok(())
 }
 
-/// A type in words; minicbor names the encoding, as `u8`.
+/// The name of a type in words: minicbor gives the name of the encoding, such as `u8`.
 fn named(value: Type) -> String {
     let words = match value {
         Type::U8 | Type::U16 | Type::U32 | Type::U64 => "a whole number",

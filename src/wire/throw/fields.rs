@@ -11,14 +11,14 @@ use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
 /// Name and version of the message; no other is accepted.
 pub(super) const SCHEMA: &str = "points.throw/1";
-/// The direction of a throw whose logger does not know it.
+/// The direction in a message whose logger does not know the direction.
 pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
-/// Longest `boot_id` \[bytes\]: room for a UUID or a serial number. It is part of keys in the database.
+/// Longest `boot_id` \[bytes\]: enough for a UUID or a serial number. Indexes of the database contain it.
 const MAX_BOOT_ID_BYTES: usize = 128;
 /// Highest `throw_no`: the database stores a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 
-/// The fields of a message; `None` for a missing one or null. As JSON, the message.
+/// The fields of a throw message; `None` for a missing field or null. Serialized, it is the message in JSON.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Fields {
     pub(super) schema: Option<String>,
@@ -37,7 +37,7 @@ pub(super) struct Fields {
     pub(super) anti_alias_hz: Option<f64>,
 }
 
-/// The supply voltage: a number, or a value for each sample of the current.
+/// The supply voltage \[V\]: a number, or a value for each sample of the current.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
 pub(super) enum Supply {
@@ -95,7 +95,7 @@ fn required<T>(field: &str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| Invalid(format!("the field {field} is missing")))
 }
 
-/// The error of a field, with its value and the allowed values.
+/// The error of a field. `problem` names the value and the allowed values.
 pub(super) fn wrong(field: &str, problem: &str) -> Invalid {
     Invalid(format!("{field}: {problem}"))
 }
@@ -106,8 +106,8 @@ fn quote(text: &str) -> String {
     format!("{short:?}")
 }
 
-/// The voltage of the throw: of samples the mean weighted with the current, which gives the energy of the motor. NaN
-/// without a measured sample under current.
+/// The supply voltage of the throw \[V\]. For samples it is their mean weighted with the current, so that the energy of
+/// the motor is correct. NaN if no sample was measured while current flowed.
 fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, Invalid> {
     let samples = match supply {
         Supply::Number(value) => return Ok(value),

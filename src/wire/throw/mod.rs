@@ -1,4 +1,4 @@
-//! The throw message: CBOR (what `pointsim` sends) or JSON (easy from any language), with the same fields.
+//! The throw message, in CBOR (which `pointsim` sends) or JSON (easy from any language), with the same fields.
 //!
 //! Unknown fields are ignored; optional fields (`position_mm` among them) may be missing or null. Numbers may be
 //! integers. In a channel, null is a sample that was not measured and becomes NaN. `started_at` is RFC 3339 with `Z` or
@@ -12,12 +12,12 @@ pub use fields::is_boot_id;
 
 use super::{
     Invalid, json_bytes,
-    text::{first_byte, not_an_object, unmarked},
+    text::{first_byte, not_an_object, without_byte_order_mark},
 };
 use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
 
-/// Encoding of a throw, by its content type on zenoh.
+/// Encoding of a throw message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// `application/cbor`.
@@ -27,8 +27,8 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
-    /// many clients do not set: no CBOR map begins with this byte.
+    /// The encoding of a payload. If its first byte after white space is `{`, it is JSON whatever the content type,
+    /// which many clients do not set: no CBOR map begins with this byte.
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         if first_byte(payload) == Some(b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
     }
@@ -46,7 +46,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
         }
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
-            let payload = unmarked(payload);
+            let payload = without_byte_order_mark(payload);
             let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
             serde_json::from_slice(payload).map_err(invalid)
         }
@@ -54,7 +54,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
     .into_throw()
 }
 
-/// The error with the name of the last field before it; `serde_json` names only its position.
+/// The text of a JSON error with the name of the last field before it: `serde_json` names only the position.
 fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
     if let Some(problem) = not_an_object(payload) {
         return format!("{problem} ({error})");
@@ -65,7 +65,7 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
     let before = &payload[..at];
     // A multi-byte character may be cut.
     let before = String::from_utf8_lossy(before);
-    // In a text, a quote before a colon has a backslash, which is no part of a name.
+    // Within a text, a quote before a colon is escaped with a backslash, which is not a character of a field name.
     let is_name = |name: &&str| name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
     let name = |(at, _)| before[..at].trim_end().strip_suffix('"')?.rsplit('"').next().filter(is_name);
     let name = before.rmatch_indices(':').find_map(name);
@@ -87,14 +87,14 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
     }
 }
 
-/// Boot and number in a message that is no valid throw, if it has both.
+/// Boot and number in a message that is not a valid throw; `None` unless both can be read.
 pub fn throw_id(encoding: Encoding, payload: &[u8]) -> Option<ThrowRef> {
     let (boot_id, throw_no) = match encoding {
         Encoding::Cbor => {
             let (fields, _) = cbor::decode(payload);
             (fields.boot_id?, fields.throw_no?.0)
         }
-        // Read as text, as the message may be no JSON.
+        // Searched as text, as the message may not be JSON.
         Encoding::Json => {
             let text = String::from_utf8_lossy(payload);
             let boot_id = value(&text, "\"boot_id\"")?.strip_prefix('"')?.split('"').next()?;

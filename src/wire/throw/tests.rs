@@ -123,7 +123,7 @@ fn unusable_json_is_an_error_with_the_reason() {
     }
 }
 
-/// A refused message has its number, wherever the field is.
+/// The number of a rejected message is found, wherever its field is.
 #[test]
 fn a_message_that_is_no_throw_may_have_a_number() {
     let id = |from: &str, to: &str| throw_id(Encoding::Json, JSON.replace(from, to).as_bytes());

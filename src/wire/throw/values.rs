@@ -1,4 +1,4 @@
-//! A whole number and a channel, as they are in JSON.
+//! JSON of a whole number and of a channel.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use serde::{
 
 use crate::throw::MAX_SAMPLES;
 
-/// A whole number, also in the form 7.0 of some languages.
+/// A whole number; the form 7.0, which some languages write, is accepted too.
 #[derive(Debug, Serialize)]
 pub(super) struct Count(pub(super) u64);
 
@@ -41,7 +41,7 @@ impl<'de> Deserialize<'de> for Count {
     }
 }
 
-/// A channel; null is a sample that was not measured, also for `serde_json`, which writes NaN and infinities as null.
+/// A channel. A sample that was not measured is NaN, and null in JSON: `serde_json` writes NaN and infinities as null.
 #[derive(Debug, Serialize)]
 pub(super) struct Channel(pub(super) Vec<f64>);
 

@@ -10,7 +10,8 @@ use super::{
     worker::{self, HOLDER, NORMAL, THROWS},
 };
 
-/// Cuts a run of the worker at `cuts` points; `None` without a compiler.
+/// Runs the worker once and checks the database after a power cut at each of `cuts` points; `None` without a C
+/// compiler.
 async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdict> {
     let library = shim::library()?;
     let folder = tempfile::tempdir().unwrap();

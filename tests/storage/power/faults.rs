@@ -1,4 +1,4 @@
-//! A disk that fails: the nth write or sync, once or permanently.
+//! A failing disk: the nth write or sync fails, once or permanently.
 
 use std::{fs, path::Path};
 
@@ -11,7 +11,7 @@ use super::{
 const EIO: u32 = 5;
 const ENOSPC: u32 = 28;
 
-/// Numbers of the calls that fail: a few, or the first `POINTSD_FAULTS`.
+/// The numbers n of the calls that fail: three of them, or all from 1 to `POINTSD_FAULTS`.
 fn which() -> Vec<u32> {
     match std::env::var("POINTSD_FAULTS") {
         Ok(all) => (1..=all.parse().expect("POINTSD_FAULTS is a number")).collect(),
@@ -19,7 +19,7 @@ fn which() -> Vec<u32> {
     }
 }
 
-/// Calls that fail while a reader holds an old state.
+/// Kinds and numbers of the calls that fail while a reader keeps an old state open.
 fn which_late() -> Vec<(&'static str, u32)> {
     let all = std::env::var_os("POINTSD_FAULTS").is_some();
     let (writes, syncs) = if all { (25, 10) } else { (1200, 400) };
@@ -27,7 +27,7 @@ fn which_late() -> Vec<(&'static str, u32)> {
     writes.chain((200..1000).step_by(syncs).map(|nth| ("sync", nth))).collect()
 }
 
-/// Runs the worker with a fault; returns the number of stored throws, and what is wrong.
+/// Runs the worker with a fault; returns the number of stored throws, and texts about errors of the store.
 async fn run(library: &Path, fault: &str, variables: &[(&str, &str)]) -> (usize, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let variables: Vec<_> = variables.iter().copied().chain([("SHIM_FAIL", fault)]).collect();
@@ -39,7 +39,7 @@ async fn run(library: &Path, fault: &str, variables: &[(&str, &str)]) -> (usize,
     let acknowledged = fs::read_to_string(folder.path().join("points.db.ack")).unwrap_or_default();
     let mut verdict = Verdict::default();
     inspect(folder.path(), &acknowledged, &mut verdict).await;
-    // A throw that is judged before a full disk is written again loses its trace.
+    // While the disk is full, the trace of a judged throw is dropped.
     let given_up = if fault.contains(&format!(":{ENOSPC}:")) { 0 } else { verdict.given_up };
     if verdict.lost + verdict.duplicated + verdict.unreadable + given_up > 0 {
         wrong.push(format!("{fault}: {verdict:?}"));
@@ -59,7 +59,7 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
                         run(library, &format!("{what}:{nth}:{errno}:{times}"), &[(THROWS, "12")]).await;
                     wrong.extend(faults);
                     runs += 1;
-                    // A temporary fault needs no restart.
+                    // After a temporary fault all throws are stored without a restart.
                     if times == "once" && stored < 4 * 12 {
                         wrong.push(format!("{what}:{nth}:{errno}: only {stored} throws stored"));
                     }
@@ -67,7 +67,7 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
             }
         }
     }
-    // These calls are in the checkpoints and in the move away from a reader.
+    // These calls belong to checkpoints, and to the move of the database to a new file because of a reader.
     for (what, nth) in which_late() {
         let fault = format!("{what}:{nth}:{ENOSPC}:once");
         let (stored, faults) = run(library, &fault, &[(THROWS, "60"), (HOLDER, "1")]).await;

@@ -1,5 +1,5 @@
-//! The process under test: it stores and judges throws of four machines, with alarms, at full speed, with a reader that
-//! holds an old state.
+//! The process under test: it stores and judges throws of four machines, with alarms, at full speed. A reader may keep
+//! an old state open at the same time.
 
 use std::{
     fs::{File, OpenOptions},
@@ -17,18 +17,18 @@ use pointsd::{
 };
 
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
-/// Throws of each machine.
+/// Environment variable: number of throws of each machine.
 pub(super) const THROWS: &str = "POINTSD_WORKER_THROWS";
-/// Set: commit with `synchronous = NORMAL`.
+/// Environment variable: if it is set, commits use `synchronous = NORMAL`.
 pub(super) const NORMAL: &str = "POINTSD_WORKER_NORMAL";
-/// Set: a reader holds an old state in the second half.
+/// Environment variable: if it is set, a reader keeps an old state open during the second half of the throws.
 pub(super) const HOLDER: &str = "POINTSD_WORKER_HOLDER";
 
 const MACHINES: [&str; 4] = ["21A", "21B", "22A", "22B"];
-/// Tries of each call, as in the daemon.
+/// Number of tries of each call: the daemon repeats failed calls too.
 const TRIES: usize = 3;
 
-/// Sends acknowledgements to the parent, each in one write, so that the log of the shim has them in order.
+/// Writes acknowledgements to a file for the parent, each in one write, so that the log of the shim has them in order.
 #[derive(Clone)]
 struct Acknowledge(Arc<Mutex<File>>);
 
@@ -70,7 +70,7 @@ async fn run() {
     for life in rest {
         life.await.unwrap();
     }
-    // This may fail on a failing disk; acknowledged data must be stored anyway.
+    // The close may fail on a failing disk; acknowledged data must be stored anyway.
     let _ = store.close().await;
     drop(holder);
 }
@@ -103,7 +103,7 @@ async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str
     }
 }
 
-/// `None`: all tries failed. `Some(None)`: stored by a try that returned an error.
+/// Stores a throw. `None` if all tries failed; `Some(None)` if a try that returned an error had stored it.
 async fn spool(store: &Store, name: &str, throw_no: u64) -> Option<Option<ThrowRow>> {
     let (machine, throw) = (machine(name), throw("b1", throw_no));
     for _ in 0..TRIES {

@@ -1,4 +1,4 @@
-//! Rate limit for log lines about a continuous problem, and counters that show a problem for an hour.
+//! A rate limit for log lines about a lasting problem, and counters of problems of the last hour.
 
 use std::time::Duration;
 
@@ -6,23 +6,23 @@ use parking_lot::Mutex;
 use tokio::time::Instant;
 
 /// Least time between two log lines about the same problem: a full disk fails ten writes per second.
-const SAID: Duration = Duration::from_secs(30);
-/// Time for which a past problem is shown.
+const LOG_INTERVAL: Duration = Duration::from_secs(30);
+/// Time for which a problem is shown after its last occurrence.
 const SHOWN: Duration = Duration::from_hours(1);
 
-/// Limits the log lines of a place in the program.
-pub(crate) struct Seldom(Mutex<Option<(Instant, u64)>>);
+/// Limits the rate of one log line: time of the last line, and number of lines omitted since.
+pub(crate) struct LogRateLimit(Mutex<Option<(Instant, u64)>>);
 
-impl Seldom {
+impl LogRateLimit {
     pub(crate) const fn new() -> Self {
         Self(Mutex::new(None))
     }
 
     /// The number of omitted lines if a line is due; `None` to omit it.
     pub(crate) fn due(&self, now: Instant) -> Option<u64> {
-        let mut said = self.0.lock();
-        match &mut *said {
-            Some((at, omitted)) if now.duration_since(*at) < SAID => {
+        let mut last = self.0.lock();
+        match &mut *last {
+            Some((at, omitted)) if now.duration_since(*at) < LOG_INTERVAL => {
                 *omitted += 1;
                 None
             }
@@ -34,7 +34,7 @@ impl Seldom {
 /// Writes a log line, with the number of omitted lines, unless the same place wrote one shortly before.
 macro_rules! seldom {
     ($level:ident, $($said:tt)*) => {{
-        static LINE: crate::store::Seldom = crate::store::Seldom::new();
+        static LINE: crate::store::LogRateLimit = crate::store::LogRateLimit::new();
         if let Some(omitted) = LINE.due(tokio::time::Instant::now()) {
             // `None` is not written.
             let omitted_lines = (omitted > 0).then_some(omitted);
@@ -72,8 +72,8 @@ mod tests {
 
     #[test]
     fn a_line_is_due_every_thirty_seconds_with_the_number_of_omitted_ones() {
-        let (line, start) = (Seldom::new(), Instant::now());
+        let (line, start) = (LogRateLimit::new(), Instant::now());
         assert_eq!([line.due(start), line.due(start), line.due(start)], [Some(0), None, None]);
-        assert_eq!([line.due(start + SAID), line.due(start + SAID)], [Some(2), None]);
+        assert_eq!([line.due(start + LOG_INTERVAL), line.due(start + LOG_INTERVAL)], [Some(2), None]);
     }
 }

@@ -1,10 +1,10 @@
 //! Statements for many rows at once. Each call of the database thread, each statement and each row of a result wakes a
-//! thread; with one call for each row this took a fifth of the processor time.
+//! thread. With one call for each row, this took a fifth of the processor time.
 
 use sqlx::{AssertSqlSafe, Sqlite, query::Query, sqlite::SqliteArguments};
 
-/// Largest number of rows in a statement: that of a group of writes and of a batch of judgements.
-pub(super) const ROWS: usize = 64;
+/// Largest number of rows in a statement, as in a group of writes and in a batch of judgements.
+pub(super) const MAX_ROWS: usize = 64;
 
 /// The statement with its first `(?, …)` repeated for `rows` rows. The number of rows is rounded up to a power of two,
 /// so that few different statements are prepared. The parameters of the added rows are NULL; every such statement
