@@ -13,10 +13,10 @@ type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 pub(super) enum Answers {
     /// To health queries.
     Health(Reader),
-    /// To alarm queries, except those that the queryable `elsewhere` receives and answers too.
+    /// To alarm queries. A query that also reaches the queryable on the key expression `elsewhere` is answered there.
     Alarms { reader: Reader, elsewhere: Option<String> },
-    /// To operators' commands, and to queries for the name of the daemon, `itself`. A command for another daemon gets
-    /// no reply.
+    /// To operators' commands, and to queries for the name and session of the daemon, `itself`. A command for the
+    /// session of another daemon gets no reply.
     Commands { orders: Orders, itself: Commander },
     /// To status queries.
     Status { key: String, sources: StatusSources },
@@ -55,6 +55,7 @@ impl Answers {
     }
 }
 
+/// Refuses a query with a parameter that is not in `known`.
 fn takes_only(question: &Question, known: &[&str]) -> Result<(), String> {
     wire::only_known(question.parameters(), known).map_err(|error| error.to_string())
 }
@@ -77,6 +78,7 @@ async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
     messages(question, rows, message)
 }
 
+/// The replies for some rows, without those whose key the query does not match.
 fn messages<T>(
     question: &Question,
     rows: Result<Vec<T>, StoreError>,
@@ -90,7 +92,7 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     let payload = question.payload();
     let machine = match wire::parse_key(question.key()) {
         Ok((machine, _)) => machine,
-        // A query for all that is known, as on `points/v1/north/21B/*`, is no command: health and alarms answer it.
+        // A query without payload is no command. On a wildcard as `points/v1/north/21B/*` health and alarms answer it.
         Err(_) if payload.is_empty() => return Ok(Vec::new()),
         Err(error) => return Err(format!("a command goes to one machine, so its key has no wildcard: {error}")),
     };
@@ -106,14 +108,14 @@ async fn status(sources: &StatusSources) -> Vec<u8> {
     let mut report = sources.report();
     match sources.store.reader().windows(None).await {
         Ok(windows) => report.windows = windows,
-        // The rest of the status is most important when the database does not answer.
+        // The other fields are still sent: they matter most when the database does not answer.
         Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
     }
     wire::json_bytes(&report)
 }
 
-/// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
-/// messages are filtered afterwards.
+/// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]
+/// then filters their replies.
 fn selector(question: &Question) -> Selector {
     wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

@@ -1,4 +1,4 @@
-//! Presence of the other daemons that this one watches. Nobody monitors the machines of a daemon that is away.
+//! Presence of the other daemons that this daemon watches: nobody monitors the machines of a daemon that is away.
 
 use std::{
     collections::BTreeMap,
@@ -17,7 +17,7 @@ use crate::{
     wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
 };
 
-/// Absence after which there is an alarm: a restart takes seconds.
+/// Least absence that raises an alarm: a restart takes only seconds.
 const GRACE: Duration = Duration::from_secs(30);
 
 /// The watched daemons.
@@ -31,7 +31,7 @@ pub(super) struct Peers {
 #[derive(Debug, Clone, Copy)]
 struct Away {
     since: Instant,
-    /// `None` if it was away at the start.
+    /// The same as wall time; `None` if the daemon was away at the start.
     at: Option<Timestamp>,
 }
 
@@ -69,8 +69,9 @@ impl Peers {
         }
     }
 
-    /// The daemons that have been away for at least [`GRACE`], each with the time when it left, if that was seen. `None` in
-    /// the first [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
+    /// The daemons that have been away for at least [`GRACE`], each with the time when its token disappeared; that time
+    /// is `None` for a daemon that was never present. The result is `None` for [`GRACE`] after the start, unless all
+    /// daemons are present: their tokens may still arrive.
     pub(super) fn away(&self) -> Option<Vec<(MachineId, Option<Timestamp>)>> {
         let peers = self.away.lock();
         let now = clock::monotonic();

@@ -1,4 +1,4 @@
-//! The running daemon: start, and interface for other parts of the process.
+//! The running daemon: its start, and its interface for other parts of the process.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -38,12 +38,12 @@ use crate::{
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
-/// Capacity of the channel of judged throws. A slower observer skips the oldest.
-const WATCHED: usize = 4_096;
+/// Capacity of the channel of judged throws to observers. A slow observer misses the oldest throws.
+const JUDGED_CAPACITY: usize = 4_096;
 
-/// Name of the writer of the database among the tasks whose end is the end of the daemon.
+/// Name that [`Daemon::ended`] returns for the writer of the database.
 pub const DATABASE: &str = "the database";
-/// Names of the tasks for which a stop waits.
+/// Names of the tasks for whose end [`Daemon::stop`] waits.
 pub(super) const RECEIVE: &str = "receive";
 pub(super) const JUDGE: &str = "judge";
 pub(super) const PUBLISH: &str = "publish";
@@ -79,13 +79,14 @@ impl View {
     }
 }
 
-/// Cancelled one after the other, so that each loop can finish the work of the previous one.
+/// Stop signals of the loops. They are cancelled one after the other, so that each loop can finish the work that the
+/// previous loop left for it.
 #[derive(Default)]
 pub(super) struct Stops {
     pub(super) receive: CancellationToken,
     pub(super) judge: CancellationToken,
     pub(super) publish: CancellationToken,
-    /// Cancelled at the time limit: unfinished work is left.
+    /// Cancelled when a loop has not ended in time: it then leaves its unfinished work.
     pub(super) give_up: CancellationToken,
 }
 
@@ -109,7 +110,7 @@ impl Daemon {
     /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
-        // Before the database: without a session the start fails, and the database stays closed.
+        // Before the database, which stays closed if there is no session and the start fails.
         let opening = bus::open(config.zenoh.clone());
         let session = watchdog::with_start_extension("opening zenoh; a client waits for its router", opening).await?;
         let opening = Store::open(&config.store, clock::now());
@@ -143,13 +144,13 @@ impl Daemon {
             webhook: Arc::default(),
         };
         let (config, current) = watch::channel(Arc::clone(&start.config));
-        let (watchers, _) = broadcast::channel(WATCHED);
+        let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
         let (orders, commands) = Orders::new();
         let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(&start.session);
 
         start.notify_webhook().await?;
-        // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
+        // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
         let sources = start.receive(&outlet, loggers).await?;
@@ -203,12 +204,13 @@ impl Daemon {
         View { sources: self.sources.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
 
-    /// Runs a task under the supervision of the daemon, which ends with it.
+    /// Runs a further task under the supervision of the daemon: [`Self::ended`] returns when the task ends.
     pub fn adopt<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
         self.tasks.spawn(name, task);
     }
 
-    /// Waits until a task ends unexpectedly.
+    /// Waits until a task or the writer of the database ends, and returns its name. Each of them should run until
+    /// [`Self::stop`], so the daemon must end.
     pub async fn ended(&mut self) -> &'static str {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
@@ -243,8 +245,8 @@ impl Starting {
         self.config.subscribe.key.key_expression(kind)
     }
 
-    /// Starts the publishing loop; `is_first` for a new database: no earlier process published, so no subscriber
-    /// has a sequence from one.
+    /// Starts the publishing loop. `is_first` is true for a new database: no earlier process published from it, so no
+    /// subscriber has to reconnect before the first alarm.
     async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             store: self.store.clone(),
@@ -260,7 +262,7 @@ impl Starting {
         Ok(())
     }
 
-    /// Starts the sending of alarm events, if there is a webhook.
+    /// Starts the loop that sends alarm events to the webhook, if one is configured.
     async fn notify_webhook(&mut self) -> Result<(), StartError> {
         let (status, wake) = (Arc::clone(&self.status), Arc::clone(&self.webhook));
         if let Some(notifier) = Notifier::new(self.store.clone(), &self.config, status, wake).await? {
@@ -353,12 +355,12 @@ impl Starting {
             storing_fails: false,
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
-        // Ends with the receiving loop: the next start fetches the rest.
+        // Stopped together with the receiving loop: the next start fetches the rest of the backlogs.
         self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
         Ok(sources)
     }
 
-    /// Starts the answers to queries and commands.
+    /// Starts the tasks that answer queries and commands.
     async fn answer(&mut self, orders: &Orders, sources: &StatusSources) -> Result<(), BusError> {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
@@ -372,7 +374,7 @@ impl Starting {
             ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
             ("answer commands", self.scope(Kind::Command), commands()),
         ];
-        // The name of the daemon, for alarms about itself, may be outside of its part of the fleet.
+        // Alarms about the daemon itself carry its own name, which `subscribe.key` need not include.
         let own = |kind| machine_key(&own_machine, kind);
         if !bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
             let elsewhere = Some(self.scope(Kind::Alarm));
@@ -387,6 +389,7 @@ impl Starting {
     }
 }
 
+/// Logs how the database was found at the start.
 fn report_database(report: &store::Report, settings: &store::Settings) {
     let database = settings.path.display();
     match &report.found {

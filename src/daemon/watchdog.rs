@@ -8,19 +8,21 @@ use tokio::time;
 use super::{heartbeat::TaskName, status::StatusSources};
 use crate::store::{DiskLevel, StoreError};
 
-/// Time between two checks of the heartbeats, without a watchdog of systemd.
+/// Longest time between two checks of the heartbeats; a third of the watchdog limit of systemd, if that is shorter.
+/// Also the time between two probes of the writer.
 const LOOK: Duration = Duration::from_secs(5);
-/// Time between two status lines in the log without problems.
+/// Time between two routine status lines in the log.
 const ROUTINE: Duration = Duration::from_mins(10);
 
 /// Time between two extensions of the start timeout of systemd.
 const EXTEND_EVERY: Duration = Duration::from_secs(10);
 /// Time of each extension \[µs\].
 const EXTEND_BY_USEC: u32 = 60_000_000;
-/// Largest number of extensions: after an hour the start hangs, and a restart may help.
+/// Largest number of extensions, one hour in total. A longer start counts as hanging: systemd then ends the daemon, and
+/// a restart may help.
 const EXTENSIONS: u32 = 360;
 
-/// Notifies systemd.
+/// Sends states to systemd.
 pub(super) fn notify(states: &[NotifyState<'_>]) {
     // Without systemd this fails or does nothing.
     if let Err(error) = sd_notify::notify(states) {

@@ -161,7 +161,7 @@ fn throws(registry: &mut Registry, view: &View, report: &StatusReport) {
         registry.register(name, help, ConstCounter::new(value));
     }
     let refused = Family::<Labels<1>, Counter>::default();
-    for (reason, number) in view.sources.status.refused() {
+    for (reason, number) in view.sources.status.rejected() {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", refused);

@@ -15,7 +15,7 @@ use toml::{
 
 use crate::throw::OutOfRange;
 
-/// Largest configuration file \[bytes\]; a larger file is not a configuration.
+/// Largest configuration file \[bytes\]; a larger file cannot be a configuration.
 const MAX_BYTES: u64 = 4 << 20;
 
 /// An error in a configuration. `Display` is one line: file, line, key, problem.
@@ -46,8 +46,9 @@ impl std::fmt::Display for ConfigError {
     }
 }
 
-/// Position of a key in the text.
+/// Position of a key and its value in the text \[bytes\].
 struct Place {
+    /// The key with its sections, as `machine[2].lead_mm`.
     path: String,
     key: Range<usize>,
     value: Range<usize>,
@@ -120,12 +121,13 @@ impl Document {
         }
     }
 
-    /// The outcome of a check of ranges, with the error at its key in a section.
+    /// The result of a check of ranges in a section; its error becomes an error about the key, with its line.
     pub(crate) fn in_section(&self, section: &str, checked: Result<(), OutOfRange>) -> Result<(), ConfigError> {
         checked.map_err(|error| self.complain(&format!("{section}.{}", error.key), error.problem()))
     }
 
-    #[expect(clippy::wrong_self_convention, reason = "the error is placed in this document")]
+    /// The error of the parser, with its line and key in this document.
+    #[expect(clippy::wrong_self_convention, reason = "converts the error, not the document")]
     fn from_toml(&self, error: &toml::de::Error) -> ConfigError {
         let start = error.span().map(|span| span.start);
         // The innermost key whose name or value includes the position of the error.
@@ -141,7 +143,7 @@ impl Document {
         {
             problem = format!("duplicate key {name}");
         }
-        // `north` without quotes reads like the beginning of `nan`, `inf` or `false`.
+        // The parser takes `north` without quotes for the beginning of `nan`, `inf` or `false`.
         if ["invalid float", "invalid boolean", "invalid literal", "string values must be quoted"]
             .iter()
             .any(|of_text| problem.contains(of_text))
@@ -162,6 +164,7 @@ impl Document {
         }
     }
 
+    /// The line of a byte of the text, from 1.
     fn line(&self, at: usize) -> usize {
         1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
     }
@@ -183,6 +186,7 @@ fn plain(message: &str) -> String {
     format!("{before}expected a table of keys with values{rest}")
 }
 
+/// Adds the positions of all keys and list items below `path`.
 fn collect(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
     let mut add = |path: String, key: Range<usize>, value: &Spanned<DeValue<'_>>| {
         collect(value.get_ref(), &path, places);
