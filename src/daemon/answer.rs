@@ -1,6 +1,6 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
-use super::{orders::Orders, status::StatusSources};
+use super::{commands::CommandSender, status::StatusSources};
 use crate::{
     bus::{Question, Questions},
     store::{Reader, Selector, StoreError, seldom},
@@ -17,7 +17,7 @@ pub(super) enum Answers {
     Alarms { reader: Reader, elsewhere: Option<String> },
     /// To operators' commands, and to queries for the name and session of the daemon, `itself`. A command for the
     /// session of another daemon gets no reply.
-    Commands { orders: Orders, itself: Commander },
+    Commands { sender: CommandSender, itself: Commander },
     /// To status queries.
     Status { key: String, sources: StatusSources },
 }
@@ -40,11 +40,11 @@ impl Answers {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
-            Self::Commands { orders, itself } => {
+            Self::Commands { sender, itself } => {
                 takes_only(question, &["session"])?;
                 match question.parameter("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
-                    _ => command_reply(question, orders, itself).await,
+                    _ => command_reply(question, sender, itself).await,
                 }
             }
             Self::Status { key, sources } => {
@@ -88,7 +88,7 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
+async fn command_reply(question: &Question, sender: &CommandSender, itself: &Commander) -> Replies {
     let payload = question.payload();
     let machine = match wire::parse_key(question.key()) {
         Ok((machine, _)) => machine,
@@ -101,7 +101,7 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
         return Ok(vec![(key, wire::json_bytes(itself))]);
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
-    Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
+    Ok(vec![(key, wire::json_bytes(&sender.apply(machine, command).await?))])
 }
 
 async fn status(sources: &StatusSources) -> Vec<u8> {

@@ -18,11 +18,11 @@ use tokio_util::sync::CancellationToken;
 use super::{
     budget::Budget,
     clock,
+    commands::PendingCommand,
     config::Config,
     fleet::TICK,
     heartbeat::TaskName,
     judge::{Judge, Judged},
-    orders::Order,
     peers::Peers,
     presence::Loggers,
     status::Status,
@@ -88,7 +88,7 @@ pub(super) struct Links {
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     pub(super) loggers: watch::Receiver<Loggers>,
-    pub(super) orders: mpsc::Receiver<Order>,
+    pub(super) commands: mpsc::Receiver<PendingCommand>,
     pub(super) peers: Arc<Peers>,
     /// Cancelled when the daemon must end even with unstored changes.
     pub(super) give_up: CancellationToken,
@@ -144,7 +144,7 @@ impl JudgeLoop {
                     while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
                     return Ok(());
                 }
-                Some(order) = self.links.orders.recv() => self.carry_out(order).await?,
+                Some(pending) = self.links.commands.recv() => self.answer_command(pending).await?,
                 _ = tick.tick() => self.on_tick().await?,
                 () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
                 () = self.links.spooled.notified() => may_be_pending = true,
@@ -410,8 +410,8 @@ impl JudgeLoop {
         old
     }
 
-    async fn carry_out(&mut self, order: Order) -> Result<(), StoreError> {
-        let Order { machine, command, reply } = order;
+    async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
+        let PendingCommand { machine, command, reply } = pending;
         let (config, now) = (self.judge.config(), clock::now());
         let allowed = self.budget.take(clock::monotonic());
         let (done, text) = if let Err(wait) = allowed {

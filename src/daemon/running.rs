@@ -15,12 +15,12 @@ use super::{
     answer::Answers,
     backlog::{Backlog, Querier},
     clock,
+    commands::{CommandSender, PendingCommand},
     config::Config,
     error::StartError,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
     lock::DatabaseLock,
-    orders::{Order, Orders},
     peers::Peers,
     presence::{self, Loggers},
     publish::Publisher,
@@ -55,7 +55,7 @@ pub struct Daemon {
     pub(super) sources: StatusSources,
     config: watch::Sender<Arc<Config>>,
     watchers: broadcast::Sender<Judged>,
-    orders: Orders,
+    commands: CommandSender,
     pub(super) tasks: Tasks,
     pub(super) stops: Stops,
     pub(super) publishing: [JoinHandle<()>; 2],
@@ -69,7 +69,7 @@ pub struct Daemon {
 pub struct View {
     pub(crate) sources: StatusSources,
     config: watch::Receiver<Arc<Config>>,
-    pub(crate) orders: Orders,
+    pub(crate) commands: CommandSender,
 }
 
 impl View {
@@ -145,7 +145,7 @@ impl Daemon {
         };
         let (config, current) = watch::channel(Arc::clone(&start.config));
         let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
-        let (orders, commands) = Orders::new();
+        let (sender, commands) = CommandSender::new();
         let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(&start.session);
 
@@ -156,7 +156,7 @@ impl Daemon {
         let sources = start.receive(&outlet, loggers).await?;
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
-        start.answer(&orders, &sources).await?;
+        start.answer(&sender, &sources).await?;
         start
             .tasks
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
@@ -171,7 +171,7 @@ impl Daemon {
         }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&own)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
-        Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, publishing, alive, lock })
+        Ok(Self { session, store, sources, config, watchers, commands: sender, tasks, stops, publishing, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -201,7 +201,7 @@ impl Daemon {
 
     /// A view of the daemon for the dashboard.
     pub fn view(&self) -> View {
-        View { sources: self.sources.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
+        View { sources: self.sources.clone(), config: self.config.subscribe(), commands: self.commands.clone() }
     }
 
     /// Runs a further task under the supervision of the daemon: [`Self::ended`] returns when the task ends.
@@ -277,7 +277,7 @@ impl Starting {
         config: watch::Receiver<Arc<Config>>,
         watchers: broadcast::Sender<Judged>,
         loggers: watch::Receiver<Loggers>,
-        orders: mpsc::Receiver<Order>,
+        commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
         let peers = Arc::new(Peers::new(self.config.monitor.watched()));
         if !self.config.monitor.peers.is_empty() {
@@ -292,7 +292,7 @@ impl Starting {
             webhook: Arc::clone(&self.webhook),
             watchers,
             loggers,
-            orders,
+            commands,
             peers,
             give_up: self.stops.give_up.clone(),
         };
@@ -361,13 +361,13 @@ impl Starting {
     }
 
     /// Starts the tasks that answer queries and commands.
-    async fn answer(&mut self, orders: &Orders, sources: &StatusSources) -> Result<(), BusError> {
+    async fn answer(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
         let itself = Commander { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
-        let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
+        let commands = || Answers::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
             ("answer status", key.clone(), Answers::Status { key, sources: sources.clone() }),
             ("answer health", self.scope(Kind::Health), Answers::Health(reader.clone())),
