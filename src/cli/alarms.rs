@@ -19,8 +19,8 @@ use crate::{
     wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
 
-/// Number of open alarms of one kind of a system-wide cause (not monitored, lost data) from which they are printed as one
-/// entry.
+/// Least number of similar open alarms about machines not monitored or lost data that are printed as one entry. A cut
+/// link can raise hundreds of them.
 const GROUP_SIZE: usize = 5;
 
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
@@ -74,7 +74,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         } else {
             Ok(bus::Answers::default())
         };
-        let watched = match &answer {
+        let monitored = match &answer {
             Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
                 bus::require_monitored(&session, arguments.machine.as_ref()).await
             }
@@ -82,7 +82,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         operator::close(session).await;
         let answers = answer.map_err(operator::failure)?;
-        watched.map_err(operator::failure)?;
+        monitored.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons);
@@ -113,7 +113,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (health, _) = operator::values(&health);
                 let is_selected = arguments.cause.is_some() || arguments.severity.is_some();
                 let none = if is_selected { "no alarms with this cause and severity" } else { "no alarms" };
-                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, (arguments.all, none))?;
+                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, arguments.all, none)?;
             } else {
                 print_events(&alarms)?;
             }
@@ -137,7 +137,8 @@ fn key(machine: Option<&MachineId>, kind: Kind) -> String {
 fn selector(arguments: &Arguments) -> String {
     let key = key(arguments.machine.as_ref(), Kind::Alarm);
     let since = arguments.since.map(|since| format!("since={since}"));
-    // A query cannot select by cause and severity: the daemon sends all events, and this command selects.
+    // A query cannot select by cause or severity. The daemon then sends all events, and this command selects and
+    // limits.
     let selects = arguments.cause.is_some() || arguments.severity.is_some();
     let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
     match (since, arguments.limit) {
@@ -147,14 +148,15 @@ fn selector(arguments: &Arguments) -> String {
     }
 }
 
-/// Prints the open alarms, `all` of them or with groups, and `none` without any; `daemons` are the names of the daemons in
-/// their own alarms.
+/// Prints the open alarms. `daemons` are the names of the daemons, to recognise alarms about them; with `all` no alarms
+/// are combined; `none` is printed if there is no alarm.
 pub(super) fn print_open(
     alarms: &[Alarm],
     daemons: &[MachineId],
     health: &[Health],
     windows: &[Window],
-    (all, none): (bool, &str),
+    all: bool,
+    none: &str,
 ) -> Result<(), Failure> {
     if alarms.is_empty() {
         return output::line(none);
@@ -165,9 +167,10 @@ pub(super) fn print_open(
     })
 }
 
-/// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
-/// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one
-/// entry, unless `all` is set; those that are over are an entry of their own.
+/// The entries of the list, each with one alarm or many similar ones. Alarms about a daemon itself come first, then
+/// faults of machines, then machines not monitored and lost data. In each of these groups active alarms come first,
+/// then the most severe, then the newest. Unless `all` is set, [`GROUP_SIZE`] or more alarms of the last group with
+/// equal cause, severity and kind of text are one entry, separately for active and cleared alarms.
 fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
     let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
     let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
@@ -302,7 +305,7 @@ mod tests {
         };
         assert_eq!(names(false), ["pointsd", "worn", "m0 m1 m2 m3 m4", "clock"]);
         assert_eq!(names(true).len(), alarms.len());
-        // An alarm that is over is not among those that are not.
+        // A cleared alarm does not join the active ones.
         alarms[0].event.state = AlarmState::ClearedUnacknowledged;
         alarms.push(lost(GROUP_SIZE));
         let entries = entries(&alarms, &daemons, false);

@@ -23,7 +23,8 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let document = Document::read(&arguments.config).or_exit(Exit::Config)?;
     let config = Config::from_document(&document).or_exit(Exit::Config)?;
-    // `pointsd run` exits with 74 here, so that systemd starts it again: the right may be missing for a moment only.
+    // For the same problem `pointsd run` exits with 74, so that systemd starts it again: the right to write may be
+    // missing only for a moment.
     if let Some(file) = store::unwritable(&config.store.path) {
         let problem = format!(
             "this user cannot write to {}: the user of pointsd must own the database, its -wal and its -shm, and may \

@@ -66,7 +66,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     Ok(if shortfalls.is_empty() { Exit::Ok } else { Exit::Negative })
 }
 
-/// Simulates all lives on `threads` threads; returns the outcomes in the order of the lives.
+/// Simulates all lives of machines on `threads` threads; returns the outcomes in the order of the lives.
 fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     let progress = output::progress(plan.lives() as u64, "{wide_bar} {human_pos} of {human_len} lives, {eta} left");
     let next = AtomicUsize::new(0);

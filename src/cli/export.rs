@@ -99,7 +99,8 @@ fn written(result: csv::Result<()>) -> Result<(), Failure> {
 async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Result<String, Failure> {
     let stored = export.stored(throw).await.map_err(unreadable)?;
     let Some(stored) = stored else { return Ok(String::new()) };
-    // Names of sites and machines are safe in paths. Row numbers are unique, boot ids are any text.
+    // Names of sites and machines are safe in a path, but a boot id may be any text. The row number makes the name
+    // unique.
     let (machine, start) = (&stored.machine, stored.started_at.strftime("%Y%m%dT%H%M%SZ"));
     let name = format!("{}/{}/{start}-{}.csv", machine.site, machine.machine, stored.row.0);
     let Ok(measured) = stored.throw else { return Ok(String::new()) };
@@ -108,7 +109,8 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
         let mut file = fs::File::create(&file)?;
         file.write_all(measured.trace.to_csv().as_bytes())?;
-        // The time of the file is that of the throw, as `pointsd import` takes it; not every file system keeps times.
+        // `pointsd import` may take the time of the throw from the file. An error is ignored, as not every file system keeps
+        // times.
         let _ = file.set_modified(stored.started_at.into());
         Ok(())
     };

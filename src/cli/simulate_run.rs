@@ -20,7 +20,8 @@ use crate::{
     throw::{MachineId, counted},
 };
 
-/// Time within which a daemon that serves the fleet answers; it has seen the logger in less than a second.
+/// Time after the start of the logger at which a daemon must serve the fleet. Zenoh connects both in less than a
+/// second.
 const SERVED_WITHIN: Duration = Duration::from_secs(5);
 
 /// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
@@ -119,7 +120,7 @@ fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
             .map_err(|error| usage(format!("--connect {endpoint}: {error}")))?;
     }
     plan.logger.validate().map_err(|error| usage(format!("--{}: {error}", error.key.replace('_', "-"))))?;
-    // The check of the fleet counts from 0, as the configuration does.
+    // Checked here, as the error of the fleet's own check counts machines from 0, as the configuration does.
     if let Some(on) = arguments.fault.iter().find(|on| on.machine >= plan.fleet.machines) {
         let machines = counted(plan.fleet.machines as u64, "machine");
         return Err(usage(format!("--fault {}:…: the fleet has {machines}", on.machine + 1)));
@@ -155,7 +156,7 @@ async fn run(plan: Plan) -> Outcome {
     Ok(outcome)
 }
 
-/// Warns if no daemon serves the fleet, of which `machine` is one, after [`SERVED_WITHIN`].
+/// After [`SERVED_WITHIN`], warns if no daemon serves `machine`, which stands for the whole fleet.
 async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
     tokio::time::sleep(SERVED_WITHIN).await;
     let (Ok(serving), Ok(daemons)) = (bus::serving(session, machine).await, bus::monitors(session).await) else {
@@ -242,7 +243,7 @@ mod tests {
             logger: LoggerSettings,
             fleet: FleetSettings,
         }
-        // Keys without a default are comments in the file; the examples of faults and incidents come last.
+        // Keys without a default are comments in the file. Its last part has the examples of faults and incidents.
         let shipped = shipped();
         let settings = shipped.split("# Faults and incidents").next().unwrap();
         let uncommented =
