@@ -108,7 +108,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, 
     let (mut alarms, alarm_problems) = operator::values::<Alarm>(&events);
     let twice = served_twice(session, &health).await?;
     // The health messages count too: a daemon updates the counts in its report only every few seconds.
-    let is_well = |report: &StatusReport| report.problems().is_empty() && report.standing.is_well();
+    let is_well = |report: &StatusReport| report.problems().is_empty() && report.state_counts.is_well();
     let silent = operator::silent(&present, &daemons);
     let are_well = daemon_problems + health_problems + alarm_problems + silent + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))

@@ -1,8 +1,10 @@
 //! Fetches missing throws from the loggers' backlogs, page by page.
 //!
-//! The database has the cursor of each machine and its gaps. A logger is queried when its liveliness token appears,
-//! when a throw number is missing, when one of its messages was dropped, and every few minutes. The next page is
-//! queried when the previous one is stored.
+//! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
+//! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
+//! missing, when one of its messages was dropped, and every few minutes. The next page is queried when the previous
+//! page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
+//! turn.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -53,7 +55,7 @@ const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 /// Time between two queries of all loggers, in case another trigger was missed.
 const ROUND: Duration = Duration::from_mins(5);
 /// Least time between two database queries for missing throws.
-const LOOK: Duration = Duration::from_millis(100);
+const MISSING_CHECK: Duration = Duration::from_millis(100);
 /// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
 /// is cleared.
 const WITH_TOKEN: usize = 200_000;
@@ -92,8 +94,8 @@ impl Backlog {
         let mut schedule = Schedule::default();
         let mut queries = JoinSet::new();
         let mut round = time::interval(ROUND);
-        let mut look = time::interval(LOOK);
-        look.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut check = time::interval(MISSING_CHECK);
+        check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
         loop {
             while queries.len() < AT_A_TIME
@@ -127,7 +129,7 @@ impl Backlog {
                     }
                 }
                 () = self.missing.notified() => may_miss = true,
-                _ = look.tick(), if may_miss => {
+                _ = check.tick(), if may_miss => {
                     may_miss = false;
                     self.request_missing(&mut schedule).await;
                 }

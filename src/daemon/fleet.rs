@@ -12,7 +12,7 @@ use super::{
     health::{TWO_LOGGERS, health, observation, repeated},
     logger_clocks::LoggerClocks,
     presence::Loggers,
-    status::Standing,
+    status::StateCounts,
 };
 use crate::{
     diagnose::{
@@ -34,7 +34,7 @@ const SMALLEST_NAME: &str = "-";
 
 /// Settings and time of a judgement, and its place in the transaction.
 #[derive(Clone, Copy)]
-pub(super) struct Circumstances<'a> {
+pub(super) struct JudgementContext<'a> {
     /// Whether the throw is the last of its machine in the transaction. Only this throw stores the monitor.
     pub(super) is_last: bool,
     pub(super) settings: &'a Settings,
@@ -78,17 +78,17 @@ impl Fleet {
     }
 
     /// Counts the machines in each state, their shelved alarms, and the open alarms about the daemon itself.
-    pub(super) fn standing(&self, own_machine: &MachineId) -> Standing {
+    pub(super) fn state_counts(&self, own_machine: &MachineId) -> StateCounts {
         let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
-        let mut standing = Standing { own_alarms, ..Standing::default() };
+        let mut counts = StateCounts { own_alarms, ..StateCounts::default() };
         for (machine, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
             if machine.machine.as_str() != ALL_MACHINES {
-                *standing.machines.entry(monitor.state()).or_default() += 1;
+                *counts.machines.entry(monitor.state()).or_default() += 1;
             }
             let shelved = monitor.open_alarms().iter().filter(|alarm| alarm.state == AlarmState::Shelved).count();
-            standing.shelved_alarms += shelved as u64;
+            counts.shelved_alarms += shelved as u64;
         }
-        standing
+        counts
     }
 
     /// Whether a machine has a monitor. It gets one with its first throw.
@@ -121,10 +121,10 @@ impl Fleet {
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
-        circumstances: Circumstances,
+        context: JudgementContext,
     ) -> Judgement {
         let before = self.monitors.get(&stored.machine).cloned();
-        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, circumstances));
+        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, context));
         catch_unwind(attempt).unwrap_or_else(|_| {
             let ThrowRef { boot_id, throw_no } = &stored.id;
             tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
@@ -133,7 +133,7 @@ impl Fleet {
                 Some(before) => self.monitors.insert(stored.machine.clone(), before),
                 None => self.monitors.remove(&stored.machine),
             };
-            self.diagnose(stored, None, circumstances)
+            self.diagnose(stored, None, context)
         })
     }
 
@@ -141,7 +141,7 @@ impl Fleet {
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
-        Circumstances { is_last, settings, parameters, at }: Circumstances,
+        JudgementContext { is_last, settings, parameters, at }: JudgementContext,
     ) -> Judgement {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));
@@ -235,7 +235,7 @@ impl Fleet {
         sites.dedup();
         for site in sites {
             let common = self.common(&site, None, now);
-            changed.extend(self.follow_site(&site, &common, now, settings));
+            changed.extend(self.update_site_alarm(&site, &common, now, settings));
         }
         changed
     }
@@ -259,7 +259,7 @@ impl Fleet {
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].
-    fn follow_site(
+    fn update_site_alarm(
         &mut self,
         site: &Name,
         common: &Common,
@@ -275,7 +275,7 @@ impl Fleet {
     }
 
     /// Updates the alarm about the daemon itself, which has the name of the daemon in place of a machine's.
-    pub(super) fn trouble(
+    pub(super) fn update_daemon_alarm(
         &mut self,
         own_machine: &MachineId,
         trouble: Option<&(Severity, String)>,
@@ -287,7 +287,7 @@ impl Fleet {
     }
 
     /// Updates the alarm about the watched daemons that are `away`.
-    pub(super) fn peers(
+    pub(super) fn update_peer_alarm(
         &mut self,
         own_machine: &MachineId,
         away: &Away,
@@ -299,7 +299,7 @@ impl Fleet {
 
     /// Reports an irregularity of a logger that belongs to no stored throw. `None` if the machine has no monitor, or if
     /// no alarm event follows.
-    pub(super) fn irregular(
+    pub(super) fn report_irregularity(
         &mut self,
         machine: &MachineId,
         irregularity: Irregularity,
@@ -327,7 +327,13 @@ impl Fleet {
     }
 
     /// Reports missing throws to the monitor of a machine.
-    pub(super) fn gap(&mut self, machine: &MachineId, missing: Missing, at: Timestamp, settings: &Settings) -> Outcome {
+    pub(super) fn report_gap(
+        &mut self,
+        machine: &MachineId,
+        missing: Missing,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Outcome {
         let monitor = self.monitor(machine);
         let events = monitor.gap(missing, at, settings);
         outcome(machine, Some(monitor), at, events)
@@ -335,7 +341,7 @@ impl Fleet {
 
     /// Applies an operator's command. Returns the outcome to store and a confirmation for the operator; `None` if the
     /// machine has no monitor. The command `retire` removes the monitor.
-    pub(super) fn command(
+    pub(super) fn apply_command(
         &mut self,
         machine: &MachineId,
         command: &Command,

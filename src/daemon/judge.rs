@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use super::{
     clock,
     config::Config,
-    fleet::{Circumstances, Fleet},
+    fleet::{Fleet, JudgementContext},
     identify::Pool,
 };
 use crate::{
@@ -98,13 +98,13 @@ impl Judge {
         let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
         let judgements = throws.iter().map(|stored| {
             let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
-            let circumstances = Circumstances {
+            let context = JudgementContext {
                 is_last: last.get(&stored.machine) == Some(&stored.row),
                 settings: &config.diagnosis,
                 parameters: Parameters::of(config.machines.of(&stored.machine)),
                 at: clock::now(),
             };
-            self.fleet.judge(stored, identification, circumstances)
+            self.fleet.judge(stored, identification, context)
         });
         judgements.collect()
     }

@@ -97,7 +97,7 @@ pub(super) struct Links {
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
-    /// Name of the daemon as a machine, for its alarms.
+    /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
     away: Option<Away>,
@@ -195,7 +195,7 @@ impl JudgeLoop {
             let [with_events, alone] = judgement.instead(&problem);
             let Err(error) = self.judge_alone(with_events).await else { continue };
             let StoreError::Refused(problem) = error else { return Err(error) };
-            self.lose(&judgement.outcome, &problem);
+            self.log_lost(&judgement.outcome, &problem);
             match self.judge_alone(alone).await {
                 Err(StoreError::Refused(problem)) => {
                     seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
@@ -255,7 +255,7 @@ impl JudgeLoop {
                 Ok(stored)
             }
             Err(StoreError::Refused(problem)) => {
-                outcomes.iter().for_each(|outcome| self.lose(outcome, &problem));
+                outcomes.iter().for_each(|outcome| self.log_lost(outcome, &problem));
                 Ok(false)
             }
             Err(error) => Err(error),
@@ -299,7 +299,7 @@ impl JudgeLoop {
         self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
-            if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
+            if let Some(outcome) = self.judge.fleet.report_irregularity(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
             } else if !self.judge.fleet.knows(&machine)
                 && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
@@ -311,13 +311,13 @@ impl JudgeLoop {
         let has_link = self.links.status.edit().connected;
         let away = away.map(|daemons| Away { daemons, has_link });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
-            let outcome = self.judge.fleet.peers(&self.own_machine, &away, now, &config.diagnosis);
+            let outcome = self.judge.fleet.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
             self.away = Some(away);
             if let Some(outcome) = outcome {
                 self.record(outcome).await?;
             }
         }
-        self.update_standing();
+        self.update_report();
         Ok(())
     }
 
@@ -332,14 +332,14 @@ impl JudgeLoop {
                 missing.throws = missing.throws.saturating_add(throws);
                 missing.refused += gap.refused.min(throws);
             }
-            let outcome = self.judge.fleet.gap(&machine, missing, now, &config.diagnosis);
+            let outcome = self.judge.fleet.report_gap(&machine, missing, now, &config.diagnosis);
             self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
         }
         Ok(())
     }
 
-    fn update_standing(&mut self) {
-        let standing = self.judge.fleet.standing(&self.own_machine);
+    fn update_report(&mut self) {
+        let state_counts = self.judge.fleet.state_counts(&self.own_machine);
         let loggers = self.links.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
@@ -354,7 +354,7 @@ impl JudgeLoop {
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
         report.loggers_ahead = self.judge.fleet.clocks.ahead();
         report.loggers_behind = self.judge.fleet.clocks.behind();
-        (report.standing, report.without_throw) = (standing, without_throw);
+        (report.state_counts, report.without_throw) = (state_counts, without_throw);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
@@ -362,14 +362,14 @@ impl JudgeLoop {
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
-        let new = self.judge.fleet.trouble(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let new = self.judge.fleet.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
         while let Some(alarm) = self.daemon_alarms.pop_front() {
             match self.judge.store.record(alarm.outcome.clone()).await {
                 Ok(()) => self.announce(&alarm.outcome),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(StoreError::Refused(problem)) => self.lose(&alarm.outcome, &problem),
+                Err(StoreError::Refused(problem)) => self.log_lost(&alarm.outcome, &problem),
                 Err(_) => {
                     self.daemon_alarms.push_front(alarm);
                     self.publish_uncommitted().await;
@@ -443,7 +443,7 @@ impl JudgeLoop {
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
         }
-        let (outcome, confirmation) = match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
+        let (outcome, confirmation) = match self.judge.fleet.apply_command(machine, command, now, &config.diagnosis) {
             None => {
                 let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
                 return Ok((false, text));
@@ -455,7 +455,7 @@ impl JudgeLoop {
         if !is_stored {
             self.judge.fleet.store_again(machine);
         }
-        self.update_standing();
+        self.update_report();
         if !is_stored {
             let text = "the database did not store the command, which is in effect until the daemon restarts";
             return Ok((false, text.to_owned()));
@@ -465,7 +465,7 @@ impl JudgeLoop {
     }
 
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.
-    fn lose(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
+    fn log_lost(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
         seldom!(error, %machine, problem, "the database rejects the change of a monitor: it is LOST");
         for event in events {
             tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);

@@ -42,4 +42,4 @@ pub use judge::Judged;
 pub use lock::LockError;
 pub use offline::Offline;
 pub use running::{DATABASE, Daemon, View};
-pub use status::{Standing, StatusReport};
+pub use status::{StateCounts, StatusReport};

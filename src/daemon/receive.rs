@@ -181,7 +181,7 @@ impl ReceiveLoop {
         tokio::select! {
             biased;
             () = self.receive(stop) => {}
-            () = give_up.cancelled() => self.lose().await,
+            () = give_up.cancelled() => self.log_lost().await,
         }
     }
 
@@ -263,7 +263,7 @@ impl ReceiveLoop {
 
     /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
     /// upper bound.
-    async fn lose(&mut self) {
+    async fn log_lost(&mut self) {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }

@@ -149,14 +149,14 @@ impl Daemon {
         let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(&start.session);
 
-        start.notify_webhook().await?;
+        start.start_webhook().await?;
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
-        start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
-        start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
-        let sources = start.receive(&outlet, loggers).await?;
+        start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
+        start.start_judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
+        let sources = start.start_receiver(&outlet, loggers).await?;
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
-        start.answer(&sender, &sources).await?;
+        start.start_answers(&sender, &sources).await?;
         start
             .tasks
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
@@ -247,7 +247,7 @@ impl Starting {
 
     /// Starts the publishing loop. `is_first` is true for a new database: no earlier process published from it, so no
     /// subscriber has to reconnect before the first alarm.
-    async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
+    async fn start_publisher(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             store: self.store.clone(),
             session: self.session.clone(),
@@ -263,7 +263,7 @@ impl Starting {
     }
 
     /// Starts the loop that sends alarm events to the webhook, if one is configured.
-    async fn notify_webhook(&mut self) -> Result<(), StartError> {
+    async fn start_webhook(&mut self) -> Result<(), StartError> {
         let (status, wake) = (Arc::clone(&self.status), Arc::clone(&self.webhook));
         if let Some(notifier) = Notifier::new(self.store.clone(), &self.config, status, wake).await? {
             self.tasks.spawn("webhook", notifier.run());
@@ -271,7 +271,7 @@ impl Starting {
         Ok(())
     }
 
-    async fn judge(
+    async fn start_judge(
         &mut self,
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
@@ -301,7 +301,7 @@ impl Starting {
     }
 
     /// Starts the reception of live throws and of the loggers' backlogs.
-    async fn receive(
+    async fn start_receiver(
         &mut self,
         outlet: &Outlet,
         loggers: watch::Receiver<Loggers>,
@@ -361,7 +361,7 @@ impl Starting {
     }
 
     /// Starts the tasks that answer queries and commands.
-    async fn answer(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
+    async fn start_answers(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();

@@ -26,7 +26,7 @@ const UNKNOWN: usize = 64;
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
     /// The fields of the report that the loops write; [`StatusSources::report`] adds the others. Here `received` counts
-    /// only the messages from backlogs. `standing` is renewed every few seconds and after every command.
+    /// only the messages from backlogs. `state_counts` is renewed every few seconds and after every command.
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
@@ -38,7 +38,7 @@ pub(crate) struct Status {
 
 /// Number of machines in each state, and of shelved alarms.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Standing {
+pub struct StateCounts {
     /// Number of machines in each state; states without machines are left out.
     pub machines: BTreeMap<MachineState, u64>,
     /// Number of shelved alarms.
@@ -48,7 +48,7 @@ pub struct Standing {
     pub own_alarms: u64,
 }
 
-impl Standing {
+impl StateCounts {
     /// Number of machines in a state.
     pub fn count(&self, state: MachineState) -> u64 {
         self.machines.get(&state).copied().unwrap_or(0)
@@ -139,7 +139,7 @@ pub struct StatusReport {
     pub silent: Vec<String>,
     /// States of the machines: `machines` and `shelved_alarms` in JSON.
     #[serde(flatten)]
-    pub standing: Standing,
+    pub state_counts: StateCounts,
     /// Open maintenance windows and shelvings; only in the reply to a `status` query.
     #[serde(default)]
     pub windows: Vec<Window>,
@@ -277,18 +277,21 @@ impl StatusReport {
         let states: Vec<String> =
             [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
                 .into_iter()
-                .map(|state| (self.standing.count(state), state.as_str().replace('_', " ")))
+                .map(|state| (self.state_counts.count(state), state.as_str().replace('_', " ")))
                 .filter(|(count, _)| *count > 0)
                 .map(|(count, state)| format!("{count} {state}"))
                 .collect();
         if !states.is_empty() {
             parts.push(format!("machines: {}", states.join(", ")));
         }
-        if self.standing.own_alarms > 0 {
-            parts.push(format!("{} OF THE DAEMON ITSELF", counted(self.standing.own_alarms, "alarm").to_uppercase()));
+        if self.state_counts.own_alarms > 0 {
+            parts.push(format!(
+                "{} OF THE DAEMON ITSELF",
+                counted(self.state_counts.own_alarms, "alarm").to_uppercase()
+            ));
         }
-        if self.standing.shelved_alarms > 0 {
-            parts.push(format!("{} shelved", counted(self.standing.shelved_alarms, "alarm")));
+        if self.state_counts.shelved_alarms > 0 {
+            parts.push(format!("{} shelved", counted(self.state_counts.shelved_alarms, "alarm")));
         }
         if !self.without_throw.is_empty() {
             parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));

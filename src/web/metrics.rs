@@ -209,9 +209,9 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
     count(registry, "connected", "Whether zenoh has a link", report.connected.into());
     count(registry, "loggers", "Loggers that are connected", report.loggers as u64);
-    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.standing.count(*state)));
+    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.state_counts.count(*state)));
     counts(registry, "machine_states", "Machines in each state", "state", states);
-    count(registry, "alarms_shelved", "Open alarms that are shelved", report.standing.shelved_alarms);
+    count(registry, "alarms_shelved", "Open alarms that are shelved", report.state_counts.shelved_alarms);
     let levels = DiskLevel::VARIANTS.iter().map(|level| (level.as_ref(), u64::from(report.disk == *level)));
     counts(registry, "disk_state", "1 for the present state of the disk", "state", levels);
     let is_silent = |task: &TaskName| report.silent.iter().any(|silent| silent == task.as_ref());
