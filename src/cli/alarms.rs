@@ -26,8 +26,9 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and not
-/// silenced; 64 an option is wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
+/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and neither
+/// shelved nor in maintenance; 64 an option is wrong; 69 no usable answer, or unknown machine; 78 the file of --config
+/// is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
@@ -47,11 +48,11 @@ pub(super) struct Arguments {
     /// Show only the newest N events; without it, the newest 10,000 of each daemon.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_HISTORY)))]
     limit: Option<u32>,
-    /// Print every alarm, without summaries of alarms of the same kind.
+    /// Print every alarm; do not combine similar alarms into one entry.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 if an alarm is open and neither shelved nor in maintenance, or a daemon's answer is missing or
-    /// unreadable.
+    /// Exit with 1 if an alarm is open that is neither shelved nor in maintenance, or if the answer of a daemon is
+    /// missing or unreadable.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]

@@ -8,8 +8,8 @@ use crate::{
     store::{self, StoreError},
 };
 
-/// Checks a configuration: every key, type, range and path, the zenoh section, and that the file of the database is
-/// neither text nor the database of another program or of a newer version, and writable.
+/// Checks a configuration: every key, type, range and path, the zenoh section, and the file of the database. The file
+/// must be writable, and must not be text, or the database of another program or of a newer version.
 ///
 /// Exit codes: 0 valid; 78 invalid, with file, line, key and reason in one line on stderr.
 #[derive(Debug, clap::Args)]
@@ -31,10 +31,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
              write to them",
             file.display()
         );
-        return Err(document.complain("store.path", problem)).or_exit(Exit::Config);
+        return Err(document.error_at("store.path", problem)).or_exit(Exit::Config);
     }
     runtime::block_on(async {
-        let foreign = |error: StoreError| document.complain("store.path", error.to_string());
+        let foreign = |error: StoreError| document.error_at("store.path", error.to_string());
         store::refuse_foreign(&config.store.path).await.map_err(foreign).or_exit(Exit::Config)
     })?;
     for warning in config.warnings() {

@@ -16,8 +16,9 @@ use crate::{
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
 };
 
-/// Scores the diagnosis on simulated fleets: false alarms on healthy machines; for every cause, shape, size and noise
-/// the share named right, and the delay in throws. Scores the paper's rule and a CUSUM on the same throws too.
+/// Scores the diagnosis on simulated fleets. Counts the false alarms on healthy machines. For every cause, shape, size
+/// and noise, shows the share of faults named right and the delay in throws. The rule of the paper and a CUSUM are
+/// scored on the same throws.
 ///
 /// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
 /// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met,
@@ -31,7 +32,7 @@ pub(super) struct Arguments {
     /// Seed of the whole run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Run a tenth of all lives.
+    /// Simulate only a tenth of all lives of machines.
     #[arg(long)]
     quick: bool,
     /// Number of threads [default: number of cores].
@@ -40,7 +41,7 @@ pub(super) struct Arguments {
     /// Print the report as JSON.
     #[arg(long)]
     json: bool,
-    /// Write charts of delay and share named right over size to this file, `.svg` or `.html`.
+    /// Write charts to this file, `.svg` or `.html`: delay, and share named right, over the size of the fault.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

@@ -24,10 +24,11 @@ use crate::{
 
 /// Exports throws with their estimates as CSV to standard output, oldest first, also while the daemon runs.
 ///
-/// Each throw is one line, also a rejected one and a pending one (`quality`); times are RFC 3339 in UTC, an unknown value is
-/// an empty cell. With --traces the samples of each throw are a file of their own, as `pointsd identify` and `pointsd
-/// import` read them; the last column `trace` has its name in DIR. It is empty if retention has deleted the trace. If the
-/// lines are in `throws.csv` in DIR or beside it, `pointsd import` takes time, direction, boot and number from there.
+/// Each throw is one line, also if it is rejected or pending (`quality`). Times are RFC 3339 in UTC; an unknown value
+/// is an empty cell. With --traces the samples of each throw are written to a file of their own, which `pointsd
+/// identify` and `pointsd import` can read. The last column, `trace`, has the name of the file in DIR; it is empty if
+/// the trace was deleted to save space. If you write the lines to `throws.csv` in DIR or in its parent, `pointsd
+/// import` takes time, direction, boot and number from there.
 ///
 /// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66 there
 /// is no database; 73 a file cannot be created.

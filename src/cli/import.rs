@@ -32,12 +32,12 @@ const EXPORT_FOLDERS: usize = 4;
 /// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
 /// daemon of this database must not run.
 ///
-/// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each
-/// line, or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw
-/// that the database has already is skipped. Imported throws are judged as the newest of the machine; a warning says if
-/// they are older than those in the database. A trace of `pointsd export --traces` keeps time, direction, boot,
-/// number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the traces or in the
-/// folder above; without this line it has the time of the file.
+/// FILE is CSV with the columns of a recorded trace, one throw in a file. Or FILE is JSON as on zenoh, one throw in a
+/// file or one on each line: a file with the extension json, jsonl or ndjson, or - for standard input. A throw that the
+/// database has already is skipped. Imported throws are judged as the newest throws of the machine; a warning is
+/// printed if they are older than those in the database. A trace of `pointsd export --traces` gets time, direction,
+/// boot, number, temperature, supply and filter from its line in `throws.csv`, in the folder of the traces or in its
+/// parent. Without this line the throw has the time of the file.
 ///
 /// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be
 /// read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing is imported if a
@@ -54,8 +54,8 @@ pub(super) struct Arguments {
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the throw in the first CSV file, a date or a time as 2026-05-04T06:00:00Z, a minute more for each further
-    /// file [default: from `throws.csv`, else the times of the files].
+    /// Time of the throw in the first CSV file: a date, or a time as 2026-05-04T06:00:00Z. Each further file is a
+    /// minute later [default: from `throws.csv`, else the times of the files].
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.

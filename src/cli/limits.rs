@@ -23,7 +23,7 @@ pub(super) struct Arguments {
     /// Write a chart of each finding into this directory, as SVG.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Noisy throws in each row.
+    /// Number of throws with noise in each row.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u16).range(4..=10_000))]
     throws: u16,
     /// Seed of noise and loads.

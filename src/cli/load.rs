@@ -44,7 +44,8 @@ pub(super) struct Arguments {
     /// First part of the names of the sites: `SITE-1`, `SITE-2` and so on, with 100 machines each.
     #[arg(long, default_value = "load")]
     site: Name,
-    /// The toe does not move in the first throw of every N-th machine, and the latency of the alarms is reported; 0: none.
+    /// In the first throw of every N-th machine the toe does not move, and the latency of the alarms is reported; 0
+    /// means in no throw.
     #[arg(long, value_name = "N", default_value_t = 0)]
     blocked: u32,
     /// Seed of all random numbers.

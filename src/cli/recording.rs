@@ -80,7 +80,7 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
     let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?)];
-    // A machine with a current sensor only has no such column.
+    // A recording with a current sensor only does not have this column.
     let position = at(POSITION).ok();
     let mut columns = Columns { time_s: vec![], current_a: vec![], position_mm: vec![], lines: vec![] };
     for record in reader.records() {

@@ -34,9 +34,9 @@ const BATCH: u32 = 16;
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or the file is none of
-/// pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be
-/// used; 78 the configuration is invalid.
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or is no database
+/// of pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database
+/// cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
@@ -170,7 +170,7 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
 }
 
 /// The events of the alarms that were raised at `since` or later, in order. [`compare`] merges the events of one
-/// occurrence. Alarms that no throw raised are left out.
+/// occurrence. Alarms about lost data are left out, and alarms about machines not monitored that no throw raised.
 async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
     let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
     // The first event of an alarm that a throw raised names this throw.

@@ -62,7 +62,7 @@ pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {
-        return Failure::new(Exit::Config, document.complain("store.path", foreign.to_string()));
+        return Failure::new(Exit::Config, document.error_at("store.path", foreign.to_string()));
     }
     start_failure(error)
 }
@@ -75,7 +75,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     };
     let mut daemon = tokio::select! {
         started = Daemon::start(config) => started.map_err(|error| located(error, arguments.config.as_deref()))?,
-        // The start may wait for days for a router, or check a large database for minutes. It can be interrupted.
+        // A signal ends the start too, which may wait for days for a router, or check a large database for minutes.
         () = signals.stop() => {
             tracing::info!("stopped during the start");
             return Ok(Exit::Ok);

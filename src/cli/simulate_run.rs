@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FACTOR")]
     time_scale: Option<f64>,
     /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `inertia`), size in %, first throw (from 0), and
-    /// for a ramp the throws until full size. Repeatable.
+    /// for a ramp the number of throws until the full size. Repeatable.
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]", value_parser = fault)]
     fault: Vec<FleetFault>,
     /// Zenoh endpoint, instead of the configured ones.
@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn a_wrong_file_is_refused_with_file_line_and_key() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("[fleet]\nmachines = 0", "pointsim.toml:2: fleet.machines: is 0, must be 1 to 10000"),
             ("[fleet.machine]\n\nsupply_v = -1.0", "pointsim.toml:3: fleet.machine.supply_v: is -1, must be above 0"),
             ("[fleet.machine]\nlead = 1.0", "pointsim.toml:2: fleet.machine.lead: unknown field"),
@@ -317,14 +317,14 @@ mod tests {
             ),
         ] {
             let error = plan(text).err().map(|error| error.to_string()).unwrap_or_default();
-            assert!(error.contains(complaint), "{text}: {error:?}");
+            assert!(error.contains(expected), "{text}: {error:?}");
             assert!(!error.contains('\n') && error.starts_with("pointsim.toml:"), "{text}: {error:?}");
         }
     }
 
     #[test]
     fn a_wrong_fault_on_the_command_line_is_refused_in_one_sentence() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("1:kt:-20", "write MACHINE:PART:SIZE:FROM"),
             ("0:kt:-20:5", "counted from 1"),
             ("1:magnet:-20:5", "\"magnet\" is not kt, friction"),
@@ -333,7 +333,7 @@ mod tests {
             ("1:kt:-20:5:slow", "ramp: \"slow\" is not a number"),
         ] {
             let error = fault(text).unwrap_err();
-            assert!(error.contains(complaint), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

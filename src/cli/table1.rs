@@ -1,4 +1,4 @@
-//! `pointsim table1`: repeats the study's 4 cases x 6 tests; measured and expected changes as tables and charts.
+//! `pointsim table1`: repeats the 4 cases x 6 tests of the study, with measured and expected changes as tables and charts.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub(super) struct Arguments {
     /// Simulate the rails as one mass and spring instead of a beam.
     #[arg(long)]
     lumped: bool,
-    /// Throws of each test; the table shows their mean.
+    /// Number of throws of each test; the table shows their mean.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1000))]
     throws: u16,
     /// Seed of the sensors' noise.

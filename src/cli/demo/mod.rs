@@ -44,7 +44,7 @@ const INTERVAL_S: f64 = 1200.0;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd demo --seed 7")]
 pub(super) struct Arguments {
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Keep the daemon and its dashboard running until Ctrl-C, and the database after it.

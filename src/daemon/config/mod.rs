@@ -237,7 +237,7 @@ fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError>
 
 fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
     match monitor.watched().position(|peer| peer == monitor.as_machine()) {
-        Some(index) => Err(document.complain(&format!("monitor.peers[{index}]"), "is this daemon itself")),
+        Some(index) => Err(document.error_at(&format!("monitor.peers[{index}]"), "is this daemon itself")),
         None => Ok(()),
     }
 }
@@ -247,10 +247,10 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
     for (index, entry) in config.machine_entries.iter().enumerate() {
         let settings = entry
             .over(&config.machine_defaults)
-            .map_err(|(key, problem)| document.complain(&format!("machine[{index}].{key}"), problem))?;
+            .map_err(|(key, problem)| document.error_at(&format!("machine[{index}].{key}"), problem))?;
         if overrides.insert(entry.id(), settings).is_some() {
             let problem = format!("{} is described a second time", entry.id());
-            return Err(document.complain(&format!("machine[{index}].machine"), problem));
+            return Err(document.error_at(&format!("machine[{index}].machine"), problem));
         }
     }
     Ok(Machines { default: config.machine_defaults.clone(), overrides })
@@ -286,13 +286,13 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     for (index, host) in web.hosts.iter().enumerate() {
         if host.is_empty() || host.len() > HOST_LENGTH || !host.chars().all(fits) {
             let problem = format!("{host:?} is not a host name: letters, digits, - and . without port");
-            return Err(document.complain(&format!("web.hosts[{index}]"), problem));
+            return Err(document.error_at(&format!("web.hosts[{index}]"), problem));
         }
     }
     document.in_section("web", web.check_ranges())?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
-        return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
+        return Err(document.error_at("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
     }
     Ok(())
 }
@@ -307,31 +307,31 @@ pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigErro
         let problem = format!(
             "{part:?} is not a level: write error, warn, info, debug or trace, for a module zenoh=debug, and no spaces"
         );
-        return Err(document.complain("log.level", problem));
+        return Err(document.error_at("log.level", problem));
     }
     log.level
         .parse::<Targets>()
         .map(drop)
-        .map_err(|error| document.complain("log.level", format!("{:?}: {error}", log.level)))
+        .map_err(|error| document.error_at("log.level", format!("{:?}: {error}", log.level)))
 }
 
 /// Checks that the folder of the database exists and is writable.
 fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigError> {
-    let complain = |problem: String| Err(document.complain("store.path", problem));
+    let invalid = |problem: String| Err(document.error_at("store.path", problem));
     if fs::metadata(path).is_ok_and(|at| !at.is_file()) {
-        return complain(format!("{} is a folder or a device, must be a file", path.display()));
+        return invalid(format!("{} is a folder or a device, must be a file", path.display()));
     }
     if path.file_name().is_none() {
-        return complain(format!("{} is not a file name", path.display()));
+        return invalid(format!("{} is not a file name", path.display()));
     }
     let parent = store::folder_of(path);
     match fs::metadata(parent) {
-        Ok(folder) if !folder.is_dir() => complain(format!("{} is not a folder", parent.display())),
+        Ok(folder) if !folder.is_dir() => invalid(format!("{} is not a folder", parent.display())),
         Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
-            complain(format!("this user cannot write to the folder {}", parent.display()))
+            invalid(format!("this user cannot write to the folder {}", parent.display()))
         }
         Ok(_) => Ok(()),
-        Err(error) => complain(format!("the folder {} of the database: {error}", parent.display())),
+        Err(error) => invalid(format!("the folder {} of the database: {error}", parent.display())),
     }
 }
 

@@ -116,13 +116,13 @@ fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     let reached: Vec<String> = listens.iter().filter_map(|endpoint| from_here(endpoint)).collect();
     match (reached.is_empty(), listens.is_empty()) {
         (false, _) => Ok(reached),
-        (true, false) => Err(document.complain(
+        (true, false) => Err(document.error_at(
             "zenoh.listen.endpoints",
             "the system chooses the port at each start: give --connect with the endpoint in the daemon's log",
         )),
         (true, true) => match endpoints(&config, "connect", mode) {
             none if none.is_empty() => Err(document
-                .complain("zenoh", "this daemon has no endpoint: give --connect with the endpoint of its router")),
+                .error_at("zenoh", "this daemon has no endpoint: give --connect with the endpoint of its router")),
             routers => Ok(routers),
         },
     }
@@ -132,7 +132,7 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     let config = sessions::session_config(sessions::CLIENT, Some(zenoh), document)?;
     if find(zenoh, &["connect", "endpoints"]).is_none() {
         let problem = "names no daemon: give --connect tls/HOST:7447, or write connect.endpoints = [\"tls/HOST:7447\"]";
-        return Err(document.complain("zenoh.connect.endpoints", problem));
+        return Err(document.error_at("zenoh.connect.endpoints", problem));
     }
     Ok(endpoints(&config, "connect", "client"))
 }
@@ -213,14 +213,14 @@ mod tests {
 
     #[test]
     fn a_file_that_names_no_endpoint_never_leads_to_the_default_one() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("[zenoh]\nmode = \"client\"\n", "zenoh.connect.endpoints: names no daemon: give --connect"),
             ("[store]\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n", "the system chooses the port"),
             ("[store]\n[zenoh]\nlisten.endpoints = []\n", "has no endpoint"),
             ("[store]\nsise = 1\n", "b.toml:2: store.sise: unknown field"),
         ] {
             let error = session(text).unwrap_err().to_string();
-            assert!(error.starts_with("b.toml:") && error.contains(complaint), "{text}: {error}");
+            assert!(error.starts_with("b.toml:") && error.contains(expected), "{text}: {error}");
         }
         let connect = |text: &str| {
             let document = Document::parse("b.toml".as_ref(), text.to_owned()).unwrap();

@@ -64,7 +64,7 @@ impl Webhook {
 
     /// Checks the section.
     pub(super) fn check(&self, document: &Document) -> Result<(), ConfigError> {
-        let complain = |key: &str, problem: String| Err(document.complain(&format!("webhook.{key}"), problem));
+        let invalid = |key: &str, problem: String| Err(document.error_at(&format!("webhook.{key}"), problem));
         if let Some(url) = &self.url {
             let uri = self.uri().unwrap_or_default();
             let is_http = matches!(uri.scheme_str(), Some("http" | "https"));
@@ -72,15 +72,15 @@ impl Webhook {
             let has_user = uri.authority().is_some_and(|authority: &Authority| authority.as_str().contains('@'));
             if !is_http || has_user || uri.host().is_none_or(str::is_empty) {
                 let problem = format!("{url:?} is not http://HOST/PATH or https://HOST/PATH without a user name");
-                return complain("url", problem);
+                return invalid("url", problem);
             }
         }
         document.in_section("webhook", self.check_ranges())?;
         if let Some(token) = &self.authorization
             && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
         {
-            return complain("authorization", "must be up to 1024 printable ASCII characters".to_owned());
+            return invalid("authorization", "must be up to 1024 printable ASCII characters".to_owned());
         }
-        self.authorities().map(drop).or_else(|problem| complain("ca_file", problem))
+        self.authorities().map(drop).or_else(|problem| invalid("ca_file", problem))
     }
 }

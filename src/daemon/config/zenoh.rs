@@ -46,7 +46,7 @@ pub(super) fn session_config(
     section: Option<&Table>,
     document: &Document,
 ) -> Result<zenoh::Config, ConfigError> {
-    let invalid = |problem: String| document.complain("zenoh", problem);
+    let invalid = |problem: String| document.error_at("zenoh", problem);
     let mut merged = base(kind).map_err(|error| invalid(error.to_string()))?;
     if let Some(section) = section {
         overlay(&mut merged, section);
@@ -85,7 +85,7 @@ fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> 
     for key in FILE_KEYS {
         if let Some(path) = tls.get(key).and_then(Value::as_str).filter(|path| !Path::new(path).is_file()) {
             let problem = format!("there is no file {path:?}");
-            return Err(document.complain(&format!("zenoh.transport.link.tls.{key}"), problem));
+            return Err(document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem));
         }
     }
     Ok(())
@@ -97,7 +97,7 @@ pub(super) fn check_sides(section: &Table, document: &Document) -> Result<(), Co
     let is_wrong = |side: &&str| section.get(*side).is_some_and(|value| !value.is_table());
     ["listen", "connect"].into_iter().find(is_wrong).map_or(Ok(()), |side| {
         let problem = format!("is a table: write {side}.endpoints = [\"tcp/HOST:7447\"]");
-        Err(document.complain(&format!("zenoh.{side}"), problem))
+        Err(document.error_at(&format!("zenoh.{side}"), problem))
     })
 }
 
@@ -110,7 +110,7 @@ pub(super) fn check_endpoints(section: &Table, document: &Document) -> Result<()
         let Some(endpoints) = section.get(side).and_then(|table| table.get("endpoints")) else { continue };
         for (key, endpoint) in texts(&format!("zenoh.{side}.endpoints"), endpoints) {
             check_endpoint(endpoint, side == "listen" && !has_certificate)
-                .map_err(|problem| document.complain(&key, format!("{endpoint:?}: {problem}")))?;
+                .map_err(|problem| document.error_at(&key, format!("{endpoint:?}: {problem}")))?;
         }
     }
     Ok(())
@@ -159,14 +159,14 @@ pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), C
     let list = |key: &str| access.get(key).and_then(Value::as_array).map(Vec::as_slice);
     let (Some(rules), Some(subjects), Some(policies)) = (list("rules"), list("subjects"), list("policies")) else {
         let problem = "with enabled = true, rules, subjects and policies must be given";
-        return Err(document.complain("zenoh.access_control", problem));
+        return Err(document.error_at("zenoh.access_control", problem));
     };
     let mut names = [("rules", rules), ("subjects", subjects)].map(|(kind, list)| (kind, list, HashSet::new()));
     for (kind, list, known) in &mut names {
         for (at, id) in list.iter().enumerate().filter_map(|(at, entry)| Some((at, entry.get("id")?.as_str()?))) {
             if !known.insert(id) {
                 let problem = format!("{id:?} is described a second time");
-                return Err(document.complain(&format!("zenoh.access_control.{kind}[{at}].id"), problem));
+                return Err(document.error_at(&format!("zenoh.access_control.{kind}[{at}].id"), problem));
             }
         }
     }
@@ -175,10 +175,10 @@ pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), C
             let key = format!("zenoh.access_control.policies[{at}].{kind}");
             let named = policy.get(kind).map(|value| texts(&key, value)).unwrap_or_default();
             if named.is_empty() {
-                return Err(document.complain(&key, "must name at least one"));
+                return Err(document.error_at(&key, "must name at least one"));
             }
             if let Some((key, name)) = named.into_iter().find(|(_, name)| !known.contains(name)) {
-                return Err(document.complain(&key, format!("{name:?} is not in zenoh.access_control.{kind}")));
+                return Err(document.error_at(&key, format!("{name:?} is not in zenoh.access_control.{kind}")));
             }
         }
     }
