@@ -168,9 +168,9 @@ impl Fleet {
         }
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
         verdict.events.extend(clock);
-        let irregularities =
-            [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
-        for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
+        let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
+        let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
+        for irregularity in repeated_trace.into_iter().chain(repeated_number) {
             let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
             verdict.events.extend(event);
             verdict.present.state = monitor.state();

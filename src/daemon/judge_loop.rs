@@ -308,8 +308,7 @@ impl JudgeLoop {
             }
         }
         let away = self.links.peers.away();
-        let has_link = self.links.status.edit().connected;
-        let away = away.map(|daemons| Away { daemons, has_link });
+        let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
             let outcome = self.judge.fleet.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
             self.away = Some(away);

@@ -284,6 +284,7 @@ impl ReceiveLoop {
         if !matches!(error, StoreError::Refused(_)) {
             return;
         }
+        // A throw stays in `unstored` until it is stored, as `give_up` can end this loop at each `await`.
         let mut at = 0;
         while let Some((machine, throw, received_at)) = self.unstored.get(at) {
             self.intake.status.heartbeats.beat(TaskName::Receive);

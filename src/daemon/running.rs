@@ -157,9 +157,8 @@ impl Daemon {
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
         start.start_answers(&sender, &sources).await?;
-        start
-            .tasks
-            .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
+        let last_received = start.store.reader().last_received().await?;
+        start.tasks.spawn("retention", retention::run(start.store.clone(), last_received));
         start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
         let own = start.config.monitor.as_machine();
         match bus::is_running(&start.session, &own).await {

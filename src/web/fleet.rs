@@ -381,13 +381,13 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
 
 fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, String)> {
     let statistics = &overview.statistics;
-    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
+    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::bytes(free))).unwrap_or_default();
     vec![
         ("version", report.version.clone()),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk.as_ref())),
-        ("database", page::size(statistics.data_bytes)),
+        ("database", page::bytes(statistics.data_bytes)),
         ("throws kept", page::count(statistics.throws)),
         ("pending", page::count(statistics.pending)),
         ("to publish", page::count(statistics.outbox)),

@@ -52,13 +52,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
-        let series = web.view.config().web.machine_metrics;
-        let omitted = if overview.tally.total() <= u64::from(series) { 0 } else { overview.tally.total() };
-        let help = "Machines without own series, as there are more than web.machine_metrics";
-        count(&mut registry, "machines_omitted", help, omitted);
-        if overview.tally.total() <= u64::from(series)
-            && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, series)).await
-        {
+        let (limit, total) = (web.view.config().web.machine_metrics, overview.tally.total());
+        let has_series = total <= u64::from(limit);
+        let help = "Machines without series of their own, as there are more than web.machine_metrics";
+        count(&mut registry, "machines_omitted", help, if has_series { 0 } else { total });
+        if has_series && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, limit)).await {
             machines(&mut registry, &rows);
         }
     }
