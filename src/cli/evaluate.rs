@@ -119,7 +119,7 @@ fn tables(report: &Report) -> String {
         }
     }
     if !report.budget.is_empty() {
-        sections.push(format!("False-alarm budget, with limits that stop nothing\n{}", budget_table(report)));
+        sections.push(format!("False-alarm budget, with limits of size that stop no alarm\n{}", budget_table(report)));
     }
     sections.join("\n\n")
 }

@@ -58,15 +58,14 @@ impl Connection {
         set("connect/timeout_ms", CONNECT_TIMEOUT_MS.into())?;
         set("connect/exit_on_failure", true.into())?;
         let session = bus::open(config).await.map_err(|error| {
-            let places = endpoints.join(" or ");
-            let is_encrypted = endpoints.iter().any(|place| place.starts_with("tls/") || place.starts_with("quic/"));
-            let says = if is_encrypted {
+            let is_encrypted = endpoints.iter().any(|endpoint| endpoint.starts_with("tls/"));
+            let advice = if is_encrypted {
                 "Is pointsd running, and does each side accept the certificate of the other: authority, dates, host name, \
-                 key? Name the endpoint with --connect tls/HOST:7447, the certificates in the file of --config"
+                 key? Name the endpoint with --connect tls/HOST:7447, and the certificates in the file of --config"
             } else {
                 "Is pointsd running? Name its endpoint with --connect tcp/HOST:7447"
             };
-            Failure::new(Exit::Unavailable, anyhow!("no answer from {places}. {says} ({error})"))
+            Failure::new(Exit::Unavailable, anyhow!("no answer from {}. {advice} ({error})", endpoints.join(" or ")))
         })?;
         if let Some(monitor) = &monitor
             && let Err(error) = bus::require_running(&session, monitor).await

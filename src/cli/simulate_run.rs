@@ -169,7 +169,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
         "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
     } else {
         format!(
-            "the daemons found serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
+            "the daemons that answer serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
             daemons.join(", ")
         )
     };

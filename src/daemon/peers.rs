@@ -25,11 +25,11 @@ const GRACE: Duration = Duration::from_secs(30);
 pub(super) struct Peers {
     started: Instant,
     /// Absence of each watched daemon; `None` while it is connected.
-    away: Mutex<BTreeMap<MachineId, Option<Away>>>,
+    away: Mutex<BTreeMap<MachineId, Option<Absence>>>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Away {
+struct Absence {
     since: Instant,
     /// The same as wall time; `None` if the daemon was away at the start.
     at: Option<Timestamp>,
@@ -39,7 +39,7 @@ impl Peers {
     /// Watches these daemons. Each counts as away until its token arrives.
     pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
         let started = clock::monotonic();
-        let away = Away { since: started, at: None };
+        let away = Absence { since: started, at: None };
         let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();
         Self { started, away: Mutex::new(peers) }
     }
@@ -63,7 +63,7 @@ impl Peers {
             }
             Some(away @ None) => {
                 tracing::warn!(%daemon, "watched daemon disconnected");
-                *away = Some(Away { since: clock::monotonic(), at: Some(clock::now()) });
+                *away = Some(Absence { since: clock::monotonic(), at: Some(clock::now()) });
             }
             _ => {}
         }

@@ -318,8 +318,8 @@ fn guarded(
     received_at: Timestamp,
     decode: impl Fn(&Message) -> Result<Received, String>,
 ) -> Result<Received, Refused> {
-    let numbered = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
-    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(numbered)));
+    let with_id = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(with_id)));
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
         let Message { key, payload: mut beginning, bytes, .. } = message;

@@ -121,7 +121,7 @@ impl Daemon {
         if started.is_err()
             && let Err(error) = store.close().await
         {
-            tracing::warn!(%error, "closing the database after a failed start");
+            tracing::warn!(%error, "closing the database failed, after a failed start");
         }
         started
     }
@@ -401,7 +401,7 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
         ),
         Found::SetAside { to, why, salvaged } => {
             let set_aside = to.display();
-            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");
+            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it is set aside, and a new one is created");
         }
     }
     tracing::info!(version = env!("CARGO_PKG_VERSION"), "pointsd starts");

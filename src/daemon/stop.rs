@@ -41,13 +41,13 @@ impl Daemon {
         }
         stops.judge.cancel();
         if !tasks.end_of(JUDGE, JUDGE_LIMIT).await {
-            tracing::warn!("throws are still pending: judged after the next start");
+            tracing::warn!("throws are still pending: they will be judged after the next start");
             stops.give_up.cancel();
             tasks.end_of(JUDGE, LEAVE_LIMIT).await;
         }
         stops.publish.cancel();
         if !tasks.end_of(PUBLISH, PUBLISH_LIMIT).await {
-            tracing::warn!("alarms are not published yet: published after the next start");
+            tracing::warn!("alarms are not published yet: they will be published after the next start");
         }
         tracing::info!("{}", sources.report().line());
         drop((alive, tasks));

@@ -123,7 +123,7 @@ impl Notifier {
             let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
                 Ok(alarm) => Some((row, alarm)),
                 Err(error) => {
-                    tracing::error!(row, %error, "an alarm event of another version cannot be sent: LOST for the webhook");
+                    tracing::error!(row, %error, "an alarm event that another version stored cannot be read: it is LOST for the webhook");
                     None
                 }
             };
@@ -155,7 +155,7 @@ impl Notifier {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
                     let body = String::from_utf8_lossy(&message.body);
-                    tracing::error!(%error, events = message.events, %body, "webhook: alarm events are not sent");
+                    tracing::error!(%error, events = message.events, %body, "webhook: the receiver refuses alarm events, which are not sent again");
                     self.status.edit().webhook_refused += message.events;
                     break;
                 }
