@@ -19,6 +19,7 @@ const FIRST_PAGE: usize = 4;
 /// A logger in the schedule.
 #[derive(Debug)]
 pub(super) struct Turn {
+    /// Time of the next query.
     at: Instant,
     in_progress: bool,
     /// Index of the logger's queue in [`Schedule::due`]: 1 if its last query was slow.
@@ -41,6 +42,7 @@ pub(super) struct Schedule {
     pub(super) turns: HashMap<MachineId, Turn>,
     /// Queues of the fast and of the slow loggers.
     due: [BTreeSet<(Instant, MachineId)>; 2],
+    /// Number of slow loggers that are being queried.
     slow_in_progress: usize,
 }
 
