@@ -21,8 +21,8 @@ use crate::{
 /// scored on the same throws.
 ///
 /// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
-/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met,
-/// each named on stderr; 73 the file of --out cannot be created.
+/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not
+/// met, each named on stderr; 73 the file of --out cannot be created.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \

@@ -30,8 +30,8 @@ use crate::{
 /// the trace was deleted to save space. If you write the lines to `throws.csv` in DIR or in its parent, `pointsd
 /// import` takes time, direction, boot and number from there.
 ///
-/// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66 there
-/// is no database; 73 a file cannot be created.
+/// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66
+/// there is no database; 73 a file cannot be created.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd export > throws.csv\n  \
     pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]
@@ -45,7 +45,8 @@ pub(super) struct Arguments {
     /// Export throws that started before this time.
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     until: Option<Timestamp>,
-    /// Write the trace of each throw to DIR/SITE/MACHINE/START-ROW.csv; ROW is its row in the database, not its `throw_no`.
+    /// Write the trace of each throw to DIR/SITE/MACHINE/START-ROW.csv; ROW is its row in the database, not its
+    /// `throw_no`.
     #[arg(long, value_name = "DIR")]
     traces: Option<PathBuf>,
     #[command(flatten)]
@@ -110,8 +111,8 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
         let mut file = fs::File::create(&file)?;
         file.write_all(measured.trace.to_csv().as_bytes())?;
-        // `pointsd import` may take the time of the throw from the file. An error is ignored, as not every file system keeps
-        // times.
+        // `pointsd import` may take the time of the throw from the file. An error is ignored, as not every file system
+        // keeps times.
         let _ = file.set_modified(stored.started_at.into());
         Ok(())
     };

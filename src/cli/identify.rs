@@ -35,7 +35,8 @@ pub(super) struct Arguments {
     /// Nominal stroke in mm; without it an incomplete throw is detected from the trace alone.
     #[arg(long, value_name = "MM")]
     stroke_mm: Option<f64>,
-    /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without position.
+    /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without
+    /// position.
     #[arg(long, value_name = "V")]
     supply_v: Option<f64>,
     /// Kind of motor.

@@ -39,9 +39,9 @@ const EXPORT_FOLDERS: usize = 4;
 /// boot, number, temperature, supply and filter from its line in `throws.csv`, in the folder of the traces or in its
 /// parent. Without this line the throw has the time of the file.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be
-/// read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing is imported if a
-/// file is missing; files before an invalid one are imported.
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file
+/// cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
+/// is imported if a file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
 pub(super) struct Arguments {

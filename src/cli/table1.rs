@@ -1,4 +1,5 @@
-//! `pointsim table1`: repeats the 4 cases x 6 tests of the study, with measured and expected changes as tables and charts.
+//! `pointsim table1`: repeats the 4 cases x 6 tests of the study, with measured and expected changes as tables and
+//! charts.
 
 use std::path::PathBuf;
 

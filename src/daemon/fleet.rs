@@ -115,8 +115,8 @@ impl Fleet {
         outcomes
     }
 
-    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not evaluated:
-    /// the defect must not stop the judgement of all other machines, again after each restart.
+    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not
+    /// evaluated: the defect must not stop the judgement of all other machines, again after each restart.
     pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,

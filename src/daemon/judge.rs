@@ -87,7 +87,8 @@ impl Judge {
         Ok(throws)
     }
 
-    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next call.
+    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next
+    /// call.
     pub(super) async fn judge(&mut self, throws: &[StoredThrow]) -> Arc<[Judgement]> {
         let config = self.config();
         let readable = throws.iter().filter_map(|stored| {

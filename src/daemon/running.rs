@@ -217,8 +217,8 @@ impl Daemon {
         }
     }
 
-    /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ and
-    /// need a restart.
+    /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ
+    /// and need a restart.
     #[must_use]
     pub fn reload(&self, new: Config) -> Vec<&'static str> {
         let old = Arc::clone(&self.config.borrow());

@@ -7,9 +7,9 @@
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
 //! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site, each with the address of its `machines` |
 //!
-//! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size when it was
-//! raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw, `change_now_pct` and
-//! `change_now_pct_sd`, which is null if the drift has ended.
+//! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size
+//! when it was raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw,
+//! `change_now_pct` and `change_now_pct_sd`, which is null if the drift has ended.
 
 use std::{collections::BTreeMap, sync::Arc};
 

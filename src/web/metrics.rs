@@ -1,5 +1,5 @@
-//! `/metrics`: counters and states of the daemon for Prometheus, as `OpenMetrics` text. Readers that do not accept this get
-//! the older text format of Prometheus.
+//! `/metrics`: counters and states of the daemon for Prometheus, as `OpenMetrics` text. Readers that do not accept this
+//! get the older text format of Prometheus.
 //!
 //! The number of values of each label is bounded: causes, severities, reasons of rejection, states of the disk.
 //! Machines have series of their own only in fleets of up to `web.machine_metrics` machines.
