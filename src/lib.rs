@@ -4,7 +4,7 @@
 //! The crate has a pure core and a thin shell. The core is functions of values, without runtime, network, database,
 //! clock or random source. The shell does the I/O and calls the core.
 //!
-//! | room | what it holds | may use |
+//! | module | contents | may use |
 //! |---|---|---|
 //! | [`throw`] | one movement of the points and its recorded trace | |
 //! | [`estimate`] | SRIV: from a trace to b0, a1, a0 with their covariance | `throw` |

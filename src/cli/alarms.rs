@@ -19,15 +19,16 @@ use crate::{
     wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
 
-/// Number of open alarms of one kind of a system-wide cause (not monitored, lost data) from which they are printed as one
-/// entry.
+/// Least number of similar open alarms about machines not monitored or lost data that are printed as one entry. A cut
+/// link can raise hundreds of them.
 const GROUP_SIZE: usize = 5;
 
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and not
-/// silenced; 64 an option is wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
+/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and neither
+/// shelved nor in maintenance; 64 an option is wrong; 69 no usable answer, or unknown machine; 78 the file of --config
+/// is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
@@ -47,11 +48,11 @@ pub(super) struct Arguments {
     /// Show only the newest N events; without it, the newest 10,000 of each daemon.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_HISTORY)))]
     limit: Option<u32>,
-    /// Print every alarm, without summaries of alarms of the same kind.
+    /// Print every alarm; do not combine similar alarms into one entry.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 if an alarm is open and neither shelved nor in maintenance, or a daemon's answer is missing or
-    /// unreadable.
+    /// Exit with 1 if an alarm is open that is neither shelved nor in maintenance, or if the answer of a daemon is
+    /// missing or unreadable.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]
@@ -74,7 +75,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         } else {
             Ok(bus::Answers::default())
         };
-        let watched = match &answer {
+        let monitored = match &answer {
             Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
                 bus::require_monitored(&session, arguments.machine.as_ref()).await
             }
@@ -82,7 +83,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         operator::close(session).await;
         let answers = answer.map_err(operator::failure)?;
-        watched.map_err(operator::failure)?;
+        monitored.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons);
@@ -113,7 +114,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (health, _) = operator::values(&health);
                 let is_selected = arguments.cause.is_some() || arguments.severity.is_some();
                 let none = if is_selected { "no alarms with this cause and severity" } else { "no alarms" };
-                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, (arguments.all, none))?;
+                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, arguments.all, none)?;
             } else {
                 print_events(&alarms)?;
             }
@@ -137,7 +138,8 @@ fn key(machine: Option<&MachineId>, kind: Kind) -> String {
 fn selector(arguments: &Arguments) -> String {
     let key = key(arguments.machine.as_ref(), Kind::Alarm);
     let since = arguments.since.map(|since| format!("since={since}"));
-    // A query cannot select by cause and severity: the daemon sends all events, and this command selects.
+    // A query cannot select by cause or severity. The daemon then sends all events, and this command selects and
+    // limits.
     let selects = arguments.cause.is_some() || arguments.severity.is_some();
     let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
     match (since, arguments.limit) {
@@ -147,14 +149,15 @@ fn selector(arguments: &Arguments) -> String {
     }
 }
 
-/// Prints the open alarms, `all` of them or with groups, and `none` without any; `daemons` are the names of the daemons in
-/// their own alarms.
+/// Prints the open alarms. `daemons` are the names of the daemons, to recognise alarms about them; with `all` no alarms
+/// are combined; `none` is printed if there is no alarm.
 pub(super) fn print_open(
     alarms: &[Alarm],
     daemons: &[MachineId],
     health: &[Health],
     windows: &[Window],
-    (all, none): (bool, &str),
+    all: bool,
+    none: &str,
 ) -> Result<(), Failure> {
     if alarms.is_empty() {
         return output::line(none);
@@ -165,9 +168,10 @@ pub(super) fn print_open(
     })
 }
 
-/// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
-/// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one
-/// entry, unless `all` is set; those that are over are an entry of their own.
+/// The entries of the list, each with one alarm or many similar ones. Alarms about a daemon itself come first, then
+/// faults of machines, then machines not monitored and lost data. In each of these groups active alarms come first,
+/// then the most severe, then the newest. Unless `all` is set, [`GROUP_SIZE`] or more alarms of the last group with
+/// equal cause, severity and kind of text are one entry, separately for active and cleared alarms.
 fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
     let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
     let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
@@ -302,7 +306,7 @@ mod tests {
         };
         assert_eq!(names(false), ["pointsd", "worn", "m0 m1 m2 m3 m4", "clock"]);
         assert_eq!(names(true).len(), alarms.len());
-        // An alarm that is over is not among those that are not.
+        // A cleared alarm does not join the active ones.
         alarms[0].event.state = AlarmState::ClearedUnacknowledged;
         alarms.push(lost(GROUP_SIZE));
         let entries = entries(&alarms, &daemons, false);

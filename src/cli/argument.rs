@@ -1,4 +1,4 @@
-//! Parsers of arguments that several commands have.
+//! Parsers of command-line arguments that several commands share.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
@@ -45,13 +45,13 @@ pub(super) fn part(word: &str) -> Result<Part, String> {
     word.parse().map_err(|_| format!("{word:?} is not kt, friction, stiffness, rail_stiffness or inertia"))
 }
 
-/// The words of the directions, with hyphens.
+/// A direction, as a word with hyphens.
 pub(super) fn direction() -> impl TypedValueParser<Value = Direction> {
     PossibleValuesParser::new(["normal-to-reverse", "reverse-to-normal"])
         .map(|word| if word == "reverse-to-normal" { Direction::ReverseToNormal } else { Direction::NormalToReverse })
 }
 
-/// The words of the kinds of motor.
+/// A kind of motor.
 pub(super) fn motor() -> impl TypedValueParser<Value = Motor> {
     let magnet = PossibleValue::new("permanent-magnet").alias("permanent_magnet");
     let magnet = magnet.help("Torque proportional to the current");
@@ -69,7 +69,8 @@ pub(super) fn moment(text: &str) -> Result<Timestamp, String> {
     date.or_else(|| text.parse().ok()).ok_or_else(wrong)
 }
 
-/// A length of time as 90m, 8h, 3d or 2w, up to the longest that a daemon may allow. A day has 24 hours.
+/// A length of time, as 90m, 8h, 3d or 2w. It is at most the longest that the configuration of a daemon can allow. A
+/// day has 24 hours.
 fn length(text: &str) -> Result<SignedDuration, String> {
     let length = text.parse::<Span>().and_then(|span| span.to_duration(SpanRelativeTo::days_are_24_hours()));
     let allowed =
@@ -83,16 +84,16 @@ fn length(text: &str) -> Result<SignedDuration, String> {
     length.ok().filter(allowed).ok_or_else(wrong)
 }
 
-/// The options of a shelving or a maintenance: its reason and its end, or that it ends now.
+/// The options of a shelving or a maintenance: reason and end, or `--end` to end it now.
 #[derive(Debug, clap::Args)]
 pub(super) struct Window {
-    /// Reason for it.
+    /// Reason for the shelving or the maintenance.
     #[arg(long, value_name = "TEXT", required_unless_present = "end")]
     why: Option<String>,
     /// Length, as 90m, 8h, 3d or 2w.
     #[arg(long = "for", value_name = "LENGTH", conflicts_with = "until", value_parser = length)]
     length: Option<SignedDuration>,
-    /// End: a date, or a time as 2026-05-04T06:00:00Z.
+    /// Its end: a date, or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME", value_parser = moment)]
     until: Option<Timestamp>,
     /// End it now.
@@ -101,7 +102,8 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Reason and end of the window; `None` if it ends now. Without an end on the command line it is `default` long.
+    /// Reason and end of the window; `None` with `--end`. `default` is the length of a window without `--for` and
+    /// `--until`.
     pub(super) fn bounds(&self, default: Option<SignedDuration>) -> Result<Option<(String, Timestamp)>, Failure> {
         if self.end {
             return Ok(None);

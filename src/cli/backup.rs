@@ -12,9 +12,9 @@ const REDRAW: Duration = Duration::from_millis(100);
 
 /// Copies the database to a new file, also while the daemon runs.
 ///
-/// The copy is one consistent state, compact and checked; FILE appears when it is complete. To restore it, stop the
-/// daemon, move all files away whose names begin with that of the database (which may be a link to one of them), and put
-/// the copy in its place.
+/// The copy is one consistent state, compact and checked. FILE appears when the copy is complete. To restore it, stop
+/// the daemon, move away all files whose names begin with the name of the database (which may be a link to one of
+/// them), and put the copy in its place.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  pointsd backup --config /etc/pointsd/pointsd.toml /mnt/usb/points-2026-03-01.db\n\n\

@@ -55,8 +55,8 @@ pub(super) enum Operator {
         #[arg(long, value_name = "TEXT")]
         why: String,
     },
-    /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
-    /// ends at the given time, by default after 8 hours. During a maintenance a new window replaces the old one.
+    /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The
+    /// maintenance ends at the given time, by default after 8 hours. A new maintenance replaces one that has not ended.
     ///
     /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
     /// is invalid.
@@ -68,9 +68,9 @@ pub(super) enum Operator {
         #[command(flatten)]
         window: Window,
     },
-    /// Ends the monitoring of a machine that was removed from the track: its alarms end, and status, pages and
-    /// `machine_health` leave it out. Its history stays. Switch its logger off first: a later throw is that of a new
-    /// machine, which learns a new baseline.
+    /// Ends the monitoring of a machine that was removed from the track. Its alarms end, and status, pages and
+    /// `machine_health` no longer show it. Its history stays. Switch its logger off first: a later throw counts as that
+    /// of a new machine, which learns a new baseline.
     ///
     /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
     /// is invalid.
@@ -78,7 +78,7 @@ pub(super) enum Operator {
     Retire {
         #[command(flatten)]
         sender: Sender,
-        /// Reason for the end.
+        /// Reason why the monitoring ends.
         #[arg(long, value_name = "TEXT")]
         why: String,
     },

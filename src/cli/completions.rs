@@ -16,7 +16,7 @@ pub(super) struct Arguments {
     shell: clap_complete::Shell,
 }
 
-/// `program` is the whole command line.
+/// Prints the script. `program` is the definition of the whole command line.
 pub(super) fn main(arguments: &Arguments, mut program: clap::Command) -> Outcome {
     let name = program.get_name().to_owned();
     let mut script = Vec::new();

@@ -23,10 +23,11 @@ pub(super) struct Location {
 }
 
 impl Location {
-    /// The configuration file of the database, if there is one: from --config, or of the installed service.
+    /// The configuration file with the path of the database, from --config, or that of the installed service. `None` if
+    /// --database is given, or this folder has a `points.db`.
     pub(super) fn config(&self) -> Option<&Path> {
-        let is_found_by_service = self.database.is_none() && !store::Settings::default().path.exists();
-        let service = || Some(Path::new(SERVICE)).filter(|service| is_found_by_service && service.exists());
+        let may_be_service = self.database.is_none() && !store::Settings::default().path.exists();
+        let service = || Some(Path::new(SERVICE)).filter(|service| may_be_service && service.exists());
         self.config.as_deref().or_else(service)
     }
 
@@ -51,13 +52,14 @@ impl Location {
     }
 }
 
-/// The failure of reading a database: it cannot be opened, or the content of the file or the statement is not usable.
+/// The failure of reading a database: either it cannot be opened, or the file or the statement is not usable.
 pub(super) fn cannot_open(error: StoreError) -> Failure {
     let exit = if matches!(error, StoreError::Open { .. }) { Exit::NoInput } else { Exit::Data };
     Failure::new(exit, error)
 }
 
-/// Reads only the key `path` of the section `[store]`, so that the rest of the configuration may be invalid.
+/// The path of the database in a configuration file. Only the key `store.path` is read: the rest of the file may be
+/// invalid.
 fn configured(config: &Path) -> Result<PathBuf, Failure> {
     let text = std::fs::read_to_string(config)
         .with_context(|| format!("cannot read {}", config.display()))

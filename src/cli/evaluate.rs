@@ -16,12 +16,13 @@ use crate::{
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
 };
 
-/// Scores the diagnosis on simulated fleets: false alarms on healthy machines; for every cause, shape, size and noise
-/// the share named right, and the delay in throws. Scores the paper's rule and a CUSUM on the same throws too.
+/// Scores the diagnosis on simulated fleets. Counts the false alarms on healthy machines. For every cause, shape, size
+/// and noise, shows the share of faults named right and the delay in throws. The rule of the paper and a CUSUM are
+/// scored on the same throws.
 ///
 /// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
-/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met,
-/// each named on stderr; 73 the file of --out cannot be created.
+/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not
+/// met, each named on stderr; 73 the file of --out cannot be created.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \
@@ -31,7 +32,7 @@ pub(super) struct Arguments {
     /// Seed of the whole run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Run a tenth of all lives.
+    /// Simulate only a tenth of all lives of machines.
     #[arg(long)]
     quick: bool,
     /// Number of threads [default: number of cores].
@@ -40,7 +41,7 @@ pub(super) struct Arguments {
     /// Print the report as JSON.
     #[arg(long)]
     json: bool,
-    /// Write charts of delay and share named right over size to this file, `.svg` or `.html`.
+    /// Write charts to this file, `.svg` or `.html`: delay, and share named right, over the size of the fault.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -66,7 +67,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     Ok(if shortfalls.is_empty() { Exit::Ok } else { Exit::Negative })
 }
 
-/// Simulates all lives on `threads` threads; returns the outcomes in the order of the lives.
+/// Simulates all lives of machines on `threads` threads; returns the outcomes in the order of the lives.
 fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     let progress = output::progress(plan.lives() as u64, "{wide_bar} {human_pos} of {human_len} lives, {eta} left");
     let next = AtomicUsize::new(0);
@@ -118,7 +119,7 @@ fn tables(report: &Report) -> String {
         }
     }
     if !report.budget.is_empty() {
-        sections.push(format!("False-alarm budget, with limits that stop nothing\n{}", budget_table(report)));
+        sections.push(format!("False-alarm budget, with limits of size that stop no alarm\n{}", budget_table(report)));
     }
     sections.join("\n\n")
 }

@@ -1,4 +1,4 @@
-//! Exit codes, those of BSD `sysexits.h` where it has one.
+//! Exit codes of the commands, from BSD `sysexits.h` where it has a code with this meaning.
 
 use std::{io::Write as _, process::ExitCode};
 
@@ -15,9 +15,9 @@ pub enum Exit {
     Data = 65,
     /// The input cannot be opened (`EX_NOINPUT`).
     NoInput = 66,
-    /// A service is not available: no daemon answers (`EX_UNAVAILABLE`).
+    /// A service is not available, for example because no daemon answers (`EX_UNAVAILABLE`).
     Unavailable = 69,
-    /// An internal error: a task ended unexpectedly (`EX_SOFTWARE`).
+    /// An internal error, for example because a task ended unexpectedly (`EX_SOFTWARE`).
     Software = 70,
     /// An output cannot be created (`EX_CANTCREAT`).
     CannotCreate = 73,
@@ -61,8 +61,8 @@ impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
     }
 }
 
-/// Prints a failure as one line on stderr, and returns the exit code of the process. A failure with [`Exit::Ok`] is not
-/// printed: the reader of standard output closed the pipe.
+/// Prints a failure as one line on stderr, and returns the exit code of the process. A failure with [`Exit::Ok`] means
+/// that the reader of standard output closed the pipe; it is not printed.
 pub(super) fn finish(outcome: Outcome) -> ExitCode {
     let exit = outcome.unwrap_or_else(|failure| {
         if failure.exit != Exit::Ok {
@@ -77,7 +77,7 @@ pub(super) fn finish(outcome: Outcome) -> ExitCode {
 pub(super) fn parse<C: clap::Parser>() -> Result<C, Exit> {
     C::try_parse().map_err(|error| {
         let exit = if error.use_stderr() { Exit::Usage } else { Exit::Ok };
-        // Ignored: a write error cannot be reported.
+        // An error of this write cannot be reported anywhere.
         let _ = error.print();
         exit
     })
@@ -93,10 +93,10 @@ fn sentence(error: &anyhow::Error) -> String {
             text = format!("{text}: {cause}");
         }
     }
-    let is_place = |word: &str| word.contains(".rs:");
+    let is_location = |word: &str| word.contains(".rs:");
     let mut words: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
-        if !is_place(word) {
+        if !is_location(word) {
             words.push(word.to_owned());
             continue;
         }

@@ -24,13 +24,14 @@ use crate::{
 
 /// Exports throws with their estimates as CSV to standard output, oldest first, also while the daemon runs.
 ///
-/// Each throw is one line, also a rejected one and a pending one (`quality`); times are RFC 3339 in UTC, an unknown value is
-/// an empty cell. With --traces the samples of each throw are a file of their own, as `pointsd identify` and `pointsd
-/// import` read them; the last column `trace` has its name in DIR. It is empty if retention has deleted the trace. If the
-/// lines are in `throws.csv` in DIR or beside it, `pointsd import` takes time, direction, boot and number from there.
+/// Each throw is one line, also if it is rejected or pending (`quality`). Times are RFC 3339 in UTC; an unknown value
+/// is an empty cell. With --traces the samples of each throw are written to a file of their own, which `pointsd
+/// identify` and `pointsd import` can read. The last column, `trace`, has the name of the file in DIR; it is empty if
+/// the trace was deleted to save space. If you write the lines to `throws.csv` in DIR or in its parent, `pointsd
+/// import` takes time, direction, boot and number from there.
 ///
-/// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66 there
-/// is no database; 73 a file cannot be created.
+/// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66
+/// there is no database; 73 a file cannot be created.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd export > throws.csv\n  \
     pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]
@@ -44,7 +45,8 @@ pub(super) struct Arguments {
     /// Export throws that started before this time.
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     until: Option<Timestamp>,
-    /// Write the trace of each throw to DIR/SITE/MACHINE/START-ROW.csv; ROW is its row in the database, not its `throw_no`.
+    /// Write the trace of each throw to DIR/SITE/MACHINE/START-ROW.csv; ROW is its row in the database, not its
+    /// `throw_no`.
     #[arg(long, value_name = "DIR")]
     traces: Option<PathBuf>,
     #[command(flatten)]
@@ -99,7 +101,8 @@ fn written(result: csv::Result<()>) -> Result<(), Failure> {
 async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Result<String, Failure> {
     let stored = export.stored(throw).await.map_err(unreadable)?;
     let Some(stored) = stored else { return Ok(String::new()) };
-    // Names of sites and machines are safe in paths. Row numbers are unique, boot ids are any text.
+    // Names of sites and machines are safe in a path, but a boot id may be any text. The row number makes the name
+    // unique.
     let (machine, start) = (&stored.machine, stored.started_at.strftime("%Y%m%dT%H%M%SZ"));
     let name = format!("{}/{}/{start}-{}.csv", machine.site, machine.machine, stored.row.0);
     let Ok(measured) = stored.throw else { return Ok(String::new()) };
@@ -108,7 +111,8 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
         let mut file = fs::File::create(&file)?;
         file.write_all(measured.trace.to_csv().as_bytes())?;
-        // The time of the file is that of the throw, as `pointsd import` takes it; not every file system keeps times.
+        // `pointsd import` may take the time of the throw from the file. An error is ignored, as not every file system
+        // keeps times.
         let _ = file.set_modified(stored.started_at.into());
         Ok(())
     };

@@ -35,7 +35,8 @@ pub(super) struct Arguments {
     /// Nominal stroke in mm; without it an incomplete throw is detected from the trace alone.
     #[arg(long, value_name = "MM")]
     stroke_mm: Option<f64>,
-    /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without position.
+    /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without
+    /// position.
     #[arg(long, value_name = "V")]
     supply_v: Option<f64>,
     /// Kind of motor.
@@ -98,7 +99,7 @@ impl Arguments {
     }
 }
 
-/// Fields of a message, and their names in this command.
+/// Names of settings and message fields in the sentences of the estimator, and the options of this command for them.
 const NAMES: [(&str, &str); 6] = [
     ("supply_v in the message and stroke_mm in the configuration", "--supply-v and --stroke-mm"),
     ("sample_rate_hz", "the column time_s"),
@@ -108,7 +109,7 @@ const NAMES: [(&str, &str); 6] = [
     ("neutral_mm", "--neutral-mm"),
 ];
 
-/// Why the throw is rejected or rough, with the line of the file if one sample is the reason.
+/// The reason why the throw is rejected or rough, with the line of the file if one sample is the reason.
 fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
     let detail = NAMES.iter().fold(found.detail()?, |text, (field, name)| text.replace(field, name));
     let line = match &found.outcome {
@@ -179,7 +180,7 @@ fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> St
         if estimate.iterations > 0 {
             format!("fit {:.4} % in {} iterations, ", estimate.fit_pct, estimate.iterations)
         } else {
-            // From the current alone, or without a fit of the full model.
+            // The estimate is from the current alone, or without a fit of the full model.
             String::new()
         },
         format!("from {:.3} s to {:.3} s\n", estimate.start_s, estimate.end_s),

@@ -25,23 +25,23 @@ use crate::{
     wire::{self, Encoding, Health},
 };
 
-/// Folders above an exported trace that are searched for its `throws.csv`: those of the machine and of the site, that of
-/// the traces, and the one beside it.
+/// Number of folders above an exported trace that are searched for its `throws.csv`: the folder of the machine, of the
+/// site, of all traces, and the parent of that.
 const EXPORT_FOLDERS: usize = 4;
 
 /// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
 /// daemon of this database must not run.
 ///
-/// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each
-/// line, or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw
-/// that the database has already is skipped. Imported throws are judged as the newest of the machine; a warning says if
-/// they are older than those in the database. A trace of `pointsd export --traces` keeps time, direction, boot,
-/// number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the traces or in the
-/// folder above; without this line it has the time of the file.
+/// FILE is CSV with the columns of a recorded trace, one throw in a file. Or FILE is JSON as on zenoh, one throw in a
+/// file or one on each line: a file with the extension json, jsonl or ndjson, or - for standard input. A throw that the
+/// database has already is skipped. Imported throws are judged as the newest throws of the machine; a warning is
+/// printed if they are older than those in the database. A trace of `pointsd export --traces` gets time, direction,
+/// boot, number, temperature, supply and filter from its line in `throws.csv`, in the folder of the traces or in its
+/// parent. Without this line the throw has the time of the file.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be
-/// read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing is imported if a
-/// file is missing; files before an invalid one are imported.
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file
+/// cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
+/// is imported if a file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
 pub(super) struct Arguments {
@@ -54,8 +54,8 @@ pub(super) struct Arguments {
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the throw in the first CSV file, a date or a time as 2026-05-04T06:00:00Z, a minute more for each further
-    /// file [default: from `throws.csv`, else the times of the files].
+    /// Time of the throw in the first CSV file: a date, or a time as 2026-05-04T06:00:00Z. Each further file is a
+    /// minute later [default: from `throws.csv`, else the times of the files].
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.
@@ -67,7 +67,7 @@ pub(super) struct Arguments {
 struct Count {
     new: u64,
     known: u64,
-    refused: u64,
+    rejected: u64,
     alarms: u64,
 }
 
@@ -77,7 +77,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         return Err(Failure::new(Exit::Usage, anyhow::anyhow!("--machine {}: {problem}", arguments.machine)));
     }
     let mut exports = Exports::default();
-    // No database is created for a missing file or a first one that is invalid.
+    // Checked before the database is opened: if a file is missing or the first one is invalid, no database is created.
     let missing = |file: &&PathBuf| file.as_path() != Path::new("-") && fs::metadata(file).is_err();
     if let Some(file) = arguments.files.iter().find(missing) {
         read(arguments, 0, file, &mut exports)?;
@@ -93,9 +93,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         pipeline.close().await.or_exit(Exit::Io)?;
         printed?;
         if !arguments.json {
-            let Count { new, known, refused, alarms } = count;
+            let Count { new, known, rejected, alarms } = count;
             print(format_args!(
-                "{} imported ({refused} not evaluated), {known} known before, {}",
+                "{} imported ({rejected} not evaluated), {known} known before, {}",
                 counted(new, "throw"),
                 counted(alarms, "alarm event")
             ))?;
@@ -104,7 +104,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-/// Imports the files; `first` are the throws of the first one.
+/// Imports the files. `first` has the throws of the first file, which is read already.
 async fn import(
     arguments: &Arguments,
     first: Vec<Throw>,
@@ -117,7 +117,8 @@ async fn import(
     for (number, file) in arguments.files.iter().enumerate() {
         let throws = first.take().map_or_else(|| read(arguments, number, file, exports), Ok)?;
         for throw in throws {
-            // The time of a CSV file changes when it is copied; the store would take it for another throw.
+            // A copied CSV file may have another time, and the store would take it for another throw with the same
+            // number.
             if !is_json(file) && pipeline.has(&arguments.machine, &throw.id).await.or_exit(Exit::Io)? {
                 count.known += 1;
                 continue;
@@ -138,7 +139,7 @@ async fn import(
     Ok(Exit::Ok)
 }
 
-/// Throws are judged in the order in which they are imported.
+/// Warns that a throw is older than the last throw in the database: throws are judged in the order of the import.
 fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp, file: &Path) {
     eprintln!(
         "warning: {}: this throw is of {}, before the last one of {machine} in the database, of {}. Imported throws are \
@@ -169,7 +170,7 @@ fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     }
     match wire::decode_throw(Encoding::Json, bytes) {
         Ok(throw) => return Ok(vec![throw]),
-        // Any other file may have a throw on each line. Its error must name the line.
+        // Any other file may have a throw on each line, and an error must name the line.
         Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
         }
@@ -207,16 +208,17 @@ struct Exported {
     sample_rate_hz: Option<f64>,
 }
 
+/// The files `throws.csv` beside the imported traces.
 #[derive(Default)]
 struct Exports {
-    /// The lines of each `throws.csv`, by the names of their traces.
+    /// The lines of each `throws.csv` that was read, by the file names of their traces.
     lists: HashMap<PathBuf, HashMap<OsString, Exported>>,
-    /// Machine of the first trace.
+    /// Machine of the first imported trace with a line; all others must be of the same machine.
     machine: Option<String>,
 }
 
 impl Exports {
-    /// The line of a trace; `None` if there is none.
+    /// The line of a trace in its `throws.csv`; `None` without such a file or line.
     fn line(&mut self, trace: &Path) -> anyhow::Result<Option<&Exported>> {
         let Ok(full) = fs::canonicalize(trace) else { return Ok(None) };
         let folders = full.ancestors().skip(1).take(EXPORT_FOLDERS);
@@ -239,7 +241,7 @@ impl Exports {
     }
 }
 
-/// The lines of a `throws.csv`; none of one that another program wrote, with other columns.
+/// The lines of a `throws.csv`; empty if another program wrote the file, with other columns.
 fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
     let mut reader = csv::Reader::from_path(list)?;
     let header: Vec<&str> = reader.headers()?.iter().flat_map(|cell| cell.split([';', '\t'])).collect();
@@ -255,7 +257,7 @@ fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
         if !is_valid {
             bail!("boot_id, throw_no or direction of {} is wrong", line.trace.display());
         }
-        // A throw without a stored trace has no name there. Names are unique, as they have the number of the row.
+        // A throw without a stored trace has no file name. File names are unique, as they include the row number.
         if let Some(name) = line.trace.file_name() {
             lines.insert(name.to_owned(), line);
         }
@@ -287,21 +289,21 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
         Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
     };
     Ok(Throw {
-        // The identity depends only on the content, so that repeated imports of a file are duplicates.
+        // Boot and number depend only on the content, so that a repeated import of the file is a duplicate.
         id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
         started_at,
         ..Throw::recorded(recording.trace)
     })
 }
 
-/// Prints a line; a closed pipe does not end the import.
+/// Prints a line. A closed pipe does not end the import.
 fn print(line: impl Display) -> Outcome {
     output::after(output::line(line), Exit::Ok)
 }
 
 fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result<(), Failure> {
     for throw in judged {
-        count.refused += u64::from(throw.health.is_rejected());
+        count.rejected += u64::from(throw.health.is_rejected());
         count.alarms += throw.events.len() as u64;
         if arguments.json {
             let Health { machine, throw: id, quality, direction, .. } = &throw.health;

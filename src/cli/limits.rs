@@ -8,7 +8,7 @@ use super::{Exit, Outcome, ResultExt, output};
 use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
 use crate::report::{Panel, Sheet};
 
-/// Least error in the charts, whose axis is logarithmic \[%\].
+/// Least error drawn in the charts \[%\], as their axis is logarithmic.
 const LEAST_DRAWN_PCT: f64 = 0.01;
 
 /// The command line of `pointsim limits`.
@@ -23,7 +23,7 @@ pub(super) struct Arguments {
     /// Write a chart of each finding into this directory, as SVG.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Noisy throws in each row.
+    /// Number of throws with noise in each row.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u16).range(4..=10_000))]
     throws: u16,
     /// Seed of noise and loads.
@@ -74,7 +74,7 @@ fn rejected(row: &Row) -> String {
     if rejected == row.throws { format!("`{reason}`") } else { format!("{rejected} of {}: `{reason}`", row.throws) }
 }
 
-/// Root mean square errors as bars, with a line at 1 %.
+/// A chart of the root mean square errors as bars, with a line at 1 %.
 fn picture(finding: &Finding) -> Sheet {
     let mut panel = Panel::bars(finding.label, "root mean square [%]", NAMES).log_y().level(1.0, "1 %");
     for row in &finding.rows {

@@ -1,4 +1,4 @@
-//! `pointsim load`: throws of many machines at a given rate, and the daemon's judgements of them.
+//! `pointsim load`: publishes throws of many machines at a given rate, and measures how fast the daemon judges them.
 
 use std::time::Duration;
 
@@ -14,7 +14,8 @@ use crate::{
     throw::{MachineId, Name, counted},
 };
 
-/// Machines of a site. Zenoh compares a new key with those of all sites and of all machines of its site.
+/// Number of machines at a site. Zenoh compares a new key with all sites, and with all machines of its site, so both
+/// numbers should be small.
 const MACHINES_OF_A_SITE: u32 = 100;
 /// Time without a judgement after which the load ends.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -43,7 +44,8 @@ pub(super) struct Arguments {
     /// First part of the names of the sites: `SITE-1`, `SITE-2` and so on, with 100 machines each.
     #[arg(long, default_value = "load")]
     site: Name,
-    /// The toe does not move in the first throw of every N-th machine, and the latency of the alarms is reported; 0: none.
+    /// In the first throw of every N-th machine the toe does not move, and the latency of the alarms is reported; 0
+    /// means in no throw.
     #[arg(long, value_name = "N", default_value_t = 0)]
     blocked: u32,
     /// Seed of all random numbers.

@@ -19,7 +19,7 @@ pub(super) struct Arguments {
     folder: PathBuf,
 }
 
-/// `program` is the whole command line.
+/// Writes the pages. `program` is the definition of the whole command line.
 pub(super) fn main(arguments: &Arguments, program: clap::Command) -> Outcome {
     let folder = &arguments.folder;
     fs::create_dir_all(folder)

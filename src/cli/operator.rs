@@ -15,10 +15,10 @@ use crate::{
     wire::{Reply, json, json_bytes, parse_monitor_key},
 };
 
-/// Selects the status of every daemon.
+/// Key expression of the status of every daemon.
 pub(super) const EVERY_STATUS: &str = "points/v1/*/monitor/*/status";
 
-/// Time until a connection fails.
+/// Time after which an attempt to connect fails \[ms\].
 const CONNECT_TIMEOUT_MS: u32 = 5_000;
 
 /// The options for the connection to a daemon.
@@ -36,12 +36,12 @@ pub(super) struct Connection {
 /// A session with a daemon or its router.
 pub(super) struct Client {
     pub(super) session: Session,
-    /// The daemon of the given configuration; `None` if none was given.
+    /// Name of the daemon whose configuration was given; `None` if it was not that of a daemon.
     pub(super) monitor: Option<MachineId>,
 }
 
 impl Connection {
-    /// Connects; fails after [`CONNECT_TIMEOUT_MS`].
+    /// Connects within [`CONNECT_TIMEOUT_MS`]. If the configuration is that of a daemon, this daemon must be running.
     pub(super) async fn open(&self) -> Result<Client, Failure> {
         let document = self.config.as_deref().map(Document::read).transpose().or_exit(Exit::Config)?;
         let OperatorSession { zenoh: mut config, endpoints, monitor } =
@@ -52,21 +52,20 @@ impl Connection {
             let wrong = |error| Failure::new(Exit::Usage, anyhow!("{key} = {value}: {error}"));
             config.insert_json5(key, &value.to_string()).map_err(wrong)
         };
-        // The file may be that of a daemon; an operator's command is always a client with a short timeout.
+        // Whatever the file says: an operator's command is a client with a short timeout.
         set("mode", "client".into())?;
         set("listen/endpoints", serde_json::json!([]))?;
         set("connect/timeout_ms", CONNECT_TIMEOUT_MS.into())?;
         set("connect/exit_on_failure", true.into())?;
         let session = bus::open(config).await.map_err(|error| {
-            let places = endpoints.join(" or ");
-            let is_encrypted = endpoints.iter().any(|place| place.starts_with("tls/") || place.starts_with("quic/"));
-            let says = if is_encrypted {
+            let is_encrypted = endpoints.iter().any(|endpoint| endpoint.starts_with("tls/"));
+            let advice = if is_encrypted {
                 "Is pointsd running, and does each side accept the certificate of the other: authority, dates, host name, \
-                 key? Name the endpoint with --connect tls/HOST:7447, the certificates in the file of --config"
+                 key? Name the endpoint with --connect tls/HOST:7447, and the certificates in the file of --config"
             } else {
                 "Is pointsd running? Name its endpoint with --connect tcp/HOST:7447"
             };
-            Failure::new(Exit::Unavailable, anyhow!("no answer from {places}. {says} ({error})"))
+            Failure::new(Exit::Unavailable, anyhow!("no answer from {}. {advice} ({error})", endpoints.join(" or ")))
         })?;
         if let Some(monitor) = &monitor
             && let Err(error) = bus::require_running(&session, monitor).await
@@ -78,11 +77,11 @@ impl Connection {
     }
 }
 
-/// A reply of a query: its key and its payload.
+/// A reply to a query: its key and its payload.
 type Message = (String, Vec<u8>);
 
-/// Reads the messages as JSON, and counts those that this program cannot read and the errors of daemons. Both are
-/// reported: they must not look like silence.
+/// Reads the messages as JSON. Returns the values with their messages, and the number of problems: unreadable messages
+/// and errors of daemons. Each problem is also printed on stderr, as it must not look like an empty answer.
 pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)>, usize) {
     let mut values = Vec::with_capacity(answers.messages.len());
     for message in &answers.messages {
@@ -98,31 +97,31 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// The values of the answers as in [`read`], without keys and payloads, and the number of problems.
+/// The same as [`read`], without the messages.
 pub(super) fn values<T: DeserializeOwned>(answers: &Answers) -> (Vec<T>, usize) {
     let (values, problems) = read(answers);
     (values.into_iter().map(|(_, value)| value).collect(), problems)
 }
 
-/// Name of a daemon, `{site}/{id}`, from the key of its status; the key itself if it is none.
+/// Name of a daemon, `{site}/{id}`, from the key of its status. Another key is returned unchanged.
 pub(super) fn monitor_name(key: &str) -> String {
     parse_monitor_key(key).map_or_else(|| key.to_owned(), |monitor| monitor.to_string())
 }
 
-/// The daemons that answered.
+/// Names of the daemons that answered.
 pub(super) fn monitors(answers: &Answers) -> Vec<MachineId> {
     answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
 }
 
-/// Number of the daemons `present` before a query that did not answer it, each named on stderr. The link of a daemon that hangs
-/// is closed while the query waits, so that the query alone would end without an error.
+/// Number of daemons that were `present` before a query and did not answer it; each is named on stderr. The query
+/// itself ends without an error if a daemon hangs: zenoh closes its link while the query waits.
 pub(super) fn silent(present: &[String], answers: &Answers) -> usize {
     let answered: Vec<String> = monitors(answers).iter().map(ToString::to_string).collect();
     let silent = present.iter().filter(|daemon| !answered.contains(daemon));
     silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).count()
 }
 
-/// Closes a session. After an error the end of the process closes the link.
+/// Closes a session. An error does not matter, as the end of the process closes the link.
 pub(super) async fn close(session: Session) {
     if let Err(error) = session.close().await {
         tracing::debug!(%error, "closing the session failed");
@@ -138,7 +137,8 @@ pub(super) fn failure(error: OperatorError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The arguments of commands that change something: the machine, name of the operator, connection, format of the answer.
+/// The arguments of commands that change something: machine, name of the operator, connection, and format of the
+/// answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
     /// The machine.
@@ -155,6 +155,7 @@ pub(super) struct Sender {
 }
 
 impl Sender {
+    /// The name of the operator.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
         named.ok_or_else(|| Failure::new(Exit::Usage, anyhow!("no name given: use --by NAME")))

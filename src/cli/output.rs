@@ -1,4 +1,5 @@
-//! Standard output. A closed pipe, as in `pointsd status | head -1`, ends the command without an error.
+//! Output of the commands. If the reader of standard output closes the pipe, as in `pointsd status | head -1`, the
+//! command ends without an error.
 
 use std::{
     fmt::Display,
@@ -15,11 +16,11 @@ use serde::Serialize;
 use super::{Exit, Failure, Outcome, ResultExt};
 use crate::{report::Sheet, web};
 
-/// Width of a table in a pipe or on a terminal of unknown width \[columns\].
+/// Width of the output in a pipe, or on a terminal of unknown width \[columns\].
 const WIDTH: u16 = 80;
 
-/// Prints a line. Control characters are escaped (`\u{1b}`): received texts, such as the name of an operator, could
-/// contain commands to the terminal.
+/// Prints a line. Control characters are escaped, as `\u{1b}`: a received text, such as the name of an operator, could
+/// contain commands for the terminal.
 pub(super) fn line(text: impl Display) -> Result<(), Failure> {
     let text = harmless(&text.to_string());
     let mut out = io::stdout().lock();
@@ -31,7 +32,7 @@ pub(super) fn clear() -> Result<(), Failure> {
     written(write!(io::stdout(), "\x1b[H\x1b[2J"))
 }
 
-/// The text with escaped control characters, except line feeds and tabs.
+/// The text with its control characters escaped, except line feeds and tabs.
 pub(super) fn harmless(text: &str) -> String {
     let mut harmless = String::with_capacity(text.len());
     for character in text.chars() {
@@ -49,8 +50,8 @@ pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
     line(serde_json::to_string_pretty(value).context("cannot write JSON").or_exit(Exit::Software)?)
 }
 
-/// The exit code of a check after its output: a reader that closes the pipe (`pointsd alarms --check | head -1`) does not
-/// change the result.
+/// The exit code of a command after its output. A reader that closes the pipe, as in `pointsd alarms --check | head
+/// -1`, does not change the result of the check.
 pub(super) fn after(printed: Result<(), Failure>, result: Exit) -> Outcome {
     match printed {
         Err(Failure { exit: Exit::Ok, .. }) => Ok(result),
@@ -58,7 +59,7 @@ pub(super) fn after(printed: Result<(), Failure>, result: Exit) -> Outcome {
     }
 }
 
-/// Result of a write to standard output; a closed pipe becomes a silent success.
+/// The result of a write to standard output. A closed pipe becomes a failure with [`Exit::Ok`], which is not printed.
 pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     result.map_err(|error| {
         let exit = if error.kind() == io::ErrorKind::BrokenPipe { Exit::Ok } else { Exit::Io };
@@ -66,7 +67,7 @@ pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     })
 }
 
-/// The error of a write through the CSV writer, with the kind of the write error.
+/// The I/O error inside an error of the CSV writer, so that its kind is known.
 pub(super) fn io_error(error: csv::Error) -> io::Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
@@ -74,7 +75,8 @@ pub(super) fn io_error(error: csv::Error) -> io::Error {
     }
 }
 
-/// A change with its 95 % interval \[%\], as on the pages but with a plain minus sign, as in all output of the command line.
+/// A change with its 95 % interval \[%\], as on the pages, but with an ASCII minus sign as in all output of the
+/// commands.
 pub(super) fn size(change_pct: f64, change_pct_sd: f64) -> String {
     web::size(change_pct, change_pct_sd).replace('−', "-")
 }
@@ -86,14 +88,14 @@ pub(super) fn plain_table(header: impl Into<Row>) -> Table {
     table
 }
 
-/// The table as text. A table that is wider than the terminal is wrapped if this leaves `least` characters for each
-/// column; else each row becomes one line for each column.
+/// The table as text. If it is wider than the terminal, its cells are wrapped, if this leaves `least` characters for
+/// each column. Otherwise each cell is printed on a line of its own, with the name of its column.
 pub(super) fn fitted(table: Table, least: usize) -> String {
     let width = io::stdout().is_terminal().then(|| usize::from(width()));
     fitted_to(width, table, least)
 }
 
-/// As [`fitted`], on a terminal of this width, or for `None` in a pipe.
+/// As [`fitted`], for a terminal of this width \[columns\], or `None` for a pipe.
 fn fitted_to(width: Option<usize>, mut table: Table, least: usize) -> String {
     table.set_content_arrangement(ContentArrangement::Disabled);
     let whole = table.to_string();
@@ -123,7 +125,7 @@ pub(super) fn table<const N: usize>(header: [&str; N]) -> Table {
     table
 }
 
-/// The table with its columns from `first` on aligned to the right, as numbers are.
+/// The table with its columns from index `first` on aligned to the right, for numbers.
 pub(super) fn numbers(mut table: Table, first: usize) -> Table {
     table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
     table
@@ -135,15 +137,15 @@ pub(super) fn progress(length: u64, template: &str) -> ProgressBar {
     ProgressBar::new(length).with_style(style)
 }
 
-/// Width of the terminal, or of `COLUMNS`, or 80 \[columns\].
+/// Width of the terminal \[columns\]; without a terminal the variable `COLUMNS`, or else 80.
 pub(super) fn width() -> u16 {
     let asked = || std::env::var("COLUMNS").ok()?.parse().ok().filter(|columns| *columns >= 20);
     let terminal = io::stdout().is_terminal().then(|| Table::new().width()).flatten();
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
-/// Creates the file of a command that works long before it writes it, so that an error shows at once. A file that exists
-/// keeps its content.
+/// Creates an output file before the long work of a command, so that an error shows at once. An existing file keeps its
+/// content.
 pub(super) fn creatable(path: &Path) -> Result<(), Failure> {
     let created = fs::OpenOptions::new().append(true).create(true).open(path);
     writable(path, created.map(drop))
@@ -154,7 +156,7 @@ pub(super) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure
     writable(path, fs::write(path, content))
 }
 
-/// The failure of creating a file or folder, with its path.
+/// Adds exit code and path to the result of creating a file or folder.
 pub(super) fn writable<T>(path: &Path, result: io::Result<T>) -> Result<T, Failure> {
     result.with_context(|| format!("{} cannot be written", path.display())).or_exit(Exit::CannotCreate)
 }

@@ -1,8 +1,8 @@
 //! Recorded throws as CSV: `time_s,current_a,position_mm`, one line for each sample.
 //!
-//! Samples whose time stamps are even within 2 % of an interval are used as they are. With jitter or single missing
-//! samples the channels are interpolated linearly to an even grid with the mean interval. More than five intervals
-//! without a sample are a gap; a trace with a gap is an error.
+//! If all time stamps are within 2 % of an interval of an even grid, the samples are used as they are. Otherwise, with
+//! jitter or single missing samples, the channels are interpolated linearly to an even grid with the mean interval.
+//! More than five intervals without a sample are a gap; a trace with a gap is an error.
 
 use std::{
     fs,
@@ -23,20 +23,21 @@ const CURRENT: &str = "current_a";
 const POSITION: &str = "position_mm";
 /// Largest deviation from an even grid without interpolation \[intervals\].
 const EVEN_TOLERANCE: f64 = 0.02;
-/// Longest distance between two samples; more is a gap \[intervals\].
+/// Longest time between two samples \[intervals\]; a longer time is a gap.
 const LONGEST_STEP: f64 = 5.5;
 
-/// Largest file \[bytes\]: some 5,000 throws in JSON, or ten times the longest trace. A larger file is no recording. A device
-/// without an end would fill the memory.
+/// Largest file \[bytes\]: some 5,000 throws in JSON, or ten times the longest trace. Without a limit a device without
+/// an end, as `/dev/zero`, would fill the memory.
 const MAX_BYTES: u64 = 512 << 20;
 
 /// A recorded throw, with the lines of its file for error messages.
 #[derive(Debug)]
 pub(super) struct Recording {
-    /// The two channels on an even grid.
+    /// Current and position on an even grid.
     pub(super) trace: Trace,
+    /// Whether the samples of the file were interpolated to this grid.
     pub(super) resampled: bool,
-    /// Line of each sample in the file, from 1; empty if resampled.
+    /// Line of each sample in the file, from 1; empty if `resampled`.
     pub(super) lines: Vec<u64>,
 }
 
@@ -82,7 +83,7 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
     let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?)];
-    // The column is missing for machines with a current sensor only.
+    // A recording with a current sensor only does not have this column.
     let position = at(POSITION).ok();
     let mut columns = Columns { time_s: vec![], current_a: vec![], position_mm: vec![], lines: vec![] };
     for record in reader.records() {
@@ -96,7 +97,7 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
             );
         }
         let [time_s, current_a] = places.map(|(name, place)| number(record.get(place), line, name));
-        // An exported trace has an empty cell where the position was not measured.
+        // An exported trace without a position has this column with empty cells.
         let measured = position.filter(|place| record.get(*place) != Some(""));
         let position_mm = measured.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
         let time_s = time_s?;
@@ -132,6 +133,7 @@ fn number(cell: Option<&str>, line: u64, column: &str) -> anyhow::Result<f64> {
 }
 
 impl Columns {
+    /// The recording on an even grid.
     fn evenly(self) -> anyhow::Result<Recording> {
         let len = self.time_s.len();
         if len < 2 {
@@ -151,7 +153,7 @@ impl Columns {
         Ok(Recording { trace: Trace::new(rate_hz, current_a, position_mm)?, resampled, lines })
     }
 
-    /// Mean interval; a step over missing samples counts as several intervals.
+    /// Mean sample interval \[s\]. A step over missing samples counts as several intervals.
     fn interval_s(&self) -> anyhow::Result<f64> {
         let steps: Vec<f64> = self.time_s.array_windows().map(|[before, after]| after - before).collect();
         let median = *steps.clone().select_nth_unstable_by(steps.len() / 2, f64::total_cmp).1;
@@ -162,6 +164,7 @@ impl Columns {
         Ok((self.time_s[self.time_s.len() - 1] - self.time_s[0]) / intervals)
     }
 
+    /// A channel, interpolated linearly to the even grid with this interval.
     fn interpolated(&self, values: &[f64], interval_s: f64) -> Vec<f64> {
         let mut grid = Vec::with_capacity(values.len());
         let mut at = 0;

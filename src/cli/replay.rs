@@ -24,7 +24,7 @@ use crate::{
     wire::Alarm,
 };
 
-/// Throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
+/// Number of throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
 const BATCH: u32 = 16;
 
 /// Runs stored throws again with a changed configuration, into a new database, and shows which alarms differ. The old
@@ -34,9 +34,9 @@ const BATCH: u32 = 16;
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or the file is none of
-/// pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database cannot be
-/// used; 78 the configuration is invalid.
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or is no database
+/// of pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database
+/// cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
@@ -55,7 +55,7 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// One occurrence of an alarm.
+/// An occurrence of an alarm: its first event, with the highest severity of all its events.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Occurrence {
     raised_at: Timestamp,
@@ -63,7 +63,7 @@ struct Occurrence {
     severity: Severity,
 }
 
-/// The n-th occurrence of an alarm in both databases.
+/// The n-th occurrence of an alarm in both databases; `None` in the database that does not have it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Comparison {
     #[serde(flatten)]
@@ -121,7 +121,7 @@ struct Replayed {
     since: Option<Timestamp>,
 }
 
-/// Runs all throws of `old` that have a trace through `new`, in the order in which they arrived.
+/// Runs all throws in `old` that have a trace through `new`, in the order in which they were received.
 async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError> {
     // Hidden if standard error is not a terminal.
     let progress = ProgressBar::new_spinner();
@@ -169,10 +169,11 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
     Ok(Report { throws, without_trace, database: into, alarms })
 }
 
-/// The occurrences of alarms since `since`, in order; an alarm whose severity changed has several.
+/// The events of the alarms that were raised at `since` or later, in order. [`compare`] merges the events of one
+/// occurrence. Alarms about lost data are left out, and alarms about machines not monitored that no throw raised.
 async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
     let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
-    // An alarm that a throw raised: its first event has the throw.
+    // The first event of an alarm that a throw raised names this throw.
     let of_throw = |alarm: &Alarm| alarm.last_throw.is_some() && alarm.event_no == 1;
     let of_throws: BTreeSet<_> =
         rows.iter().filter(|alarm| of_throw(alarm)).map(|alarm| alarm.alarm_id.clone()).collect();
@@ -204,7 +205,7 @@ fn pairs(((machine, cause), [before, after]): ((MachineId, Cause), [Vec<Occurren
     (0..count).map(pair).collect()
 }
 
-/// The difference in words: of the time, of the severity, or of both.
+/// The difference of the time, of the severity, or of both, in words.
 fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'static str {
     let (Some(before), Some(after)) = (before, after) else {
         return if before.is_some() { "gone" } else { "new" };

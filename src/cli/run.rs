@@ -56,13 +56,13 @@ pub(super) fn start_failure(error: StartError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The failure of a start. If the database belongs to another program, the text names file, line and key of the
-/// configuration.
+/// The same as [`start_failure`]. If the database belongs to another program, the text also names file, line and key of
+/// the configuration.
 pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {
-        return Failure::new(Exit::Config, document.complain("store.path", foreign.to_string()));
+        return Failure::new(Exit::Config, document.error_at("store.path", foreign.to_string()));
     }
     start_failure(error)
 }
@@ -75,7 +75,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     };
     let mut daemon = tokio::select! {
         started = Daemon::start(config) => started.map_err(|error| located(error, arguments.config.as_deref()))?,
-        // A router may be away for days, and the check of a large database takes minutes. The next start repeats both.
+        // A signal ends the start too, which may wait for days for a router, or check a large database for minutes.
         () = signals.stop() => {
             tracing::info!("stopped during the start");
             return Ok(Exit::Ok);
@@ -86,7 +86,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     }
     daemon.announce_ready();
     tracing::info!(database = %daemon.store().path().display(), listens_on = ?daemon.locators().await, "ready");
-    let died = loop {
+    let ended = loop {
         tokio::select! {
             asked = signals.next() => match asked {
                 Requested::Stop => break None,
@@ -96,7 +96,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
         }
     };
     let stopped = daemon.stop().await;
-    if let Some(task) = died {
+    if let Some(task) = ended {
         let error = anyhow::anyhow!("{task} ended unexpectedly; the daemon cannot run without it");
         let exit = if task == DATABASE { Exit::Io } else { Exit::Software };
         return Err(Failure::new(exit, error));
@@ -106,7 +106,8 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     Ok(Exit::Ok)
 }
 
-/// Reloads the configuration. A file at `store.path` that the next start would refuse is refused now, too.
+/// Reloads the configuration. An invalid one is not applied, nor one with a file at `store.path` that the next start
+/// would refuse.
 async fn reload(daemon: &Daemon, file: Option<&Path>) {
     let loaded = match load(file) {
         Ok(config) => store::refuse_foreign(&config.store.path).await.map(|()| config).or_exit(Exit::Config),

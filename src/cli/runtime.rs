@@ -1,4 +1,4 @@
-//! Runtime, log and signals of long-running commands.
+//! The tokio runtime of a command, its log lines, and its signals.
 
 use std::io::IsTerminal;
 
@@ -13,14 +13,15 @@ use tracing_subscriber::{
 use super::{Exit, Failure, ResultExt};
 use crate::daemon::config::{Log, LogFormat};
 
-/// In this module zenoh warns of each reply to a client that has left: up to 10,000 lines for one history query.
+/// Module of zenoh that warns about each reply to a client that has left: up to 10,000 lines for one history query.
+/// Only its errors are logged.
 const QUERY_DISPATCHER: &str = "zenoh::net::routing::dispatcher::queries";
 
-/// Runs the work of a command on a runtime with several threads, as zenoh needs.
+/// Runs the work of a command on a runtime with several threads, which zenoh needs.
 pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().or_exit(Exit::Software)?;
     let outcome = runtime.block_on(work);
-    // A thread that blocks in a put must not delay the exit.
+    // A thread that is blocked in a zenoh `put` must not delay the exit.
     runtime.shutdown_timeout(std::time::Duration::from_millis(500));
     outcome
 }
@@ -39,7 +40,7 @@ pub(super) fn log(settings: &Log) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The signals that stop a command or reload its configuration.
+/// The signals SIGTERM and SIGINT, which stop a command, and SIGHUP, which reloads its configuration.
 pub(super) struct Signals {
     terminate: Signal,
     interrupt: Signal,
@@ -63,6 +64,7 @@ impl Signals {
         })
     }
 
+    /// Waits for the next signal.
     pub(super) async fn next(&mut self) -> Requested {
         tokio::select! {
             _ = self.terminate.recv() => Requested::Stop,
@@ -71,6 +73,7 @@ impl Signals {
         }
     }
 
+    /// Waits for a signal to stop; ignores SIGHUP.
     pub(super) async fn stop(&mut self) {
         while self.next().await != Requested::Stop {}
     }

@@ -20,7 +20,8 @@ use crate::{
     throw::{MachineId, counted},
 };
 
-/// Time within which a daemon that serves the fleet answers; it has seen the logger in less than a second.
+/// Time after the start of the logger at which a daemon must serve the fleet. Zenoh connects both in less than a
+/// second.
 const SERVED_WITHIN: Duration = Duration::from_secs(5);
 
 /// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
@@ -47,7 +48,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FACTOR")]
     time_scale: Option<f64>,
     /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `inertia`), size in %, first throw (from 0), and
-    /// for a ramp the throws until full size. Repeatable.
+    /// for a ramp the number of throws until the full size. Repeatable.
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]", value_parser = fault)]
     fault: Vec<FleetFault>,
     /// Zenoh endpoint, instead of the configured ones.
@@ -119,7 +120,7 @@ fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
             .map_err(|error| usage(format!("--connect {endpoint}: {error}")))?;
     }
     plan.logger.validate().map_err(|error| usage(format!("--{}: {error}", error.key.replace('_', "-"))))?;
-    // The check of the fleet counts from 0, as the configuration does.
+    // Checked here, as the error of the fleet's own check counts machines from 0, as the configuration does.
     if let Some(on) = arguments.fault.iter().find(|on| on.machine >= plan.fleet.machines) {
         let machines = counted(plan.fleet.machines as u64, "machine");
         return Err(usage(format!("--fault {}:…: the fleet has {machines}", on.machine + 1)));
@@ -155,7 +156,7 @@ async fn run(plan: Plan) -> Outcome {
     Ok(outcome)
 }
 
-/// Warns if no daemon serves the fleet, of which `machine` is one, after [`SERVED_WITHIN`].
+/// After [`SERVED_WITHIN`], warns if no daemon serves `machine`, which stands for the whole fleet.
 async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
     tokio::time::sleep(SERVED_WITHIN).await;
     let (Ok(serving), Ok(daemons)) = (bus::serving(session, machine).await, bus::monitors(session).await) else {
@@ -168,7 +169,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
         "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
     } else {
         format!(
-            "the daemons found serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
+            "the daemons that answer serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
             daemons.join(", ")
         )
     };
@@ -242,7 +243,7 @@ mod tests {
             logger: LoggerSettings,
             fleet: FleetSettings,
         }
-        // Keys without a default are comments in the file; the examples of faults and incidents come last.
+        // Keys without a default are comments in the file. Its last part has the examples of faults and incidents.
         let shipped = shipped();
         let settings = shipped.split("# Faults and incidents").next().unwrap();
         let uncommented =
@@ -287,7 +288,7 @@ mod tests {
 
     #[test]
     fn a_wrong_file_is_refused_with_file_line_and_key() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("[fleet]\nmachines = 0", "pointsim.toml:2: fleet.machines: is 0, must be 1 to 10000"),
             ("[fleet.machine]\n\nsupply_v = -1.0", "pointsim.toml:3: fleet.machine.supply_v: is -1, must be above 0"),
             ("[fleet.machine]\nlead = 1.0", "pointsim.toml:2: fleet.machine.lead: unknown field"),
@@ -316,14 +317,14 @@ mod tests {
             ),
         ] {
             let error = plan(text).err().map(|error| error.to_string()).unwrap_or_default();
-            assert!(error.contains(complaint), "{text}: {error:?}");
+            assert!(error.contains(expected), "{text}: {error:?}");
             assert!(!error.contains('\n') && error.starts_with("pointsim.toml:"), "{text}: {error:?}");
         }
     }
 
     #[test]
     fn a_wrong_fault_on_the_command_line_is_refused_in_one_sentence() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("1:kt:-20", "write MACHINE:PART:SIZE:FROM"),
             ("0:kt:-20:5", "counted from 1"),
             ("1:magnet:-20:5", "\"magnet\" is not kt, friction"),
@@ -332,7 +333,7 @@ mod tests {
             ("1:kt:-20:5:slow", "ramp: \"slow\" is not a number"),
         ] {
             let error = fault(text).unwrap_err();
-            assert!(error.contains(complaint), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

@@ -64,10 +64,10 @@ const VIEWS: &str = "SELECT schema.name AS view, group_concat(info.name, ', ') A
                      FROM sqlite_schema AS schema, pragma_table_info(schema.name) AS info
                      WHERE schema.type = 'view' GROUP BY schema.name ORDER BY schema.name";
 
-/// Least width of a column of a wrapped table \[characters\]: in a narrower one times and numbers are broken.
+/// Least width of a column in a wrapped table \[characters\]: a narrower column would break times and numbers.
 const LEAST_WIDTH: usize = 20;
 
-/// A table, printed when it is complete; on a terminal at most as wide as the terminal.
+/// Prints the answer as a table when it is complete, at most as wide as the terminal.
 struct Plain(Option<Table>);
 
 impl ResultWriter for Plain {
@@ -91,6 +91,7 @@ impl ResultWriter for Plain {
     }
 }
 
+/// Prints the answer as CSV, row by row.
 struct Csv(csv::Writer<StdoutLock<'static>>);
 
 impl ResultWriter for Csv {
@@ -107,6 +108,7 @@ impl ResultWriter for Csv {
     }
 }
 
+/// Prints the answer as a JSON array, row by row.
 struct Json {
     out: BufWriter<StdoutLock<'static>>,
     names: Vec<String>,
@@ -146,14 +148,17 @@ fn plain(value: Value) -> serde_json::Value {
     }
 }
 
-/// The text of a value; numbers with six significant digits.
+/// The text of a value for people: real numbers have six significant digits.
 fn short(value: &Value) -> String {
     match value {
-        Value::Real(number) => format!("{number:.5e}").parse::<f64>().map_or_else(|_| text(value), |it| it.to_string()),
+        Value::Real(number) => {
+            format!("{number:.5e}").parse::<f64>().map_or_else(|_| text(value), |rounded| rounded.to_string())
+        }
         _ => text(value),
     }
 }
 
+/// The text of a value in full precision, as in CSV.
 pub(super) fn text(value: &Value) -> String {
     match value {
         Value::Null => String::new(),

@@ -27,9 +27,9 @@ use crate::{
 
 /// Largest fleet of which every machine is listed by default: one screen.
 const MAX_LISTED: usize = 40;
-/// Largest number of machines of which the daemons that serve them are named.
+/// Largest number of machines for which the daemons that serve them are named; each needs a query.
 const MAX_ASKED: usize = 10;
-/// Least width of a column of the wrapped table of machines \[characters\]: "not monitored" has two lines then.
+/// Least width of a column in the wrapped table of machines \[characters\]; "not monitored" then needs two lines.
 const LEAST_WIDTH: usize = 10;
 /// Time between two updates with `--watch`.
 const WATCH_INTERVAL: Duration = Duration::from_secs(5);
@@ -37,9 +37,9 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, lost messages), a machine has an alarm,
-/// is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong; 69 no
-/// daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
+/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, lost messages), a machine has an
+/// alarm, is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong;
+/// 69 no daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
                         pointsd status --connect tcp/cabinet-7:7447 --json")]
@@ -79,7 +79,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             match shown.and_then(|(_, printed)| printed) {
                 // The reader closed the pipe.
                 Err(failure) if failure.exit == Exit::Ok => break Err(failure),
-                // A daemon that restarts, for example.
+                // Not the end: a daemon may be restarting, for example.
                 Err(failure) => eprintln!("{:#}", failure.error),
                 Ok(()) => {}
             }
@@ -93,7 +93,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-/// Prints the answers of the daemons once. Returns the exit code that they give, and the result of printing them.
+/// Prints the answers of the daemons once. Returns the exit code for these answers, and the result of printing them.
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
     let ask = async |selector: &str| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT).await;
     let present = bus::monitors(session).await.map_err(operator::failure)?;
@@ -103,14 +103,14 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, 
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
-    let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
-    let (mut health, of_health) = operator::values::<Health>(&of_machines);
-    let (mut alarms, of_alarms) = operator::values::<Alarm>(&events);
+    let (reports, daemon_problems) = operator::read::<StatusReport>(&daemons);
+    let (mut health, health_problems) = operator::values::<Health>(&of_machines);
+    let (mut alarms, alarm_problems) = operator::values::<Alarm>(&events);
     let twice = served_twice(session, &health).await?;
-    // A daemon counts its machines every few seconds only; the answers are newer.
-    let is_well = |report: &StatusReport| report.problems().is_empty() && report.standing.is_well();
+    // The health messages count too: a daemon updates the counts in its report only every few seconds.
+    let is_well = |report: &StatusReport| report.problems().is_empty() && report.fleet_counts.is_well();
     let silent = operator::silent(&present, &daemons);
-    let are_well = of_daemons + of_health + of_alarms + silent + twice.len() == 0
+    let are_well = daemon_problems + health_problems + alarm_problems + silent + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
@@ -149,13 +149,13 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, 
         twice.iter().try_for_each(output::line)?;
         let is_selected = arguments.state.is_some() || arguments.site.is_some();
         let none = if is_selected { "no alarms of these machines" } else { "no alarms" };
-        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, (false, none))?;
+        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false, none)?;
         caveats.iter().try_for_each(output::line)
     };
     Ok((result, print()))
 }
 
-/// A sentence about each machine that several daemons serve: both publish its alarms, and no command reaches it.
+/// A sentence about each machine that several daemons serve: all of them publish its alarms, and commands for it fail.
 async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec<String>, Failure> {
     let mut seen = HashSet::new();
     let again = health.iter().filter(|row| !seen.insert((&row.machine, row.direction)));
@@ -181,11 +181,12 @@ fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
     let name = operator::monitor_name(key);
     let StatusReport { version, uptime_s, database, .. } = report;
     output::line(format_args!("{name}: version {version}, up {uptime_s} s, database {database}"))?;
-    // One line each, as all of them together are wider than a terminal.
+    // Each part on its own line: all parts together are wider than a terminal.
     report.parts().into_iter().try_for_each(|part| output::line(format_args!("  {part}")))
 }
 
-/// Prints the table of the machines and those in maintenance. Returns the caveats of the machines in the table.
+/// Prints the table of the machines, and a list of those in maintenance. Returns the caveats of the machines in the
+/// table.
 fn print_machines(
     machines: &BTreeMap<&MachineId, Vec<&Health>>,
     windows: &[Window],
@@ -204,7 +205,7 @@ fn print_machines(
         machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state_of(rows).is_well())).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state_of(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
-    // Names are not wrapped, and in a pipe no cell is: programs search them.
+    // A name is never wrapped, and in a pipe no cell is wrapped, as programs search the output.
     if let Some(name) = table.column_mut(0) {
         name.set_constraint(ColumnConstraint::ContentWidth);
     }
@@ -237,7 +238,7 @@ fn print_machines(
     Ok(caveats(shown.iter().flat_map(|(_, rows)| rows.iter().copied())))
 }
 
-/// The caveats, equal ones of several machines once with the names of these machines.
+/// A sentence for each different caveat, with the names of all machines that have it.
 fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
     let mut machines: BTreeMap<&str, BTreeSet<&MachineId>> = BTreeMap::new();
     for row in rows {
@@ -253,7 +254,7 @@ fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
     machines.into_iter().map(sentence).collect()
 }
 
-/// The state of a machine. Several daemons may serve it: then the worst counts.
+/// The worst state in the rows of a machine, which are its directions, or the reports of several daemons.
 fn state_of(rows: &[&Health]) -> MachineState {
     rows.iter().filter_map(|row| row.state).min_by_key(|state| rank(*state)).unwrap_or_default()
 }
@@ -263,6 +264,7 @@ fn rank(state: MachineState) -> Option<usize> {
     WORST_FIRST.iter().position(|other| *other == state)
 }
 
+/// The position to which a throw moves the points.
 fn target(direction: Option<Direction>) -> &'static str {
     match direction {
         Some(Direction::NormalToReverse) => "reverse",
@@ -271,7 +273,8 @@ fn target(direction: Option<Direction>) -> &'static str {
     }
 }
 
-/// An age in one unit: "12 s ago", "5 min ago", "3 h ago" or "4 d ago"; "3 h ahead" if the clock of the logger is ahead.
+/// An age in one unit: "12 s ago", "5 min ago", "3 h ago" or "4 d ago"; "3 h ahead" if the clock of the logger is
+/// ahead.
 fn age(age: SignedDuration) -> String {
     let length = match age.as_secs().unsigned_abs() {
         seconds @ ..120 => format!("{seconds} s"),

@@ -1,4 +1,5 @@
-//! `pointsim table1`: repeats the study's 4 cases x 6 tests; measured and expected changes as tables and charts.
+//! `pointsim table1`: repeats the 4 cases x 6 tests of the study, with measured and expected changes as tables and
+//! charts.
 
 use std::path::PathBuf;
 
@@ -29,7 +30,7 @@ pub(super) struct Arguments {
     /// Simulate the rails as one mass and spring instead of a beam.
     #[arg(long)]
     lumped: bool,
-    /// Throws of each test; the table shows their mean.
+    /// Number of throws of each test; the table shows their mean.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1000))]
     throws: u16,
     /// Seed of the sensors' noise.
@@ -139,17 +140,19 @@ fn figures(results: &[CaseResult]) -> Vec<(String, Sheet)> {
     figures
 }
 
-/// Current above which the simulated motor runs \[A\]: ten times the noise of its sensor, so that no sample at rest
-/// is above it.
+/// Current above which the simulated motor counts as running \[A\]: ten times the noise of its sensor, so that no
+/// sample at rest is above it.
 const RUNNING_A: f64 = 0.2;
 
-/// The nominal throw as recorded, and the position of the identified model for the recorded current.
+/// Charts of the recorded throw of the nominal machine, of the position that the identified model gives for its
+/// current, and of the difference.
 fn pulse_response(test: &Test) -> Sheet {
     let period = test.trace.sample_rate_hz().recip();
     let samples = |values: &[f64]| -> Vec<(f64, f64)> {
         values.iter().enumerate().map(|(at, value)| (at as f64 * period, *value)).collect()
     };
-    // The model ends with the current: afterwards stock rail and brake hold the toe, which it does not include.
+    // The model is shown only until the current ends. Afterwards the stock rail and the brake hold the toe; the model
+    // includes neither.
     let running = test.trace.current_a().iter().rposition(|current| current.abs() > RUNNING_A).unwrap_or(0);
     let mut model = test.modelled_position_mm();
     model.truncate(running);

@@ -68,7 +68,7 @@ struct Settings {
     sensors: Sensors,
 }
 
-/// The printed output: the true coefficients and conditions of the throw.
+/// The output about a throw: its true coefficients and its conditions.
 #[derive(Debug, Serialize)]
 struct Truth {
     #[serde(flatten)]
@@ -168,17 +168,17 @@ fn settings(arguments: &Arguments, document: Option<&Document>) -> Result<Settin
     for change in &arguments.changes {
         apply(&mut table, change).or_exit(Exit::Usage)?;
     }
-    // The error has several lines.
+    // The error of the parser has several lines.
     let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
     let settings = table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config);
-    // Only an error of the file alone names its line.
+    // If the file is wrong by itself, its own error is better, as it names the line.
     match document.map(Document::deserialize::<Settings>) {
         Some(Err(error)) if settings.is_err() => Err(Failure::new(Exit::Config, error)),
         _ => settings,
     }
 }
 
-/// Applies `a.b.c=value`; a value that is not valid TOML is a text.
+/// Applies a change `a.b.c=value`. A value that is not valid TOML counts as a text.
 fn apply(table: &mut toml::Table, change: &str) -> anyhow::Result<()> {
     let (key, text) = change.split_once('=').ok_or_else(|| anyhow!("--set {change}: write it as KEY=VALUE"))?;
     let value = format!("v = {text}")

@@ -1,6 +1,6 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
-use super::{orders::Orders, status::StatusSources};
+use super::{commands::CommandSender, status::StatusSources};
 use crate::{
     bus::{QueryQueue, ReceivedQuery},
     store::{Reader, Selector, StoreError, seldom},
@@ -13,11 +13,11 @@ type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 pub(super) enum Answers {
     /// To health queries.
     Health(Reader),
-    /// To alarm queries, except those that the queryable `elsewhere` receives and answers too.
+    /// To alarm queries. A query that also reaches the queryable on the key expression `elsewhere` is answered there.
     Alarms { reader: Reader, elsewhere: Option<String> },
-    /// To operators' commands, and to queries for the name of the daemon, `itself`. A command for another daemon gets
-    /// no reply.
-    Commands { orders: Orders, itself: CommandTarget },
+    /// To operators' commands, and to queries for the name and session of the daemon, `itself`. A command for the
+    /// session of another daemon gets no reply.
+    Commands { sender: CommandSender, itself: CommandTarget },
     /// To status queries.
     Status { key: String, sources: StatusSources },
 }
@@ -40,11 +40,11 @@ impl Answers {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
-            Self::Commands { orders, itself } => {
+            Self::Commands { sender, itself } => {
                 takes_only(question, &["session"])?;
                 match question.parameter("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
-                    _ => command_reply(question, orders, itself).await,
+                    _ => command_reply(question, sender, itself).await,
                 }
             }
             Self::Status { key, sources } => {
@@ -55,6 +55,7 @@ impl Answers {
     }
 }
 
+/// Refuses a query with a parameter that is not in `known`.
 fn takes_only(question: &ReceivedQuery, known: &[&str]) -> Result<(), String> {
     wire::check_parameters(question.parameters(), known).map_err(|error| error.to_string())
 }
@@ -77,6 +78,7 @@ async fn alarm_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
     messages(question, rows, message)
 }
 
+/// The replies for some rows, without those whose key the query does not match.
 fn messages<T>(
     question: &ReceivedQuery,
     rows: Result<Vec<T>, StoreError>,
@@ -86,11 +88,11 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-async fn command_reply(question: &ReceivedQuery, orders: &Orders, itself: &CommandTarget) -> Replies {
+async fn command_reply(question: &ReceivedQuery, sender: &CommandSender, itself: &CommandTarget) -> Replies {
     let payload = question.payload();
     let machine = match wire::parse_key(question.key()) {
         Ok((machine, _)) => machine,
-        // A query for all that is known, as on `points/v1/north/21B/*`, is no command: health and alarms answer it.
+        // A query without payload is no command. On a wildcard as `points/v1/north/21B/*` health and alarms answer it.
         Err(_) if payload.is_empty() => return Ok(Vec::new()),
         Err(error) => return Err(format!("a command goes to one machine, so its key has no wildcard: {error}")),
     };
@@ -99,21 +101,21 @@ async fn command_reply(question: &ReceivedQuery, orders: &Orders, itself: &Comma
         return Ok(vec![(key, wire::json_bytes(itself))]);
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
-    Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
+    Ok(vec![(key, wire::json_bytes(&sender.apply(machine, command).await?))])
 }
 
 async fn status(sources: &StatusSources) -> Vec<u8> {
     let mut report = sources.report();
     match sources.store.reader().windows(None).await {
         Ok(windows) => report.windows = windows,
-        // The rest of the status is most important when the database does not answer.
+        // The other fields are still sent: they matter most when the database does not answer.
         Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
     }
     wire::json_bytes(&report)
 }
 
-/// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
-/// messages are filtered afterwards.
+/// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]
+/// then filters their replies.
 fn selector(question: &ReceivedQuery) -> Selector {
     wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

@@ -1,8 +1,10 @@
 //! Fetches missing throws from the loggers' backlogs, page by page.
 //!
-//! The database has the cursor of each machine and its gaps. A logger is queried when its liveliness token appears,
-//! when a throw number is missing, when one of its messages was dropped, and every few minutes. The next page is
-//! queried when the previous one is stored.
+//! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
+//! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
+//! missing, when one of its messages was dropped, and every few minutes. The next page is queried when the previous
+//! page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
+//! turn.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -35,34 +37,39 @@ const LARGEST_PAGE: usize = 32;
 const PAGE_BYTES: u64 = 1 << 20;
 /// Size of a sample \[bytes\]: current and position as float32.
 const SAMPLE_BYTES: u64 = 8;
-/// Pages of one logger before the next logger has its turn.
+/// Largest number of pages of one logger in a turn.
 const TURN: usize = 8;
-/// Pages without a new throw after which the turn ends. A logger that does not know the last boot starts with its oldest
-/// throw, so some pages repeat; after an import of recordings this can hide the newest throws until the next live one.
+/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor
+/// starts with its oldest throw, so some pages repeat stored throws. After an import of recordings this can hide the
+/// newest throws until the next live throw.
 const REPEATED_PAGES: usize = 4;
-/// Factor from a page without a usable throw to the next one, which begins at the same throw: from one throw to
-/// [`wire::MAX_PAGE`] within a turn.
+/// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
+/// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.
 const WIDER: usize = 4;
-/// If a connected logger has replied for this long without the awaited throws, it no longer has them: they are written
-/// off as a gap.
+/// If a connected logger replies for this long without the awaited throws, it no longer has them. They are written off
+/// as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Pause after a failed query, doubled up to [`LONGEST_PAUSE`].
 const PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
-/// Time between two queries of all loggers, as a safety net.
+/// Time between two queries of all loggers, in case another trigger was missed.
 const ROUND: Duration = Duration::from_mins(5);
 /// Least time between two database queries for missing throws.
-const LOOK: Duration = Duration::from_millis(100);
-/// Largest number of remembered tokens, above the possible number of machines; beyond it all are discarded.
+const MISSING_CHECK: Duration = Duration::from_millis(100);
+/// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
+/// is cleared.
 const WITH_TOKEN: usize = 200_000;
-/// Machines with missing throws read in one query.
+/// Largest number of machines with missing throws in one database query.
 const MISSING: u32 = 10_000;
 
+/// How a turn of a logger ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum QueryEnd {
+    /// The logger has no newer throw, and none is missing.
     Complete,
-    /// The turn of the logger is over; it has more throws.
+    /// The turn was long enough; the logger may have more throws.
     More,
+    /// The logger replied without the throws that are missing after this cursor.
     Without(Cursor),
     /// The logger did not reply in time, or its replies could not be stored.
     Broken,
@@ -72,10 +79,13 @@ enum QueryEnd {
 pub(super) struct Backlog {
     pub(super) querier: Arc<Querier>,
     pub(super) loggers: watch::Receiver<Loggers>,
-    /// The loggers with a token before the last change.
+    /// Machines whose loggers had a token at the last change of `loggers`.
     pub(super) seen: HashSet<MachineId>,
+    /// Machines whose loggers ever had a token since the start.
     pub(super) with_token: HashSet<MachineId>,
+    /// Keys of live messages that were dropped.
     pub(super) dropped: mpsc::Receiver<String>,
+    /// Notified when a throw number may be missing.
     pub(super) missing: Arc<Notify>,
 }
 
@@ -84,8 +94,8 @@ impl Backlog {
         let mut schedule = Schedule::default();
         let mut queries = JoinSet::new();
         let mut round = time::interval(ROUND);
-        let mut look = time::interval(LOOK);
-        look.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut check = time::interval(MISSING_CHECK);
+        check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
         loop {
             while queries.len() < AT_A_TIME
@@ -119,17 +129,17 @@ impl Backlog {
                     }
                 }
                 () = self.missing.notified() => may_miss = true,
-                _ = look.tick(), if may_miss => {
+                _ = check.tick(), if may_miss => {
                     may_miss = false;
-                    self.look(&mut schedule).await;
+                    self.request_missing(&mut schedule).await;
                 }
                 _ = round.tick() => self.seen.iter().for_each(|machine| schedule.request(machine)),
                 Some(ended) = queries.join_next() => match ended {
                     Ok((machine, ended, page, was_slow)) => {
-                        schedule.paced(&machine, was_slow);
-                        self.ended(&mut schedule, &machine, ended, page).await;
+                        schedule.set_slow(&machine, was_slow);
+                        self.on_query_end(&mut schedule, &machine, ended, page).await;
                     }
-                    // The end of this task ends the process.
+                    // The task ends here, and with it the daemon.
                     Err(error) => return tracing::error!(%error, "querying a logger failed"),
                 },
                 () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
@@ -137,8 +147,8 @@ impl Backlog {
         }
     }
 
-    /// Schedules queries of the loggers with missing throws, except those that are paused.
-    async fn look(&self, schedule: &mut Schedule) {
+    /// Schedules queries of the loggers with missing throws, except those that wait for their next try.
+    async fn request_missing(&self, schedule: &mut Schedule) {
         match self.querier.intake.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
@@ -154,12 +164,12 @@ impl Backlog {
         }
     }
 
-    /// Whether a logger is connected: it has a token or, if it never had one, has just sent a live throw.
+    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
     fn is_connected(&self, machine: &MachineId) -> bool {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
     }
 
-    async fn ended(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
+    async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
         turn.page = page;
         self.missing.notify_one();
@@ -179,7 +189,7 @@ impl Backlog {
                 turn.tries = 0;
                 return schedule.rest(machine, PAUSE);
             }
-            // Queried again when its token or a throw of it appears.
+            // Queried earlier if its token or one of its throws appears.
             QueryEnd::Without(_) => LONGEST_PAUSE,
             QueryEnd::Broken => {
                 let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
@@ -202,7 +212,8 @@ pub(super) struct Querier {
 }
 
 impl Querier {
-    /// Queries a logger page by page. Returns the size of its next page.
+    /// Queries a logger page by page, at most [`TURN`] pages. Returns how the turn ended, and the size of the next
+    /// page.
     async fn query(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
         let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
             seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
@@ -212,7 +223,7 @@ impl Querier {
     }
 
     async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<QueryEnd, StoreError> {
-        // A client without its router gets the same empty page as from a logger without throws.
+        // A client without its router gets an empty page, as from a logger without throws.
         if self.is_client && !bus::is_connected(&self.session).await {
             return Ok(QueryEnd::Broken);
         }
@@ -222,7 +233,7 @@ impl Querier {
             let limit = page_limit(&cursor, *size).max(least);
             let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
             let Some(page) = page else {
-                // The good throws may be behind messages that are no throws, or that zenoh drops because of their size.
+                // Valid throws may follow after messages that are invalid, or that zenoh drops because of their size.
                 if ending == PageEnd::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
                     least = (WIDER * limit).min(wire::MAX_PAGE);
                     continue;
@@ -258,16 +269,16 @@ impl Querier {
         Ok(QueryEnd::More)
     }
 
-    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the
-    /// logger sent no message at all.
+    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns the end of
+    /// the page, and whether the logger sent no message at all.
     async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, PageEnd, bool) {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         if let Some(error) = &answer.error {
             seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
         }
-        let came = answer.messages.len() as u64;
-        self.intake.status.edit().received += came;
+        let received = answer.messages.len() as u64;
+        self.intake.status.edit().received += received;
         let mut throws: Vec<_> =
             self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
         let read = throws.len();
@@ -278,11 +289,12 @@ impl Querier {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        ((!throws.is_empty()).then_some(throws), answer.ending, came == 0)
+        ((!throws.is_empty()).then_some(throws), answer.ending, received == 0)
     }
 }
 
-/// Throws in the next page: at most `size`, as many as fit, and as many as are missing.
+/// Number of throws in the next page: at most `size`, at most [`PAGE_BYTES`] of samples, at most the missing throws,
+/// and at least one.
 fn page_limit(cursor: &Cursor, size: usize) -> usize {
     let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
     let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
@@ -290,7 +302,7 @@ fn page_limit(cursor: &Cursor, size: usize) -> usize {
     size.min(fits).min(missing).max(1)
 }
 
-/// Removes throws that are not after the previous throw of their boot.
+/// Removes throws whose number is not above that of the throw before them in the same boot.
 fn keep_order(throws: &mut Vec<Throw>, after: Option<&ThrowRef>) {
     let mut last = after.cloned();
     throws.retain(|throw| {

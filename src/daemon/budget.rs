@@ -1,15 +1,15 @@
-//! Rate limit of commands. Each is stored with name, time and reason, and a flood must not displace the record of other
-//! commands.
+//! Rate limit of operators' commands. Each command is stored with name, time and reason, in a table of limited size. A
+//! flood of commands must not displace the record of the others.
 
 use std::time::{Duration, Instant};
 
-/// Burst of commands: a script may put a whole site into maintenance.
+/// Number of commands accepted at once: a script may put a whole site into maintenance.
 const BURST: f64 = 200.0;
 /// Time for each further command. At this rate the stored commands ([`COMMANDS_KEPT`](crate::store::COMMANDS_KEPT))
 /// cover at least 34 days.
 const EVERY: Duration = Duration::from_secs(6);
 
-/// Number of commands allowed now.
+/// A token bucket of commands.
 #[derive(Debug)]
 pub(super) struct Budget {
     left: f64,

@@ -1,4 +1,4 @@
-//! Errors at the start of the daemon, and of the pipeline without zenoh.
+//! Errors at the start of the daemon, and of the pipeline without zenoh ([`super::Offline`]).
 
 use super::lock::LockError;
 use crate::{bus::BusError, store::StoreError};

@@ -11,7 +11,7 @@ use crate::{
 const UNREADABLE: &str = "unreadable_trace";
 /// `quality` of a throw with a repeated trace.
 const REPEATED: &str = "repeated_trace";
-/// `quality` of a throw of a machine as which two loggers publish.
+/// `quality` of a throw of a machine under whose name two loggers publish.
 pub(super) const TWO_LOGGERS: &str = "two_loggers";
 /// `quality` of a throw that made the estimator or the diagnosis panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
@@ -29,19 +29,21 @@ pub(super) fn observation(stored: &StoredThrow, found: Option<&Identification>) 
     Observation { throw: stored.id.clone(), received_at: Some(stored.received_at), ..observation }
 }
 
-/// Code and sentence of a throw with a repeated trace.
+/// `quality` and sentence of a throw with a repeated trace.
 pub(super) fn repeated() -> (&'static str, String) {
     (REPEATED, "the machine sent the same trace before; two real throws are never identical".to_owned())
 }
 
-/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence. The baseline is that in
-/// use after the throw, `None` for a throw with changes of its coefficients; beside it the number of throws since it was complete.
+/// The health of a throw. `withheld` has the code and the sentence about a throw that is no evidence. `baseline` is the
+/// baseline after the throw, for the changes of its ratios; `None` if the verdict has the changes of its coefficients.
+/// `throws_since_baseline` counts from the completion of the baseline.
 pub(super) fn health(
     stored: &StoredThrow,
     found: Option<&Identification>,
     withheld: Option<(&'static str, String)>,
     verdict: &Verdict,
-    (baseline, throws_since_baseline): (Option<&BaselineRecord>, u64),
+    baseline: Option<&BaselineRecord>,
+    throws_since_baseline: u64,
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
         (_, Some(found)) => (found.quality(), found.detail()),

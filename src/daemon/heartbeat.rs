@@ -9,8 +9,8 @@ use strum::VariantArray;
 
 use super::clock;
 
-/// Age of a heartbeat from which a loop hangs. The longest waits are 5 s for a stalled link in zenoh, 10 s for a query,
-/// and one batch of the judge: 256 throws or 2 million samples.
+/// Age of the last heartbeat above which a loop counts as hanging. The longest regular waits are 5 s for a stalled link
+/// in zenoh, 10 s for a query, and one batch of the judge: 256 throws or 2 million samples.
 const FRESH: Duration = Duration::from_secs(30);
 
 /// A loop with a heartbeat.
@@ -36,22 +36,24 @@ pub(crate) struct Heartbeats {
     last_ms: [AtomicU64; TaskName::VARIANTS.len()],
 }
 
-/// Heartbeats of all loops, which count as fresh at the start.
+/// All loops count as fresh at the start.
 impl Default for Heartbeats {
     fn default() -> Self {
         let beats = Self { start: clock::monotonic(), last_ms: Default::default() };
+        // A time in the future never becomes too old: without a webhook its loop gives no heartbeat.
         beats.last_ms[TaskName::Webhook as usize].store(u64::MAX, Relaxed);
         beats
     }
 }
 
 impl Heartbeats {
-    /// Records a heartbeat.
+    /// Records a heartbeat of a loop.
     pub(crate) fn beat(&self, task: TaskName) {
         self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
     }
 
-    /// Loops without a fresh heartbeat; none while a copy of the database makes progress, as they wait for the writer.
+    /// Loops without a fresh heartbeat. Empty while a copy of the database makes progress: the loops then wait for the
+    /// writer.
     pub(crate) fn silent(&self, is_copying: bool) -> Vec<TaskName> {
         let now = self.elapsed_ms();
         let silent = |task: &TaskName| {

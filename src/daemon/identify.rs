@@ -10,21 +10,21 @@ use crate::{
 /// Largest number of threads if the configuration does not set it.
 const MOST_THREADS: usize = 8;
 
-/// One identifier for each thread, with its buffers.
+/// The identifiers that no thread uses now, one for each thread. Each keeps its buffers.
 pub(super) struct Pool {
     idle: Vec<Identifier>,
 }
 
 impl Pool {
-    /// A pool with `threads` threads; 0 for the number of processors, at most `MOST_THREADS`.
+    /// A pool for `threads` threads; 0 means the number of processors, at most [`MOST_THREADS`].
     pub(super) fn new(threads: usize) -> Self {
         let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
         let threads = if threads == 0 { available() } else { threads };
         Self { idle: (0..threads).map(|_| Identifier::default()).collect() }
     }
 
-    /// Identifies each throw with its settings. `None` if the estimator panicked: a defect that must not block other
-    /// throws.
+    /// Identifies each throw with its settings. `None` for a throw that makes the estimator panic: such a defect must
+    /// not block other throws.
     pub(super) async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
         let threads = self.idle.len().max(1);
         let share = throws.len().div_ceil(threads).max(1);
@@ -44,7 +44,7 @@ impl Pool {
         }
         let mut all = Vec::new();
         for part in running {
-            // Only when the runtime shuts down: `guarded` catches panics, and nothing cancels the task.
+            // Fails only when the runtime shuts down: `guarded` catches panics, and nothing else cancels the task.
             let Ok((identifier, found)) = part.await else { return all };
             self.idle.push(identifier);
             all.extend(found);
@@ -54,6 +54,7 @@ impl Pool {
     }
 }
 
+/// Identifies a throw; `None` after a panic.
 fn guarded(identifier: &mut Identifier, throw: &Throw, settings: &Settings) -> Option<Identification> {
     let attempt = std::panic::AssertUnwindSafe(|| identifier.identify(throw, settings));
     let found = std::panic::catch_unwind(attempt).ok();

@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use super::{
     clock,
     config::Config,
-    fleet::{Circumstances, Fleet},
+    fleet::{Fleet, JudgementContext},
     identify::Pool,
 };
 use crate::{
@@ -17,10 +17,11 @@ use crate::{
     wire::Health,
 };
 
-/// Largest number of throws in a batch of identification and commit. The store returns fewer if their traces are long.
-/// A commit waits behind groups of received throws, so smaller batches fell behind at 1,500 throws/s.
+/// Largest number of throws that are identified and committed together. The store returns fewer if their traces are
+/// long. A commit waits for the commits of received throws: with smaller batches the judge fell behind at 1,500
+/// throws/s.
 const BATCH: u32 = 256;
-/// Monitors in one query of the start; each is up to 20 kB of text.
+/// Number of monitors read in one query at the start; each has up to 20 kB of text.
 const PAGE: u32 = 256;
 
 /// A judged throw, for observers in the same process.
@@ -44,7 +45,8 @@ pub(super) struct Judge {
     pub(super) fleet: Fleet,
     pub(super) pool: Pool,
     pub(super) config: watch::Receiver<Arc<Config>>,
-    /// The machine judged last, if its batch was full; the others have their turn first.
+    /// The machine of the last throw in the last batch, if that batch was full. The next batch begins with the other
+    /// machines.
     pub(super) last: Option<MachineId>,
     /// Whether further throws may have been pending when the last batch was read.
     pub(super) more: bool,
@@ -53,7 +55,7 @@ pub(super) struct Judge {
 impl Judge {
     /// Restores the judge from the database.
     pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
-        // Page by page: a snapshot as text needs more memory than the monitor.
+        // Page by page, as the text of a snapshot needs more memory than its monitor.
         let (mut fleet, mut last) = (Fleet::default(), None);
         loop {
             let page = store.reader().monitors(last.as_ref(), PAGE).await?;
@@ -85,7 +87,8 @@ impl Judge {
         Ok(throws)
     }
 
-    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next call.
+    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next
+    /// call.
     pub(super) async fn judge(&mut self, throws: &[StoredThrow]) -> Arc<[Judgement]> {
         let config = self.config();
         let readable = throws.iter().filter_map(|stored| {
@@ -96,18 +99,18 @@ impl Judge {
         let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
         let judgements = throws.iter().map(|stored| {
             let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
-            let circumstances = Circumstances {
+            let context = JudgementContext {
                 is_last: last.get(&stored.machine) == Some(&stored.row),
                 settings: &config.diagnosis,
                 parameters: Parameters::of(config.machines.of(&stored.machine)),
                 at: clock::now(),
             };
-            self.fleet.judge(stored, identification, circumstances)
+            self.fleet.judge(stored, identification, context)
         });
         judgements.collect()
     }
 
-    /// Time that later throws of a machine wait for missing ones.
+    /// Time that the throws after a gap wait for the missing throws.
     pub(super) fn backlog_wait(&self) -> Duration {
         Duration::from_secs_f64(self.config.borrow().subscribe.backlog_wait_s)
     }

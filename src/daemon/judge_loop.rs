@@ -18,11 +18,11 @@ use tokio_util::sync::CancellationToken;
 use super::{
     budget::Budget,
     clock,
+    commands::PendingCommand,
     config::Config,
     fleet::TICK,
     heartbeat::TaskName,
     judge::{Judge, Judged},
-    orders::Order,
     peers::Peers,
     presence::Loggers,
     status::Status,
@@ -35,18 +35,19 @@ use crate::{
     wire::{self, Alarm, Kind, Reply},
 };
 
-/// Changes of monitors in one transaction.
+/// Largest number of changed monitors in one transaction.
 const CHANGES: usize = 64;
-/// Gaps in one query; the gaps of a machine are reported together.
+/// Largest number of gaps in one query. All gaps of a machine should be in one result, as they are reported together.
 const GAPS: u32 = 10_000;
-/// Largest number of loggers without a throw that the status names.
+/// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message.
 const NAMED: usize = 20;
-/// Time for which refused messages of an unknown machine without a logger's token are a problem.
+/// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
+/// token stays in the list.
 const REFUSED_FOR: Duration = Duration::from_hours(1);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection
-/// usually helps earlier; longer silence would look like health.
+/// Time after which a daemon alarm that cannot be committed is published uncommitted. Usually the store can write again
+/// earlier, after it removed its ballast file or reconnected. A longer silence would look like health.
 const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 
 /// An alarm event about the daemon itself that is not stored yet.
@@ -57,7 +58,7 @@ struct PendingDaemonAlarm {
     published: bool,
 }
 
-/// A write that is retried; all of it is one transaction.
+/// Changes that are stored in one transaction, with retries.
 #[derive(strum::AsRefStr)]
 enum Changes {
     #[strum(serialize = "judgements")]
@@ -79,15 +80,15 @@ impl Changes {
 pub(super) struct Links {
     pub(super) status: Arc<Status>,
     pub(super) outlet: Outlet,
-    /// Notified when a throw was stored.
+    /// Notified when a throw is stored.
     pub(super) spooled: Arc<Notify>,
     /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
-    /// Notified when the outbox has a new message, for the webhook.
+    /// The same for the loop of the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     pub(super) loggers: watch::Receiver<Loggers>,
-    pub(super) orders: mpsc::Receiver<Order>,
+    pub(super) commands: mpsc::Receiver<PendingCommand>,
     pub(super) peers: Arc<Peers>,
     /// Cancelled when the daemon must end even with unstored changes.
     pub(super) give_up: CancellationToken,
@@ -96,13 +97,13 @@ pub(super) struct Links {
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
-    /// Name of the daemon as a machine, for its alarms.
+    /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
     own_machine: MachineId,
-    /// Watched daemons that were away at the last tick, and whether this one had a link itself.
+    /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
     away: Option<Away>,
-    /// Machines of which every message so far was refused, with the last reason and its time.
+    /// Machines of which every message so far was quarantined, with the last reason and its time.
     refused: BTreeMap<MachineId, (String, Instant)>,
-    /// Queue of unstored events: at most a raise, an escalation and a clearance.
+    /// Unstored alarm events about the daemon itself: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
     budget: Budget,
@@ -124,7 +125,7 @@ impl JudgeLoop {
 
     /// Runs until `stop`, then judges the throws that are still pending.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
-        // The daemon can work without this list.
+        // An error is no reason to end: the daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
             tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
             Vec::new()
@@ -143,7 +144,7 @@ impl JudgeLoop {
                     while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
                     return Ok(());
                 }
-                Some(order) = self.links.orders.recv() => self.carry_out(order).await?,
+                Some(pending) = self.links.commands.recv() => self.answer_command(pending).await?,
                 _ = tick.tick() => self.on_tick().await?,
                 () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
                 () = self.links.spooled.notified() => may_be_pending = true,
@@ -167,7 +168,8 @@ impl JudgeLoop {
                 return Ok(false);
             }
         };
-        // After these throws were read: no throw shows that nothing is lost before the gaps up to it are known.
+        // After the throws are read, so that their monitors know every gap before them. A throw without a gap before it
+        // shows that no data was lost.
         self.report_gaps().await?;
         let judgements = self.judge.judge(&pending).await;
         self.links.status.heartbeats.beat(TaskName::Identify);
@@ -180,8 +182,9 @@ impl JudgeLoop {
         Ok(self.judge.more)
     }
 
-    /// Stores the judgements of a batch that the database rejects, each alone. One that is rejected again is replaced: its
-    /// throw counts as not evaluated, as a repetition would fail for ever, and hold up every later throw.
+    /// Stores the judgements of a batch that the database rejects, each in its own transaction. If the database rejects
+    /// a judgement again, its throw is stored as not evaluated. A retry would fail for ever, and block all later
+    /// throws.
     async fn judge_one_by_one(&mut self, judgements: &[Judgement]) -> Result<(), StoreError> {
         for judgement in judgements {
             let Err(error) = self.judge_alone(judgement.clone()).await else { continue };
@@ -192,7 +195,7 @@ impl JudgeLoop {
             let [with_events, alone] = judgement.instead(&problem);
             let Err(error) = self.judge_alone(with_events).await else { continue };
             let StoreError::Refused(problem) = error else { return Err(error) };
-            self.lose(&judgement.outcome, &problem);
+            self.log_lost(&judgement.outcome, &problem);
             match self.judge_alone(alone).await {
                 Err(StoreError::Refused(problem)) => {
                     seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
@@ -212,8 +215,8 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end first; the next
-    /// start continues from the database, whose monitors are then older than those in memory.
+    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end before. The
+    /// next start then continues with the older monitors of the database.
     async fn until_stored(&mut self, changes: &Changes) -> Result<bool, StoreError> {
         loop {
             self.links.status.heartbeats.beat(TaskName::Identify);
@@ -222,7 +225,7 @@ impl JudgeLoop {
                 Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
                 Err(error) => seldom!(warn, %error, what = changes.as_ref(), "storing failed; retrying"),
             }
-            // May store a newer monitor of the daemon, which a repeated write then replaces by an older one.
+            // The call below may store a newer monitor of the daemon, which the retry then replaces by an older one.
             self.judge.fleet.store_again(&self.own_machine);
             self.update_daemon_alarms().await?;
             if self.links.give_up.is_cancelled() {
@@ -252,7 +255,7 @@ impl JudgeLoop {
                 Ok(stored)
             }
             Err(StoreError::Refused(problem)) => {
-                outcomes.iter().for_each(|outcome| self.lose(outcome, &problem));
+                outcomes.iter().for_each(|outcome| self.log_lost(outcome, &problem));
                 Ok(false)
             }
             Err(error) => Err(error),
@@ -263,7 +266,7 @@ impl JudgeLoop {
         let (status, health) = (&self.links.status, &judgement.health);
         status.edit().judged += 1;
         if health.is_rejected() {
-            status.refuse(&health.quality);
+            status.count_rejected(&health.quality);
         }
         self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
         self.announce(&judgement.outcome);
@@ -296,7 +299,7 @@ impl JudgeLoop {
         self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
-            if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
+            if let Some(outcome) = self.judge.fleet.report_irregularity(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
             } else if !self.judge.fleet.knows(&machine)
                 && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
@@ -305,16 +308,15 @@ impl JudgeLoop {
             }
         }
         let away = self.links.peers.away();
-        let has_link = self.links.status.edit().connected;
-        let away = away.map(|daemons| Away { daemons, has_link });
+        let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
-            let outcome = self.judge.fleet.peers(&self.own_machine, &away, now, &config.diagnosis);
+            let outcome = self.judge.fleet.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
             self.away = Some(away);
             if let Some(outcome) = outcome {
                 self.record(outcome).await?;
             }
         }
-        self.update_standing();
+        self.update_report();
         Ok(())
     }
 
@@ -329,28 +331,29 @@ impl JudgeLoop {
                 missing.throws = missing.throws.saturating_add(throws);
                 missing.refused += gap.refused.min(throws);
             }
-            let outcome = self.judge.fleet.gap(&machine, missing, now, &config.diagnosis);
+            let outcome = self.judge.fleet.report_gap(&machine, missing, now, &config.diagnosis);
             self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
         }
         Ok(())
     }
 
-    fn update_standing(&mut self) {
-        let standing = self.judge.fleet.standing(&self.own_machine);
+    fn update_report(&mut self) {
+        let fleet_counts = self.judge.fleet.fleet_counts(&self.own_machine);
         let loggers = self.links.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
-        // A logger need not have a token; a sender that invented a machine and stopped is forgotten.
+        // A logger need not have a token. Without one its machine is removed some time after the last message, as any
+        // sender can invent machines.
         self.refused.retain(|machine, (_, last)| {
             !self.judge.fleet.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
-        report.loggers_ahead = self.judge.fleet.dating.ahead();
-        report.loggers_behind = self.judge.fleet.dating.behind();
-        (report.standing, report.without_throw) = (standing, without_throw);
+        report.loggers_ahead = self.judge.fleet.clocks.ahead();
+        report.loggers_behind = self.judge.fleet.clocks.behind();
+        (report.fleet_counts, report.without_throw) = (fleet_counts, without_throw);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
@@ -358,14 +361,14 @@ impl JudgeLoop {
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
-        let new = self.judge.fleet.trouble(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let new = self.judge.fleet.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
         while let Some(alarm) = self.daemon_alarms.pop_front() {
             match self.judge.store.record(alarm.outcome.clone()).await {
                 Ok(()) => self.announce(&alarm.outcome),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(StoreError::Refused(problem)) => self.lose(&alarm.outcome, &problem),
+                Err(StoreError::Refused(problem)) => self.log_lost(&alarm.outcome, &problem),
                 Err(_) => {
                     self.daemon_alarms.push_front(alarm);
                     self.publish_uncommitted().await;
@@ -386,13 +389,13 @@ impl JudgeLoop {
                 tracing::error!(%machine, %cause, "an alarm cannot be stored yet, and is published uncommitted: {text}");
                 let key = wire::machine_key(machine, Kind::Alarm);
                 let message = Alarm::new(machine, event).into_message();
-                // The alarm is in the log, also if the publication fails.
+                // If the publication fails, the alarm is at least in the log.
                 let _ = time::timeout(PAUSE, self.links.outlet.alarm(key, message)).await;
             }
         }
     }
 
-    /// The unreported gaps of each machine that no backlog filled in time.
+    /// The gaps of each machine that no backlog filled in time, and that are not reported yet.
     async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, Vec<Gap>> {
         let mut old = HashMap::<_, Vec<_>>::new();
         let wait = self.judge.backlog_wait();
@@ -406,8 +409,8 @@ impl JudgeLoop {
         old
     }
 
-    async fn carry_out(&mut self, order: Order) -> Result<(), StoreError> {
-        let Order { machine, command, reply } = order;
+    async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
+        let PendingCommand { machine, command, reply } = pending;
         let (config, now) = (self.judge.config(), clock::now());
         let allowed = self.budget.take(clock::monotonic());
         let (done, text) = if let Err(wait) = allowed {
@@ -439,7 +442,7 @@ impl JudgeLoop {
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
         }
-        let (outcome, confirmation) = match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
+        let (outcome, confirmation) = match self.judge.fleet.apply_command(machine, command, now, &config.diagnosis) {
             None => {
                 let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
                 return Ok((false, text));
@@ -451,7 +454,7 @@ impl JudgeLoop {
         if !is_stored {
             self.judge.fleet.store_again(machine);
         }
-        self.update_standing();
+        self.update_report();
         if !is_stored {
             let text = "the database did not store the command, which is in effect until the daemon restarts";
             return Ok((false, text.to_owned()));
@@ -460,8 +463,8 @@ impl JudgeLoop {
         Ok((true, confirmation))
     }
 
-    /// Logs and counts the alarm events of an outcome that the database rejects.
-    fn lose(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
+    /// Logs an outcome that the database rejects, and logs and counts its alarm events.
+    fn log_lost(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
         seldom!(error, %machine, problem, "the database rejects the change of a monitor: it is LOST");
         for event in events {
             tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);

@@ -1,4 +1,4 @@
-//! The lock of a database: only one process may use it, as each process has its own monitors.
+//! The lock of a database: only one process may use it, as each process has its own monitors in memory.
 
 use std::{
     fs::{File, Metadata, TryLockError},
@@ -35,16 +35,18 @@ pub enum LockError {
     },
 }
 
-/// The lock of a database, held until it is dropped, which removes its files, or the process ends in any way.
+/// The lock of a database. It is held until it is dropped, which removes the lock files, or until the process ends in
+/// any way.
 ///
-/// A database can have several paths: `store.path` may be a symbolic link, of an administrator or of a database that
-/// moved (see `store::files`). Each path from the configured one to the file is locked, so that two processes meet at
-/// one of them.
+/// A database can have several paths: `store.path` may be a symbolic link, which an administrator made, or the store
+/// when it moved the database (see `store::files`). Each path from the configured one to the file is locked, so that
+/// any two processes have at least one locked path in common.
 #[derive(Debug)]
 pub(crate) struct DatabaseLock {
     _paths: Vec<PathLock>,
 }
 
+/// The lock of one path of a database.
 #[derive(Debug)]
 struct PathLock {
     file: File,
@@ -68,7 +70,7 @@ impl PathLock {
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
-            // The file was removed by another process, which ended in between.
+            // Another process ended between opening and locking, and removed the file.
             Ok(()) if !is_at(&file, &path) => Self::take(database),
             Ok(()) => match UnixListener::bind_addr(&name_of(database).map_err(failed)?) {
                 Ok(name) => Ok(Self { file, path, _name: name }),
@@ -86,26 +88,27 @@ impl PathLock {
 impl Drop for PathLock {
     fn drop(&mut self) {
         if is_at(&self.file, &self.path) {
-            // Ignored: a file that is left over locks nothing.
+            // An error is ignored: a lock file that stays locks nothing.
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
+/// Whether `path` still leads to this open file.
 fn is_at(file: &File, path: &Path) -> bool {
     let identity = |metadata: Metadata| (metadata.dev(), metadata.ino());
     let open = file.metadata().map(identity).ok();
     open.is_some() && open == std::fs::metadata(path).map(identity).ok()
 }
 
-/// The paths of a database: the configured one, and the target of each symbolic link from there to the file, which may
-/// not exist yet. No folder in them is a link.
+/// The paths of a database: the configured path, and the target of each symbolic link from there to the file, which may
+/// not exist yet. Links in the folders of these paths are resolved.
 fn paths(database: &Path) -> io::Result<Vec<PathBuf>> {
     let (mut paths, mut next) = (Vec::new(), database.to_owned());
     loop {
         let folder = std::fs::canonicalize(folder_of(&next))?;
         let path = folder.join(next.file_name().unwrap_or_default());
-        // A circle of links, which SQLite cannot open either.
+        // The links form a circle, which SQLite cannot open either.
         if paths.contains(&path) {
             return Ok(paths);
         }
@@ -118,9 +121,9 @@ fn paths(database: &Path) -> io::Result<Vec<PathBuf>> {
     }
 }
 
-/// A name in the abstract namespace of Linux for a path without links.
+/// The name of a database in the abstract socket namespace of Linux.
 fn name_of(database: &Path) -> io::Result<SocketAddr> {
-    // A path may be too long for a name, so two checksums of it are used.
+    // A path may be too long for a socket name, so the name has two checksums of the path.
     let bytes = database.as_os_str().as_bytes();
     let reversed: Vec<u8> = bytes.iter().rev().copied().collect();
     let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed));
@@ -155,7 +158,7 @@ mod tests {
         drop(through_link);
         let direct = DatabaseLock::take(&database).unwrap();
         assert!(is_taken(&link));
-        // The database moves to another file, as for a reader that does not end.
+        // The store moves the database to another file, as it does if a reader does not end.
         std::os::unix::fs::symlink("points.db-1", &database).unwrap();
         assert!(is_taken(&link) && is_taken(&database));
         drop(direct);

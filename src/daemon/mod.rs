@@ -4,15 +4,15 @@
 //! zenoh -> receive -> store (committed) -> judge: identify, diagnose, commit -> publish -> zenoh
 //!                                            ^ operators' commands, ticks
 //! ```
-//! Each loop is a task. The queues between them are bounded, or are tables. Every task is needed, so the end of a task
-//! ends the daemon.
+//! Each loop is a task. The queues between the loops are bounded channels, or tables of the database. Every task is
+//! needed, so the end of any task ends the daemon.
 
 mod answer;
 mod backlog;
 mod budget;
 pub(crate) mod clock;
+mod commands;
 pub mod config;
-mod dating;
 mod error;
 mod fleet;
 mod health;
@@ -21,8 +21,8 @@ mod identify;
 mod judge;
 mod judge_loop;
 mod lock;
+mod logger_clocks;
 mod offline;
-mod orders;
 mod peers;
 mod presence;
 mod publish;
@@ -42,4 +42,4 @@ pub use judge::Judged;
 pub use lock::LockError;
 pub use offline::Offline;
 pub use running::{DATABASE, Daemon, View};
-pub use status::{Standing, StatusReport};
+pub use status::{FleetCounts, StatusReport};

@@ -17,7 +17,7 @@ use crate::{
     throw::{MachineId, Throw, ThrowRef},
 };
 
-/// Throws stored before they are judged together, to save commits.
+/// Number of throws that are judged together, to save commits.
 const GROUP: usize = 64;
 
 /// The pipeline on a database without a daemon.
@@ -36,16 +36,16 @@ impl Offline {
     pub async fn open(mut config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let store = Store::open(&config.store, clock::now()).await?.store;
-        // There is no logger with a backlog.
+        // No logger has a backlog for which the judge could wait.
         config.subscribe.backlog_wait_s = 0.0;
-        // The receiver keeps the value without the sender.
+        // The receiver keeps the value after the sender is dropped.
         let (_, config) = watch::channel(Arc::new(config));
         let judge = Judge::restore(store.clone(), config).await?;
         Ok(Self { store, judge, waiting: 0, _lock: lock })
     }
 
-    /// Stores a throw, received at this time, and judges after every `GROUP`. Returns the result of storing it, and the
-    /// throws judged now.
+    /// Stores a throw that was received at this time. After every 64 throws it judges them. Returns the result of
+    /// storing the throw, and the throws judged in this call.
     ///
     /// # Errors
     /// When the database cannot be written to.

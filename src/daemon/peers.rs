@@ -1,4 +1,4 @@
-//! Presence of the other daemons that this one watches. Nobody monitors the machines of a daemon that is away.
+//! Presence of the other daemons that this daemon watches: nobody monitors the machines of a daemon that is away.
 
 use std::{
     collections::BTreeMap,
@@ -17,7 +17,7 @@ use crate::{
     wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
 };
 
-/// Absence after which there is an alarm: a restart takes seconds.
+/// Least absence that raises an alarm: a restart takes only seconds.
 const GRACE: Duration = Duration::from_secs(30);
 
 /// The watched daemons.
@@ -25,13 +25,13 @@ const GRACE: Duration = Duration::from_secs(30);
 pub(super) struct Peers {
     started: Instant,
     /// Absence of each watched daemon; `None` while it is connected.
-    away: Mutex<BTreeMap<MachineId, Option<Away>>>,
+    away: Mutex<BTreeMap<MachineId, Option<Absence>>>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Away {
+struct Absence {
     since: Instant,
-    /// `None` if it was away at the start.
+    /// The same as wall time; `None` if the daemon was away at the start.
     at: Option<Timestamp>,
 }
 
@@ -39,7 +39,7 @@ impl Peers {
     /// Watches these daemons. Each counts as away until its token arrives.
     pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
         let started = clock::monotonic();
-        let away = Away { since: started, at: None };
+        let away = Absence { since: started, at: None };
         let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();
         Self { started, away: Mutex::new(peers) }
     }
@@ -63,14 +63,15 @@ impl Peers {
             }
             Some(away @ None) => {
                 tracing::warn!(%daemon, "watched daemon disconnected");
-                *away = Some(Away { since: clock::monotonic(), at: Some(clock::now()) });
+                *away = Some(Absence { since: clock::monotonic(), at: Some(clock::now()) });
             }
             _ => {}
         }
     }
 
-    /// The daemons that have been away for at least [`GRACE`], each with the time when it left, if that was seen. `None` in
-    /// the first [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
+    /// The daemons that have been away for at least [`GRACE`], each with the time when its token disappeared; that time
+    /// is `None` for a daemon that was never present. The result is `None` for [`GRACE`] after the start, unless all
+    /// daemons are present: their tokens may still arrive.
     pub(super) fn away(&self) -> Option<Vec<(MachineId, Option<Timestamp>)>> {
         let peers = self.away.lock();
         let now = clock::monotonic();

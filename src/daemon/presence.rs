@@ -1,4 +1,4 @@
-//! Liveliness of the loggers, for the status and for the monitors, which raise an alarm without a logger.
+//! Liveliness of the loggers, for the status and for the monitors, which raise an alarm when a logger disappears.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -13,18 +13,19 @@ use crate::{
     wire::{self, Kind},
 };
 
-/// Largest number of watched tokens.
+/// Largest number of machines in each set of [`Loggers`].
 const MOST: usize = 100_000;
 
 /// The machines whose loggers have a liveliness token, or had one.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Loggers {
     pub(super) alive: HashSet<MachineId>,
-    /// Loggers that disconnected: one that is connected only between two ticks of the monitors is missed too.
+    /// Machines whose loggers disconnected. A logger may connect and disconnect between two ticks of the monitors,
+    /// which would otherwise never know that it had a token.
     pub(super) gone: HashSet<MachineId>,
 }
 
-/// Keeps `loggers` up to date by the tokens in `key_expression`, while the session is open.
+/// Keeps `loggers` up to date with the tokens on `key_expression`, while the session is open.
 pub(super) async fn watch(
     session: &Session,
     key_expression: &str,

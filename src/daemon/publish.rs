@@ -1,4 +1,5 @@
-//! Publishes the outbox at least once and in order; after a crash again, until zenoh has had time to send.
+//! Publishes the alarm events in the outbox, in order and at least once. An event stays in the outbox until zenoh has
+//! had time to send it, so the next process publishes it again after a crash.
 
 use std::{
     collections::VecDeque,
@@ -16,15 +17,15 @@ use crate::{
     store::{Store, seldom},
 };
 
-/// Messages read from the outbox together.
+/// Number of messages read from the outbox in one query.
 const BATCH: u32 = 64;
 /// Time that a message stays in the outbox after zenoh accepted it. If the process dies with the message in zenoh's
 /// buffers, the next process sends it again.
 const SETTLED: Duration = Duration::from_secs(2);
-/// Pause before the first publication with an existing database. Subscribers need time to find the new process, as
-/// zenoh retries every 4 s; a late subscriber would get old events after new ones.
-const RETURN: Duration = Duration::from_secs(6);
-/// Time limit of the wait for a subscriber after the start.
+/// Pause before the first publication of a process with an existing database. Its subscribers have to reconnect, which
+/// zenoh tries every 4 s. A subscriber that reconnects after the first publication would get old events after new ones.
+const RECONNECT_WAIT: Duration = Duration::from_secs(6);
+/// Time limit, from the start, of the wait for a subscriber.
 const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
 /// Time limit of a put; zenoh closes a stalled link after 5 s.
 const PUT_LIMIT: Duration = Duration::from_secs(20);
@@ -37,7 +38,7 @@ pub(super) struct Publisher {
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
     pub(super) audience: SubscriberWatch,
-    /// Whether the database is new: no earlier process published, so no subscriber has a sequence from one.
+    /// Whether the database is new: no earlier process published from it, so no subscriber has to reconnect.
     pub(super) is_first: bool,
     pub(super) is_client: bool,
 }
@@ -46,7 +47,8 @@ impl Publisher {
     /// Runs until `stop`, then publishes the rest of the outbox.
     pub(super) async fn run(self, stop: CancellationToken) {
         let mut beat = time::interval(Duration::from_secs(1));
-        let mut taken: VecDeque<(i64, Instant)> = VecDeque::new();
+        // Rows that zenoh accepted, with the time.
+        let mut accepted: VecDeque<(i64, Instant)> = VecDeque::new();
         let mut last = 0;
         let start = clock::monotonic();
         loop {
@@ -57,11 +59,11 @@ impl Publisher {
             let reaches = connected || !self.is_client;
             let since = start.elapsed();
             let waited = since >= AUDIENCE_LIMIT;
-            let returned = self.is_first || since >= RETURN;
-            if reaches && returned && (stopping || waited || self.audience.is_connected().await) {
-                last = self.publish(last, &mut taken).await;
+            let may_begin = self.is_first || since >= RECONNECT_WAIT;
+            if reaches && may_begin && (stopping || waited || self.audience.is_connected().await) {
+                last = self.publish(last, &mut accepted).await;
             }
-            self.settle(&mut taken).await;
+            self.remove_settled(&mut accepted).await;
             self.status.heartbeats.beat(TaskName::Publish);
             if stopping || self.outlet.is_closed() {
                 return;
@@ -74,7 +76,8 @@ impl Publisher {
         }
     }
 
-    async fn publish(&self, mut last: i64, taken: &mut VecDeque<(i64, Instant)>) -> i64 {
+    /// Publishes the messages after the row `last`; returns the last row that zenoh accepted.
+    async fn publish(&self, mut last: i64, accepted: &mut VecDeque<(i64, Instant)>) -> i64 {
         loop {
             let rows = match self.store.reader().outbox_pending(last, BATCH).await {
                 Ok(rows) => rows,
@@ -90,7 +93,7 @@ impl Publisher {
                 match time::timeout(PUT_LIMIT, self.outlet.alarm(message.key, message.payload)).await {
                     Ok(Ok(())) => {
                         last = message.row;
-                        taken.push_back((message.row, clock::monotonic()));
+                        accepted.push_back((message.row, clock::monotonic()));
                     }
                     Ok(Err(error)) => {
                         seldom!(warn, %error, "publishing an alarm failed; retrying");
@@ -106,15 +109,16 @@ impl Publisher {
         }
     }
 
-    async fn settle(&self, taken: &mut VecDeque<(i64, Instant)>) {
+    /// Removes the messages that zenoh accepted at least [`SETTLED`] ago from the outbox.
+    async fn remove_settled(&self, accepted: &mut VecDeque<(i64, Instant)>) {
         let now = clock::monotonic();
-        let settled = taken.iter().take_while(|(_, at)| now.duration_since(*at) >= SETTLED).count();
+        let settled = accepted.iter().take_while(|(_, at)| now.duration_since(*at) >= SETTLED).count();
         if settled == 0 {
             return;
         }
-        let rows: Vec<i64> = taken.iter().take(settled).map(|(row, _)| *row).collect();
+        let rows: Vec<i64> = accepted.iter().take(settled).map(|(row, _)| *row).collect();
         match self.store.outbox_sent(&rows).await {
-            Ok(()) => drop(taken.drain(..settled)),
+            Ok(()) => drop(accepted.drain(..settled)),
             Err(error) => {
                 seldom!(warn, %error, "removing published messages from the outbox failed; they may be sent again");
             }

@@ -22,31 +22,33 @@ use crate::{
     wire::{self, Encoding},
 };
 
-/// Largest batch \[messages\]. A large batch shares one sync among its rejected messages; a small one keeps the wait
-/// for the previous batch below a second.
+/// Largest batch \[messages\]. A large batch needs one disk sync for all its quarantined messages. A small batch keeps
+/// the next one waiting for less than a second.
 const BATCH: usize = 256;
-/// Least time between two batches: the throws of a busy fleet share syncs, statements and wake-ups, which cost half of
-/// the processor time at 400 throws/s. A single throw is stored at once.
+/// Least time from the start of a batch to the next. The throws of a batch share disk syncs, statements and wake-ups,
+/// which otherwise cost half of the processor time at 400 throws/s. A throw after a pause is stored at once.
 const PACE: Duration = Duration::from_millis(20);
-/// Least time after a batch of more than [`FEW`] throws, as in a fleet of more than 200 throws/s.
+/// The same after a batch of more than [`FEW`] messages.
 const BUSY_PACE: Duration = Duration::from_millis(50);
+/// Messages in a batch of a fleet with 200 throws/s, within [`PACE`].
 const FEW: usize = 4;
 /// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
-/// Longest pause, within which freed disk space is noticed.
+/// Longest pause after a failed write: the delay until freed disk space is used.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-/// Largest number of remembered hashes of refused messages; beyond it all are forgotten.
+/// Largest number of remembered hashes of quarantined messages; a larger set is cleared.
 const REFUSED_BEFORE: usize = 10_000;
 
-/// Time after a live throw for which a logger without a liveliness token counts as connected: longer than a gap is
-/// awaited, shorter than most cuts of a link.
+/// Time after a live throw for which a logger without a liveliness token counts as connected. It is longer than the
+/// wait until missing throws are written off (5 s), and shorter than most cuts of a link.
 const LIVE: Duration = Duration::from_mins(1);
 
 /// A decoded throw with its machine and the time of reception.
 pub(super) type Received = (MachineId, Throw, Timestamp);
 
-/// Decodes live messages and pages of backlogs, and rejects invalid throws and machines.
+/// Decodes live messages and pages of backlogs, and quarantines invalid messages and throws of machines that are not
+/// allowed.
 pub(super) struct Intake {
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
@@ -55,12 +57,12 @@ pub(super) struct Intake {
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
     pub(super) monitor: Monitor,
-    /// Hashes of messages from backlogs that are in quarantine: a page may be queried again without end.
+    /// Hashes of quarantined messages from backlogs: the same page may be queried again and again.
     pub(super) refused_before: Mutex<HashSet<u64>>,
 }
 
 impl Intake {
-    /// Decodes messages in order; puts rejected ones into quarantine. `live` is false for pages of backlogs.
+    /// Decodes messages in order, and quarantines those that are no valid throw. `live` is false for pages of backlogs.
     pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
         let (limit, count) = (self.max_payload_bytes, messages.len() as u64);
         // Decoding a large message takes milliseconds, too long for an async worker.
@@ -105,7 +107,7 @@ impl Intake {
         self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
-    /// Whether a message from a backlog was not refused before.
+    /// Whether a message from a backlog is quarantined for the first time.
     fn is_first_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> bool {
         let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
@@ -121,10 +123,11 @@ impl Intake {
         self.machines.lock().contains_key(machine)
     }
 
-    /// Accepts a throw of a known or new machine.
+    /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
+    /// quarantine.
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, QuarantinedMessage> {
         let mut known = self.machines.lock();
-        // First, so that a reserved name gets its own reason also when max_machines is reached.
+        // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
         let reason = if let Some(reason) = self.monitor.reserves(&machine) {
             reason
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
@@ -162,12 +165,12 @@ pub(super) struct ReceiveLoop {
     pub(super) intake: Arc<Intake>,
     pub(super) spooled: Arc<Notify>,
     pub(super) missing: Arc<Notify>,
-    /// Cancelled when the daemon must end: unstored throws are then lost, and logged as lost.
+    /// Cancelled when the daemon must end: unstored messages are then lost, and are logged and counted as lost.
     pub(super) give_up: CancellationToken,
-    /// Received messages that are not decoded yet.
+    /// Number of received messages that are not decoded yet.
     pub(super) undecoded: u64,
     pub(super) unstored: Vec<Received>,
-    /// Whether the last write failed, so that the log has one line about it.
+    /// Whether the last write failed. The log then has one line about it, and not one for each retry.
     pub(super) storing_fails: bool,
 }
 
@@ -178,7 +181,7 @@ impl ReceiveLoop {
         tokio::select! {
             biased;
             () = self.receive(stop) => {}
-            () = give_up.cancelled() => self.lose().await,
+            () = give_up.cancelled() => self.log_lost().await,
         }
     }
 
@@ -240,7 +243,7 @@ impl ReceiveLoop {
                 self.quarantine_the_unstorable(&error).await;
             }
             if self.unstored.is_empty() {
-                // The database has stored or quarantined each of them.
+                // The database has stored or quarantined every throw of the batch.
                 if std::mem::take(&mut self.storing_fails) {
                     tracing::info!("the database accepts throws again; waiting throws are stored");
                 }
@@ -258,8 +261,9 @@ impl ReceiveLoop {
         }
     }
 
-    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so this is an upper bound.
-    async fn lose(&mut self) {
+    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
+    /// upper bound.
+    async fn log_lost(&mut self) {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
@@ -274,12 +278,13 @@ impl ReceiveLoop {
         }
     }
 
-    /// Stores each throw alone. A throw whose statement SQLite refuses (constraint, type) goes to quarantine; after any
-    /// other error it is retried.
+    /// After a refusal by SQLite (constraint, type), stores each throw alone. A throw that SQLite refuses again goes to
+    /// quarantine. After any other error a throw is retried later.
     async fn quarantine_the_unstorable(&mut self, error: &StoreError) {
         if !matches!(error, StoreError::Refused(_)) {
             return;
         }
+        // A throw stays in `unstored` until it is stored, as `give_up` can end this loop at each `await`.
         let mut at = 0;
         while let Some((machine, throw, received_at)) = self.unstored.get(at) {
             self.intake.status.heartbeats.beat(TaskName::Receive);
@@ -306,14 +311,15 @@ impl ReceiveLoop {
     }
 }
 
-/// Decodes a message. One that makes the decoder panic is refused like any other, and the rest of its batch is kept.
+/// Decodes a message. A message that makes the decoder panic goes to quarantine like any invalid message, and the rest
+/// of its batch is kept.
 fn guarded(
     message: Message,
     received_at: Timestamp,
     decode: impl Fn(&Message) -> Result<Received, String>,
 ) -> Result<Received, QuarantinedMessage> {
-    let numbered = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
-    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(numbered)));
+    let with_id = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(with_id)));
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
         let Message { key, payload: mut beginning, bytes, .. } = message;

@@ -11,23 +11,23 @@ use tokio::time::{self, MissedTickBehavior};
 use super::clock;
 use crate::store::{Store, StoreError, seldom};
 
-/// Time between two rounds. In this time the fastest flood stores 40 MiB, by which the database may exceed its bound.
+/// Time between two rounds. The fastest flood stores 40 MiB in this time; the database may exceed its bound by that.
 const PACE: Duration = Duration::from_secs(1);
 /// systemd-timesyncd creates this file after setting the clock from a time server. Other time services are not
 /// detected, as the kernel state needs a system call that the unit forbids.
 const CLOCK_IS_SET: &str = "/run/systemd/timesync/synchronized";
-/// Without this file the clock is trusted if the start is at most this long after the newest throw in the database, and
-/// as long as the clock does not jump ahead by more. Otherwise the clock may be wrong, and only the bounds of bytes
-/// and rows are applied.
+/// Without that file, the clock is trusted if the daemon starts at most this long after the newest throw in the
+/// database, until the clock jumps ahead by more than this. Otherwise the clock may be wrong, and only the bounds of
+/// bytes and rows are applied, not that of age.
 const CONTINUES: SignedDuration = SignedDuration::from_hours(31 * 24);
-/// Time for which wall and monotonic clock must agree before the age bound holds: a clock that jumps ten years ahead
-/// must not remove all traces.
+/// Time for which wall and monotonic clock must agree before the bound of age is applied: a wall clock that jumps ten
+/// years ahead must not remove all traces.
 const STEADY: Duration = Duration::from_hours(24);
 /// Difference of the clocks between two rounds that counts as a jump; a time server corrects a running clock by
 /// milliseconds.
 const JUMP: SignedDuration = SignedDuration::from_secs(1);
 
-/// Runs until the store is closed; `last_received` is the newest time in the database.
+/// Runs until the store is closed. `last_received` is the newest time of reception in the database.
 pub(super) async fn run(store: Store, last_received: Option<Timestamp>) {
     let mut pace = time::interval(PACE);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -50,9 +50,9 @@ pub(super) async fn run(store: Store, last_received: Option<Timestamp>) {
 struct Clocks {
     wall: Timestamp,
     monotonic: Instant,
-    /// Start of the time for which the clocks have agreed.
+    /// The clocks have agreed since this time.
     since: Instant,
-    /// Whether the wall clock continues the times in the database.
+    /// Whether the wall clock continues the times in the database, by at most [`CONTINUES`].
     continue_time: bool,
 }
 
@@ -62,7 +62,7 @@ impl Clocks {
         Self { wall, monotonic, since: monotonic, continue_time }
     }
 
-    /// Whether the clocks have agreed for long enough.
+    /// Whether the clocks have agreed for at least [`STEADY`].
     fn are_steady(&mut self, wall: Timestamp, monotonic: Instant) -> bool {
         let passed = SignedDuration::try_from(monotonic.duration_since(self.monotonic)).unwrap_or(SignedDuration::MAX);
         let jump = wall.duration_since(self.wall).saturating_sub(passed);
@@ -81,7 +81,7 @@ mod tests {
 
     const ROUND: Duration = Duration::from_secs(10);
 
-    /// A day in rounds, and what is said of the clocks after each: `wall(round)` is where the wall clock stands.
+    /// Whether the clocks are steady, after each round of a day. `wall(round)` is the time of the wall clock \[s\].
     fn a_day(wall: impl Fn(i64) -> i64) -> Vec<bool> {
         let start = clock::monotonic();
         let at = |seconds| Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds);
@@ -97,7 +97,7 @@ mod tests {
             let jumped = a_day(|round| 10 * round + if round > 4000 { jump } else { 0 });
             assert!(!jumped.contains(&true), "a jump by {jump} s was not seen");
         }
-        // A clock that is slewed by 500 ppm is not one that jumps.
+        // A clock that a time server slews by 500 ppm does not jump.
         assert!(a_day(|round| 10 * round + round / 200).contains(&true));
     }
 

@@ -1,4 +1,4 @@
-//! The running daemon: start, and interface for other parts of the process.
+//! The running daemon: its start, and its interface for other parts of the process.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -15,12 +15,12 @@ use super::{
     answer::Answers,
     backlog::{Backlog, Querier},
     clock,
+    commands::{CommandSender, PendingCommand},
     config::Config,
     error::StartError,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
     lock::DatabaseLock,
-    orders::{Order, Orders},
     peers::Peers,
     presence::{self, Loggers},
     publish::Publisher,
@@ -38,12 +38,12 @@ use crate::{
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
-/// Capacity of the channel of judged throws. A slower observer skips the oldest.
-const WATCHED: usize = 4_096;
+/// Capacity of the channel of judged throws to observers. A slow observer misses the oldest throws.
+const JUDGED_CAPACITY: usize = 4_096;
 
-/// Name of the writer of the database among the tasks whose end is the end of the daemon.
+/// Name that [`Daemon::ended`] returns for the writer of the database.
 pub const DATABASE: &str = "the database";
-/// Names of the tasks for which a stop waits.
+/// Names of the tasks for whose end [`Daemon::stop`] waits.
 pub(super) const RECEIVE: &str = "receive";
 pub(super) const JUDGE: &str = "judge";
 pub(super) const PUBLISH: &str = "publish";
@@ -55,7 +55,7 @@ pub struct Daemon {
     pub(super) sources: StatusSources,
     config: watch::Sender<Arc<Config>>,
     watchers: broadcast::Sender<Judged>,
-    orders: Orders,
+    commands: CommandSender,
     pub(super) tasks: Tasks,
     pub(super) stops: Stops,
     pub(super) publishing: [JoinHandle<()>; 2],
@@ -69,7 +69,7 @@ pub struct Daemon {
 pub struct View {
     pub(crate) sources: StatusSources,
     config: watch::Receiver<Arc<Config>>,
-    pub(crate) orders: Orders,
+    pub(crate) commands: CommandSender,
 }
 
 impl View {
@@ -79,13 +79,14 @@ impl View {
     }
 }
 
-/// Cancelled one after the other, so that each loop can finish the work of the previous one.
+/// Stop signals of the loops. They are cancelled one after the other, so that each loop can finish the work that the
+/// previous loop left for it.
 #[derive(Default)]
 pub(super) struct Stops {
     pub(super) receive: CancellationToken,
     pub(super) judge: CancellationToken,
     pub(super) publish: CancellationToken,
-    /// Cancelled at the time limit: unfinished work is left.
+    /// Cancelled when a loop has not ended in time: it then leaves its unfinished work.
     pub(super) give_up: CancellationToken,
 }
 
@@ -109,7 +110,7 @@ impl Daemon {
     /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
-        // Before the database: without a session the start fails, and the database stays closed.
+        // Before the database, which stays closed if there is no session and the start fails.
         let opening = bus::open(config.zenoh.clone());
         let session = watchdog::with_start_extension("opening zenoh; a client waits for its router", opening).await?;
         let opening = Store::open(&config.store, clock::now());
@@ -120,7 +121,7 @@ impl Daemon {
         if started.is_err()
             && let Err(error) = store.close().await
         {
-            tracing::warn!(%error, "closing the database after a failed start");
+            tracing::warn!(%error, "closing the database failed, after a failed start");
         }
         started
     }
@@ -143,22 +144,21 @@ impl Daemon {
             webhook: Arc::default(),
         };
         let (config, current) = watch::channel(Arc::clone(&start.config));
-        let (watchers, _) = broadcast::channel(WATCHED);
-        let (orders, commands) = Orders::new();
+        let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
+        let (sender, commands) = CommandSender::new();
         let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(&start.session);
 
-        start.notify_webhook().await?;
-        // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
-        start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
-        start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
-        let sources = start.receive(&outlet, loggers).await?;
+        start.start_webhook().await?;
+        // In reverse order of the pipeline: each loop runs before the loop that feeds it.
+        start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
+        start.start_judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
+        let sources = start.start_receiver(&outlet, loggers).await?;
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
-        start.answer(&orders, &sources).await?;
-        start
-            .tasks
-            .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
+        start.start_answers(&sender, &sources).await?;
+        let last_received = start.store.reader().last_received().await?;
+        start.tasks.spawn("retention", retention::run(start.store.clone(), last_received));
         start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
         let own = start.config.monitor.as_machine();
         match bus::is_running(&start.session, &own).await {
@@ -170,7 +170,7 @@ impl Daemon {
         }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&own)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
-        Ok(Self { session, store, sources, config, watchers, orders, tasks, stops, publishing, alive, lock })
+        Ok(Self { session, store, sources, config, watchers, commands: sender, tasks, stops, publishing, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -200,15 +200,16 @@ impl Daemon {
 
     /// A view of the daemon for the dashboard.
     pub fn view(&self) -> View {
-        View { sources: self.sources.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
+        View { sources: self.sources.clone(), config: self.config.subscribe(), commands: self.commands.clone() }
     }
 
-    /// Runs a task under the supervision of the daemon, which ends with it.
+    /// Runs a further task under the supervision of the daemon: [`Self::ended`] returns when the task ends.
     pub fn adopt<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
         self.tasks.spawn(name, task);
     }
 
-    /// Waits until a task ends unexpectedly.
+    /// Waits until a task or the writer of the database ends, and returns its name. Each of them should run until
+    /// [`Self::stop`], so the daemon must end.
     pub async fn ended(&mut self) -> &'static str {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
@@ -216,8 +217,8 @@ impl Daemon {
         }
     }
 
-    /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ and
-    /// need a restart.
+    /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ
+    /// and need a restart.
     #[must_use]
     pub fn reload(&self, new: Config) -> Vec<&'static str> {
         let old = Arc::clone(&self.config.borrow());
@@ -243,9 +244,9 @@ impl Starting {
         self.config.subscribe.key.key_expression(kind)
     }
 
-    /// Starts the publishing loop; `is_first` for a new database: no earlier process published, so no subscriber
-    /// has a sequence from one.
-    async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
+    /// Starts the publishing loop. `is_first` is true for a new database: no earlier process published from it, so no
+    /// subscriber has to reconnect before the first alarm.
+    async fn start_publisher(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             store: self.store.clone(),
             session: self.session.clone(),
@@ -260,8 +261,8 @@ impl Starting {
         Ok(())
     }
 
-    /// Starts the sending of alarm events, if there is a webhook.
-    async fn notify_webhook(&mut self) -> Result<(), StartError> {
+    /// Starts the loop that sends alarm events to the webhook, if one is configured.
+    async fn start_webhook(&mut self) -> Result<(), StartError> {
         let (status, wake) = (Arc::clone(&self.status), Arc::clone(&self.webhook));
         if let Some(notifier) = Notifier::new(self.store.clone(), &self.config, status, wake).await? {
             self.tasks.spawn("webhook", notifier.run());
@@ -269,13 +270,13 @@ impl Starting {
         Ok(())
     }
 
-    async fn judge(
+    async fn start_judge(
         &mut self,
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
         watchers: broadcast::Sender<Judged>,
         loggers: watch::Receiver<Loggers>,
-        orders: mpsc::Receiver<Order>,
+        commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
         let peers = Arc::new(Peers::new(self.config.monitor.watched()));
         if !self.config.monitor.peers.is_empty() {
@@ -290,7 +291,7 @@ impl Starting {
             webhook: Arc::clone(&self.webhook),
             watchers,
             loggers,
-            orders,
+            commands,
             peers,
             give_up: self.stops.give_up.clone(),
         };
@@ -299,7 +300,7 @@ impl Starting {
     }
 
     /// Starts the reception of live throws and of the loggers' backlogs.
-    async fn receive(
+    async fn start_receiver(
         &mut self,
         outlet: &Outlet,
         loggers: watch::Receiver<Loggers>,
@@ -353,26 +354,26 @@ impl Starting {
             storing_fails: false,
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
-        // Ends with the receiving loop: the next start fetches the rest.
+        // Stopped together with the receiving loop: the next start fetches the rest of the backlogs.
         self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
         Ok(sources)
     }
 
-    /// Starts the answers to queries and commands.
-    async fn answer(&mut self, orders: &Orders, sources: &StatusSources) -> Result<(), BusError> {
+    /// Starts the tasks that answer queries and commands.
+    async fn start_answers(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
         let own_machine = self.config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
         let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
-        let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
+        let commands = || Answers::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
             ("answer status", key.clone(), Answers::Status { key, sources: sources.clone() }),
             ("answer health", self.scope(Kind::Health), Answers::Health(reader.clone())),
             ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
             ("answer commands", self.scope(Kind::Command), commands()),
         ];
-        // The name of the daemon, for alarms about itself, may be outside of its part of the fleet.
+        // Alarms about the daemon itself carry its own name, which `subscribe.key` need not include.
         let own = |kind| machine_key(&own_machine, kind);
         if !bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
             let elsewhere = Some(self.scope(Kind::Alarm));
@@ -387,6 +388,7 @@ impl Starting {
     }
 }
 
+/// Logs how the database was found at the start.
 fn report_database(report: &store::Report, settings: &store::Settings) {
     let database = settings.path.display();
     match &report.found {
@@ -399,7 +401,7 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
         ),
         Found::SetAside { to, why, salvaged } => {
             let set_aside = to.display();
-            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");
+            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it is set aside, and a new one is created");
         }
     }
     tracing::info!(version = env!("CARGO_PKG_VERSION"), "pointsd starts");

@@ -1,4 +1,4 @@
-//! The times at which the loggers are queried for their backlogs. Slow loggers leave places to the others.
+//! The times at which the loggers are queried for their backlogs. Slow loggers may occupy only half of the places.
 
 use std::{
     collections::{BTreeSet, HashMap},
@@ -9,28 +9,30 @@ use tokio::time::Instant;
 
 use crate::throw::MachineId;
 
-/// Loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
+/// Largest number of loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
 pub(super) const AT_A_TIME: usize = 8;
-/// Of these, loggers whose last turn was slow: the others make progress beside them.
+/// Largest number of slow loggers among them, so that the other loggers always make progress.
 const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
-/// Throws in the first page, while neither their size nor the link is known.
+/// Throws in the first page, while the size of the throws and the speed of the link are unknown.
 const FIRST_PAGE: usize = 4;
 
 /// A logger in the schedule.
 #[derive(Debug)]
 pub(super) struct Turn {
+    /// Time of the next query.
     at: Instant,
     in_progress: bool,
-    /// Index of its queue in [`Schedule::due`]: 1 if its last query was slow.
+    /// Index of the logger's queue in [`Schedule::due`]: 1 if its last query was slow.
     class: usize,
-    /// Whether to query again at once.
+    /// Whether a query was requested while one was in progress: the next one then starts at once.
     again: bool,
-    /// Consecutive queries without new throws.
+    /// Number of consecutive failed queries.
     pub(super) tries: u32,
-    /// Time since which it replies without the awaited throws.
+    /// Time since which the logger replies without the awaited throws.
     pub(super) without_since: Option<Instant>,
-    /// Whether its logger was away at the last query.
+    /// Whether the logger was not connected at the last query.
     pub(super) was_away: bool,
+    /// Size of the next page \[throws\].
     pub(super) page: usize,
 }
 
@@ -40,6 +42,7 @@ pub(super) struct Schedule {
     pub(super) turns: HashMap<MachineId, Turn>,
     /// Queues of the fast and of the slow loggers.
     due: [BTreeSet<(Instant, MachineId)>; 2],
+    /// Number of slow loggers that are being queried.
     slow_in_progress: usize,
 }
 
@@ -72,20 +75,20 @@ impl Schedule {
         }
     }
 
-    /// The class of the next logger, fast or slow, with the time at which it is due.
+    /// The time at which the next logger is due, and the index of its queue.
     fn first(&self) -> Option<(Instant, usize)> {
         let classes = if self.slow_in_progress < SLOW_AT_A_TIME { 2 } else { 1 };
         (0..classes).filter_map(|class| Some((self.due[class].first()?.0, class))).min()
     }
 
-    /// Notes whether the ended query of a logger was slow.
-    pub(super) fn paced(&mut self, machine: &MachineId, was_slow: bool) {
+    /// Notes whether the last query of a logger, which has ended, was slow.
+    pub(super) fn set_slow(&mut self, machine: &MachineId, was_slow: bool) {
         let Some(turn) = self.turns.get_mut(machine) else { return };
         self.slow_in_progress -= turn.class;
         turn.class = usize::from(was_slow);
     }
 
-    /// The next logger that is due, and the size of its page.
+    /// Starts the turn of the next logger that is due; returns its machine and the size of its page.
     pub(super) fn next(&mut self) -> Option<(MachineId, usize)> {
         let (at, class) = self.first()?;
         if at > Instant::now() {
@@ -98,10 +101,12 @@ impl Schedule {
         Some((machine, turn.page))
     }
 
+    /// The time at which the next logger is due.
     pub(super) fn wakes_at(&self) -> Option<Instant> {
         self.first().map(|(at, _)| at)
     }
 
+    /// Ends the turn of a logger, and schedules the next one after a pause.
     pub(super) fn rest(&mut self, machine: &MachineId, pause: Duration) {
         let Some(turn) = self.turns.get_mut(machine) else { return };
         turn.in_progress = false;
@@ -109,7 +114,7 @@ impl Schedule {
         self.due[turn.class].insert((turn.at, machine.clone()));
     }
 
-    /// Removes a logger without missing throws.
+    /// Ends the turn of a logger without missing throws.
     pub(super) fn done(&mut self, machine: &MachineId) {
         if self.turns.remove(machine).is_some_and(|turn| turn.again) {
             self.request(machine);
@@ -126,12 +131,12 @@ mod tests {
         let named = |name: String| MachineId::new("north", &name).unwrap();
         let mut schedule = Schedule::default();
         let slow: Vec<MachineId> = (0..2 * AT_A_TIME).map(|number| named(format!("slow-{number}"))).collect();
-        // Nobody knows yet that they are slow.
+        // The schedule does not know yet that they are slow.
         for machine in &slow {
             schedule.request(machine);
         }
         while let Some((machine, _)) = schedule.next() {
-            schedule.paced(&machine, true);
+            schedule.set_slow(&machine, true);
             schedule.rest(&machine, Duration::ZERO);
             if schedule.due[1].len() == slow.len() {
                 break;
@@ -143,8 +148,8 @@ mod tests {
         let fast = named("fast".to_owned());
         schedule.request(&fast);
         assert_eq!(schedule.next().unwrap().0, fast);
-        // A place of a slow one becomes free.
-        schedule.paced(&taken[0].0, false);
+        // A place of a slow logger becomes free.
+        schedule.set_slow(&taken[0].0, false);
         schedule.rest(&taken[0].0, Duration::ZERO);
         assert!(slow.contains(&schedule.next().unwrap().0));
     }

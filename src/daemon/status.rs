@@ -1,4 +1,4 @@
-//! Status of the daemon: counters, and a line of text.
+//! The status of the daemon: counters and states, as JSON and as a line of text.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -16,21 +16,21 @@ use crate::{
     throw::{MachineId, counted},
 };
 
-/// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
+/// Number of consecutive invalid messages of a machine that raises an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
 /// Largest number of unknown machines whose invalid messages are counted.
 const UNKNOWN: usize = 64;
 
-/// Counters and states, shared by all loops.
+/// Counters and states that all loops share.
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    /// The part of the report that the loops write. `received` has only the messages from the backlogs of loggers;
-    /// `standing` is renewed every few seconds and after every command.
+    /// The fields of the report that the loops write; [`StatusSources::report`] adds the others. Here `received` counts
+    /// only the messages from backlogs. `fleet_counts` is renewed every few seconds and after every command.
     report: Mutex<StatusReport>,
-    /// Throws without an estimate, by the code of the reason.
-    refused: Mutex<BTreeMap<String, u64>>,
-    /// Invalid messages since the last valid throw of a machine: their number and the last reason.
+    /// Number of rejected throws by the code of the reason.
+    rejected: Mutex<BTreeMap<String, u64>>,
+    /// Number of invalid messages of a machine since its last valid throw, and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
     pub(super) alarm_events_lost: RecentCount,
@@ -38,23 +38,23 @@ pub(crate) struct Status {
 
 /// Number of machines in each state, and of shelved alarms.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Standing {
-    /// Machines in each state; states without machines are left out.
+pub struct FleetCounts {
+    /// Number of machines in each state; states without machines are left out.
     pub machines: BTreeMap<MachineState, u64>,
-    /// Open alarms that are shelved.
+    /// Number of shelved alarms.
     pub shelved_alarms: u64,
-    /// Open alarms about the daemon itself: disk, database, rejected data.
+    /// Number of open alarms about the daemon itself: disk, database, refused data.
     #[serde(default)]
     pub own_alarms: u64,
 }
 
-impl Standing {
+impl FleetCounts {
     /// Number of machines in a state.
     pub fn count(&self, state: MachineState) -> u64 {
         self.machines.get(&state).copied().unwrap_or(0)
     }
 
-    /// Whether every machine is healthy or learning, no alarm is shelved, and the daemon has no own alarm.
+    /// Whether every machine is healthy or learning, no alarm is shelved, and no alarm about the daemon itself is open.
     pub fn is_well(&self) -> bool {
         self.machines.keys().all(|state| state.is_well()) && self.shelved_alarms + self.own_alarms == 0
     }
@@ -71,33 +71,35 @@ pub struct StatusReport {
     pub database: String,
     /// State of the disk of the database.
     pub disk: DiskLevel,
-    /// Whether the database is being copied to a new file, as a program keeps reading an old state. Writes wait meanwhile.
+    /// Whether the database is being copied to a new file, because another program keeps reading an old state of it.
+    /// Writes wait meanwhile.
     #[serde(default)]
     pub copying: bool,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
-    /// Whether a link to others is up.
+    /// Whether the zenoh session has a link to another session.
     pub connected: bool,
-    /// Loggers that are connected now.
+    /// Number of loggers that have a liveliness token now.
     pub loggers: usize,
-    /// The first of the machines whose loggers are connected and sent no throw yet.
+    /// Machines whose loggers are connected and have sent no throw yet; at most 20.
     #[serde(default)]
     pub without_throw: Vec<String>,
-    /// The first of the machines of which every message so far was refused, with the reason.
+    /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
     #[serde(default)]
     pub refused: Vec<String>,
-    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
+    /// Number of loggers, of the last 32, that date their throws a day or more after this computer; 0 if they are not
+    /// the majority.
     #[serde(default)]
     pub loggers_ahead: usize,
-    /// Number of the last loggers that date their throws a day or more before this computer, all by the same time, if
-    /// these are most; else 0.
+    /// Number of loggers, of the last 32, that date their throws a day or more before this computer, all by the same
+    /// time; 0 if they are not the majority.
     #[serde(default)]
     pub loggers_behind: usize,
     /// Messages received.
     pub received: u64,
-    /// Messages dropped because the queue was full.
+    /// Messages dropped because the queue of received messages was full.
     pub dropped: u64,
-    /// Invalid replies of loggers.
+    /// Replies of loggers that do not match the query for a backlog.
     #[serde(default)]
     pub ignored: u64,
     /// Missing throws that may be in the backlogs of their loggers.
@@ -105,25 +107,25 @@ pub struct StatusReport {
     pub backlog: u64,
     /// Throws stored.
     pub stored: u64,
-    /// Repetitions of stored throws.
+    /// Repeated messages: throws that are stored already, and messages from backlogs that are in quarantine already.
     pub duplicates: u64,
     /// Messages in quarantine since the start.
     pub quarantined: u64,
-    /// Throws and messages received and not stored, since the start.
+    /// Received messages that could not be stored, since the start.
     pub lost: u64,
-    /// Rejected throws of new machines beyond `max_machines`.
+    /// Throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
     #[serde(default)]
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
     pub judged: u64,
-    /// Of these, throws that were rejected.
+    /// Judged throws that were rejected, so that no estimate of them was evaluated.
     pub not_evaluated: u64,
     /// Alarm events since the start.
     pub alarm_events: u64,
     /// Alarm events that the database rejected, since the start.
     #[serde(default)]
     pub alarm_events_lost: u64,
-    /// Messages published.
+    /// Published messages.
     pub published: u64,
     /// Health messages dropped because the publishing queue was full.
     pub unpublished: u64,
@@ -133,29 +135,29 @@ pub struct StatusReport {
     /// Alarm events that the webhook refused.
     #[serde(default)]
     pub webhook_refused: u64,
-    /// Loops without a fresh heartbeat.
+    /// Names of the loops without a fresh heartbeat.
     pub silent: Vec<String>,
     /// States of the machines: `machines` and `shelved_alarms` in JSON.
     #[serde(flatten)]
-    pub standing: Standing,
+    pub fleet_counts: FleetCounts,
     /// Open maintenance windows and shelvings; only in the reply to a `status` query.
     #[serde(default)]
     pub windows: Vec<Window>,
 }
 
 impl Status {
-    /// The report, for a loop to change; locked until the end of the statement.
+    /// The report, for changes by a loop. It is locked until the returned guard is dropped.
     pub(super) fn edit(&self) -> MutexGuard<'_, StatusReport> {
         self.report.lock()
     }
 
-    /// Counts a rejected throw.
-    pub(super) fn refuse(&self, reason: &str) {
+    /// Counts a rejected throw under the code of its reason.
+    pub(super) fn count_rejected(&self, reason: &str) {
         self.edit().not_evaluated += 1;
-        *self.refused.lock().entry(reason.to_owned()).or_default() += 1;
+        *self.rejected.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
-    /// Counts a message of a machine that is no valid throw. Of unknown machines at most [`UNKNOWN`] are counted, as any
+    /// Counts a message of a machine that is no valid throw. At most [`UNKNOWN`] unknown machines are counted, as any
     /// sender can invent names.
     pub(super) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str) {
         let mut invalid = self.invalid.lock();
@@ -167,19 +169,19 @@ impl Status {
         reason.clone_into(last);
     }
 
-    /// Notes a valid throw of a machine.
+    /// Resets the count of invalid messages of a machine, after a valid throw.
     pub(super) fn count_valid(&self, machine: &MachineId) {
         self.invalid.lock().remove(machine);
     }
 
-    /// Machines of which [`INVALID_IN_A_ROW`] messages or more were no valid throws since the last call or the last valid
-    /// one, with their number and the last reason.
+    /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
+    /// they were taken last, with the number of messages and the last reason.
     pub(super) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
         let mut invalid = self.invalid.lock();
         invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
     }
 
-    /// Rejected data, for the alarm about the daemon.
+    /// Sentences about refused machines and lost alarm events, for the alarm about the daemon itself.
     pub(super) fn trouble(&self, max_machines: usize) -> Vec<(Severity, String)> {
         let refused = self.machines_refused.shown().map(|refused| {
             format!(
@@ -192,12 +194,12 @@ impl Status {
             "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
                 .to_owned()
         });
-        refused.into_iter().chain(lost).map(|said| (Severity::Critical, said)).collect()
+        refused.into_iter().chain(lost).map(|sentence| (Severity::Critical, sentence)).collect()
     }
 
-    /// Number of throws without an estimate, by the code of the reason.
-    pub(crate) fn refused(&self) -> BTreeMap<String, u64> {
-        self.refused.lock().clone()
+    /// Number of rejected throws by the code of the reason.
+    pub(crate) fn rejected(&self) -> BTreeMap<String, u64> {
+        self.rejected.lock().clone()
     }
 }
 
@@ -235,8 +237,8 @@ impl StatusSources {
 }
 
 impl StatusReport {
-    /// Problems of the daemon itself: disk, loops, clock, webhook, lost or refused messages. The pages show the same
-    /// sentences.
+    /// Problems of the daemon itself: disk, loops, clock, webhook, lost or refused messages. The dashboard shows the
+    /// same sentences.
     pub fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
         let mut add = |is_so: bool, problem: &str| problems.extend(is_so.then(|| problem.to_owned()));
@@ -261,7 +263,7 @@ impl StatusReport {
         problems
     }
 
-    /// One line of text, problems first.
+    /// The status as one line of text, problems first.
     pub fn line(&self) -> String {
         self.parts().join("; ")
     }
@@ -275,18 +277,21 @@ impl StatusReport {
         let states: Vec<String> =
             [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
                 .into_iter()
-                .map(|state| (self.standing.count(state), state.as_str().replace('_', " ")))
+                .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
                 .filter(|(count, _)| *count > 0)
                 .map(|(count, state)| format!("{count} {state}"))
                 .collect();
         if !states.is_empty() {
             parts.push(format!("machines: {}", states.join(", ")));
         }
-        if self.standing.own_alarms > 0 {
-            parts.push(format!("{} OF THE DAEMON ITSELF", counted(self.standing.own_alarms, "alarm").to_uppercase()));
+        if self.fleet_counts.own_alarms > 0 {
+            parts.push(format!(
+                "{} OF THE DAEMON ITSELF",
+                counted(self.fleet_counts.own_alarms, "alarm").to_uppercase()
+            ));
         }
-        if self.standing.shelved_alarms > 0 {
-            parts.push(format!("{} shelved", counted(self.standing.shelved_alarms, "alarm")));
+        if self.fleet_counts.shelved_alarms > 0 {
+            parts.push(format!("{} shelved", counted(self.fleet_counts.shelved_alarms, "alarm")));
         }
         if !self.without_throw.is_empty() {
             parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));

@@ -1,4 +1,4 @@
-//! Stop of the daemon: in the order of the pipeline, with a time limit for each step.
+//! The stop of the daemon, in the order of the pipeline and with a time limit for each step.
 
 use std::time::Duration;
 
@@ -15,18 +15,18 @@ use crate::store::StoreError;
 const RECEIVE_LIMIT: Duration = Duration::from_secs(3);
 /// Time limit to judge pending throws; the rest is judged after the next start.
 const JUDGE_LIMIT: Duration = Duration::from_millis(2_500);
-/// Time limit to leave unfinished work.
+/// Time limit for a loop to end after `give_up`, and for the publishing threads.
 const LEAVE_LIMIT: Duration = Duration::from_millis(700);
 /// Time limit to publish the outbox; the rest is published after the next start.
 const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
 /// Time limit to close the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
-/// Time limit to close the database, which may copy its whole log, or hang with the disk.
+/// Time limit to close the database. The close may copy the whole write-ahead log, or hang with the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 
 impl Daemon {
-    /// Stops in the order of the pipeline: stores the received messages, judges and publishes for a few seconds, closes
-    /// the session and the database. Ends within 20 s in any case.
+    /// Stops the daemon: stores the received messages, judges and publishes for a few seconds, then closes the session
+    /// and the database. Returns within 20 s in any case.
     ///
     /// # Errors
     /// When the database could not be closed cleanly; nothing acknowledged is lost.
@@ -41,19 +41,19 @@ impl Daemon {
         }
         stops.judge.cancel();
         if !tasks.end_of(JUDGE, JUDGE_LIMIT).await {
-            tracing::warn!("throws are still pending: judged after the next start");
+            tracing::warn!("throws are still pending: they will be judged after the next start");
             stops.give_up.cancel();
             tasks.end_of(JUDGE, LEAVE_LIMIT).await;
         }
         stops.publish.cancel();
         if !tasks.end_of(PUBLISH, PUBLISH_LIMIT).await {
-            tracing::warn!("alarms are not published yet: published after the next start");
+            tracing::warn!("alarms are not published yet: they will be published after the next start");
         }
         tracing::info!("{}", sources.report().line());
         drop((alive, tasks));
         let ended = async {
             for end in publishing {
-                // An error is a panic, which is in the log.
+                // An error means a panic, which is in the log already.
                 let _ = end.await;
             }
         };
@@ -65,7 +65,7 @@ impl Daemon {
             Ok(Err(error)) => tracing::warn!(%error, "closing the zenoh session failed"),
             Err(_) => tracing::warn!("closing the zenoh session takes too long"),
         }
-        // Committed rows are durable also without a close: the next start checks the database.
+        // Committed rows are durable without a clean close too; the next start then checks the database.
         let closed = time::timeout(CLOSE_LIMIT, store.close()).await.unwrap_or(Err(StoreError::CloseTimeout));
         drop(lock);
         closed

@@ -1,11 +1,11 @@
-//! The tasks of the daemon, whose ends are observed.
+//! The tasks of the daemon. Their ends are observed, as the daemon ends with any of them.
 
 use std::time::Duration;
 
 use tokio::time;
 use tokio_util::task::JoinMap;
 
-/// Tasks by their names; running tasks are aborted when this is dropped.
+/// Tasks by name. Dropping the set aborts the tasks that still run.
 #[derive(Default)]
 pub(super) struct Tasks(JoinMap<&'static str, ()>);
 

@@ -8,19 +8,21 @@ use tokio::time;
 use super::{heartbeat::TaskName, status::StatusSources};
 use crate::store::{DiskLevel, StoreError};
 
-/// Time between two checks of the heartbeats, without a watchdog of systemd.
-const LOOK: Duration = Duration::from_secs(5);
-/// Time between two status lines in the log without problems.
-const ROUTINE: Duration = Duration::from_mins(10);
+/// Longest time between two checks of the heartbeats; a third of the watchdog limit of systemd, if that is shorter.
+/// Also the time between two probes of the writer.
+const CHECK_EVERY: Duration = Duration::from_secs(5);
+/// Time between two routine status lines in the log.
+const STATUS_EVERY: Duration = Duration::from_mins(10);
 
 /// Time between two extensions of the start timeout of systemd.
 const EXTEND_EVERY: Duration = Duration::from_secs(10);
 /// Time of each extension \[µs\].
 const EXTEND_BY_USEC: u32 = 60_000_000;
-/// Largest number of extensions: after an hour the start hangs, and a restart may help.
+/// Largest number of extensions, one hour in total. A longer start counts as hanging: systemd then ends the daemon, and
+/// a restart may help.
 const EXTENSIONS: u32 = 360;
 
-/// Notifies systemd.
+/// Sends states to systemd.
 pub(super) fn notify(states: &[NotifyState<'_>]) {
     // Without systemd this fails or does nothing.
     if let Err(error) = sd_notify::notify(states) {
@@ -46,16 +48,17 @@ pub(super) async fn with_start_extension<T>(what: &str, work: impl Future<Output
 
 /// Feeds the watchdog while all heartbeats are fresh, updates the status line, and probes the writer of the database.
 pub(super) async fn watch(sources: StatusSources) {
-    let period =
-        sd_notify::watchdog_enabled().map_or(LOOK, |limit| (limit / 3).min(LOOK)).max(Duration::from_millis(100));
-    let mut look = time::interval(period);
-    let mut routine = time::interval(ROUTINE);
+    let period = sd_notify::watchdog_enabled()
+        .map_or(CHECK_EVERY, |limit| (limit / 3).min(CHECK_EVERY))
+        .max(Duration::from_millis(100));
+    let mut check = time::interval(period);
+    let mut routine = time::interval(STATUS_EVERY);
     routine.tick().await;
     let mut trouble = String::new();
     let mut probe = std::pin::pin!(probe_writer(sources.clone()));
     loop {
         tokio::select! {
-            _ = look.tick() => {}
+            _ = check.tick() => {}
             _ = routine.tick() => tracing::info!("{}", sources.report().line()),
             () = &mut probe => return,
         }
@@ -80,7 +83,7 @@ pub(super) async fn watch(sources: StatusSources) {
 
 /// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
 async fn probe_writer(sources: StatusSources) {
-    let mut pace = time::interval(LOOK);
+    let mut pace = time::interval(CHECK_EVERY);
     loop {
         pace.tick().await;
         if matches!(sources.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {

@@ -1,4 +1,4 @@
-//! An open alarm on a page: size when raised and now, acknowledgement or shelving, text, link to the throw.
+//! An open alarm on a page: its size when raised and now, acknowledgement or shelving, text, and a link to its throw.
 
 use super::{page, state};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
     wire::Alarm,
 };
 
-/// One open alarm.
+/// An open alarm as a page shows it.
 pub(super) struct AlarmLine {
     pub(super) alarm: Alarm,
     pub(super) state: String,
@@ -17,9 +17,10 @@ pub(super) struct AlarmLine {
     /// Present size; `None` if the drift has ended.
     pub(super) now: Option<String>,
     pub(super) forecast: Option<String>,
+    /// Address of the last throw that contributed to the alarm.
     pub(super) throw: Option<String>,
-    /// Time of the text.
-    pub(super) said_at: String,
+    /// Time at which the text of the alarm was written.
+    pub(super) text_at: String,
 }
 
 impl AlarmLine {
@@ -27,7 +28,7 @@ impl AlarmLine {
     /// the machine; `windows` are open shelvings and maintenance.
     pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
         let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
-        // Events of earlier versions have only the operator of the last command.
+        // Events of earlier versions do not have `acknowledged_by`, only the operator of the last command.
         let by = alarm.acknowledged_by.as_ref().or(alarm.by.as_ref());
         let by = by.map(|by| format!(" by {by}")).unwrap_or_default();
         let state = match (alarm.state, Window::of(alarm, windows)) {
@@ -40,7 +41,7 @@ impl AlarmLine {
         Self {
             alarm: alarm.clone(),
             state,
-            said_at: utc(&alarm.text_at.unwrap_or(alarm.event_at)),
+            text_at: utc(&alarm.text_at.unwrap_or(alarm.event_at)),
             raised: raised.map(|(size, sd)| state::size(size, sd)),
             now: drift.map(|drift| state::size(drift.change_pct, drift.change_pct_sd)),
             forecast: drift.and_then(state::forecast),

@@ -3,13 +3,13 @@
 //! | address | answers with |
 //! |---|---|
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
-//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`; `machines`: up to 100 with state, present drifts, last throw; `next_page`: number of the next page, which is null after the last one. Pages are counted from 0 |
+//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`; `machines`: up to 100 with state, present drifts, last throw; `next_page`: number of the next page, or null on the last page. Pages are counted from 0 |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
 //! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site, each with the address of its `machines` |
 //!
-//! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size when it was
-//! raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw, `change_now_pct` and
-//! `change_now_pct_sd`, which is null if the drift has ended.
+//! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size
+//! when it was raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw,
+//! `change_now_pct` and `change_now_pct_sd`, which is null if the drift has ended.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -35,7 +35,7 @@ const THROWS: u32 = 100;
 /// Largest number of operators' commands in a response.
 const COMMANDS: u32 = 100;
 
-/// Refuses parameters: one without an effect would look like a filter.
+/// Refuses all parameters: a parameter without an effect would look like a filter.
 fn takes_none(query: Option<&str>) -> Result<(), Failure> {
     match query.filter(|query| !query.is_empty()) {
         None => Ok(()),
@@ -52,7 +52,7 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let filters = Filters::from_query(query.as_deref())?;
     let query = FleetQuery { spark: 0, ..filters.query()? };
     let itself = web.view.config().monitor.as_machine();
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let reader = web.reader();
     let tally = reader.tally(&query, &itself).await?;
     let matching = query.state.map_or_else(|| tally.total(), |state| tally.of(state));
@@ -70,7 +70,7 @@ pub(super) async fn machine(
 ) -> Result<Response, Failure> {
     let Path(machine) = machine?;
     takes_none(query.as_deref())?;
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let reader = web.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
     if throws.is_empty() {
@@ -93,14 +93,14 @@ pub(super) async fn alarms(State(web): State<Arc<Web>>, RawQuery(query): RawQuer
     })))
 }
 
-/// A group of alarms, with the address of its machines.
+/// A group of alarms, with the address of the list of its machines.
 fn with_list(group: &CommonAlarm) -> serde_json::Value {
     let mut json = json!(group);
     json["machines"] = json!(format!("/api/v1/machines?site={}&cause={}", group.site, group.cause.as_str()));
     json
 }
 
-/// A fault with its sizes, each of which says in its name when it was measured.
+/// A fault with its sizes. The name of each field tells when the size was measured.
 fn with_sizes(fault: &Fault) -> serde_json::Value {
     let now = fault.drifts.iter().find(|drift| drift.cause == fault.alarm.cause);
     let mut json = json!(fault);

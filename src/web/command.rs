@@ -21,7 +21,8 @@ use super::{
 };
 use crate::{daemon::clock, diagnose::Command, store::seldom, throw::MachineId};
 
-/// Longest window in the form \[h\], about ten years; the settings may allow less.
+/// Longest maintenance or shelving that the form accepts \[h\], about ten years. The monitor checks the configured
+/// limit.
 const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
@@ -39,8 +40,9 @@ pub(super) async fn post(
             .map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
         return Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response());
     };
-    // The form again, with the values typed. If its page cannot be made, the refusal alone is the response.
-    let form = Form { refused: Some(refused.says.clone()), fields };
+    // The response is the page again, with the typed values in the form. If it cannot be made, the response is the
+    // refusal.
+    let form = Form { refused: Some(refused.message.clone()), fields };
     let page = time::timeout(LIMIT, machine::page_with(&web, &machine, form)).await;
     let Ok(Ok(page)) = page else { return Err(refused) };
     Ok((refused.status, page).into_response())
@@ -58,16 +60,16 @@ async fn apply(web: &Web, machine: &MachineId, fields: &HashMap<String, String>)
         ));
     }
     let command = command(fields, clock::now()).map_err(Failure::bad_request)?;
-    let reply = web.view.orders.carry_out(machine.clone(), command).await;
+    let reply = web.view.commands.apply(machine.clone(), command).await;
     let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, format!("{problem}.")))?;
     if !reply.done {
         return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));
     }
-    web.forget().await;
+    web.discard_overview().await;
     Ok(())
 }
 
-/// Makes a command from the fields of the form.
+/// The command in the fields of the form, or a sentence about the wrong field.
 fn command(fields: &HashMap<String, String>, now: Timestamp) -> Result<Command, String> {
     let text = |name: &str| fields.get(name).map(|text| text.trim().to_owned()).unwrap_or_default();
     let by = text("by");
@@ -111,7 +113,7 @@ mod tests {
         let until = Timestamp::from_second(8 * 3600).unwrap();
         let shelve = Command::Shelve { cause: Cause::Friction, until, by, why: "greased".to_owned() };
         assert_eq!(made("command=shelve&cause=friction&by=A.+Meyer&hours=8&why=greased").unwrap(), shelve);
-        for (form, says) in [
+        for (form, expected) in [
             ("command=ack&cause=kt", "name is missing"),
             ("command=ack&cause=magnet&by=x", "name the alarm"),
             ("command=shelve&cause=kt&by=x&why=y&hours=0", "number of hours"),
@@ -119,7 +121,7 @@ mod tests {
             ("command=maintenance&by=x&hours=8&why=+", "reason is missing"),
             ("command=reboot&by=x", "no command"),
         ] {
-            assert!(made(form).unwrap_err().contains(says), "{form}");
+            assert!(made(form).unwrap_err().contains(expected), "{form}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! HTTP connections with limits: their number, one request each, bytes of the request, and time. At the limit, the
-//! connection that has waited longest for its request is closed, so that slow clients do not block others.
+//! HTTP connections with limits on their number, their requests (one each), their bytes and their time. At the largest
+//! number, the connection that has waited longest for its request is closed, so that slow clients do not block others.
 
 use std::{collections::VecDeque, pin::pin, sync::Arc, time::Duration};
 
@@ -17,43 +17,43 @@ use tokio::{
     time::{self, Instant},
 };
 
-/// Largest number of connections; more wait in the queue of the operating system. Each uses a few buffers and at most
-/// one page.
+/// Largest number of connections; further ones wait in the queue of the operating system. Each uses a few buffers and
+/// the memory of at most one page.
 const CONNECTIONS: usize = 64;
-/// Largest head and largest body of a request \[bytes\]; a browser sends one or two thousand.
+/// Largest head, and largest body, of a request \[bytes\]; those of a browser have one or two thousand.
 const READ_BYTES: usize = 16 << 10;
-/// Time limit of a request.
-const ASKING: Duration = Duration::from_secs(5);
-/// Time limit for the request while other connections wait: a browser sends its request at once.
+/// Time limit from the start of a connection to its complete request.
+const REQUEST_LIMIT: Duration = Duration::from_secs(5);
+/// The same limit while other connections wait: a browser sends its request at once.
 const GRACE: Duration = Duration::from_millis(250);
-/// Time limit from a complete request to its response: longer than the 20 s of an operator's command.
-const WORKING: Duration = Duration::from_secs(25);
+/// Time limit from a complete request to its response: longer than the 20 s that an operator's command may take.
+const HANDLER_LIMIT: Duration = Duration::from_secs(25);
 /// Time limit for the transmission of a response: 200 kB at 20 kB/s.
-const ANSWERING: Duration = Duration::from_secs(10);
+const RESPONSE_LIMIT: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example without free descriptors.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Progress of the request of a connection, an extension of the request: each step has a time limit of its own.
+/// Sets the time limit for the next step of a connection. It is an extension of each request, for its handler.
 #[derive(Debug, Clone)]
 pub(super) struct Progress(watch::Sender<Duration>);
 
 impl Progress {
-    /// The request is complete. Called by the handler, which alone knows the end of the request.
+    /// The request is complete. Only the handler of a request can know this.
     pub(super) fn arrived(&self) {
-        self.0.send_replace(WORKING);
+        self.0.send_replace(HANDLER_LIMIT);
     }
 
     /// The response is complete.
     pub(super) fn answered(&self) {
-        self.0.send_replace(ANSWERING);
+        self.0.send_replace(RESPONSE_LIMIT);
     }
 }
 
 /// Serves connections until the future is dropped.
 pub(super) async fn serve(listener: TcpListener, router: Router) {
     let router = router.layer(DefaultBodyLimit::max(READ_BYTES));
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
-    // Connections without a complete request, the oldest first. A dropped sender ends its connection.
+    let permits = Arc::new(Semaphore::new(CONNECTIONS));
+    // Connections without a complete request, the oldest first. Dropping the sender closes the connection.
     let mut asking: VecDeque<(Instant, oneshot::Sender<()>)> = VecDeque::new();
     loop {
         let stream = match listener.accept().await {
@@ -64,16 +64,17 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
                 continue;
             }
         };
-        let place = place(&places, &mut asking).await;
+        let permit = permit(&permits, &mut asking).await;
         let (connection, evicted) = oneshot::channel();
         asking.push_back((Instant::now(), connection));
-        tokio::spawn(converse(stream, router.clone(), evicted, place));
+        tokio::spawn(serve_connection(stream, router.clone(), evicted, permit));
     }
 }
 
-/// Waits for a place. The connection that has waited longest for its request loses its place after [`GRACE`].
-async fn place(
-    places: &Arc<Semaphore>,
+/// Waits for a permit for a new connection. If there is none, connections without a complete request are closed after
+/// [`GRACE`], the oldest first.
+async fn permit(
+    permits: &Arc<Semaphore>,
     asking: &mut VecDeque<(Instant, oneshot::Sender<()>)>,
 ) -> Option<OwnedSemaphorePermit> {
     loop {
@@ -82,20 +83,20 @@ async fn place(
         tokio::select! {
             biased;
             // Cannot fail, as the semaphore is never closed.
-            place = Arc::clone(places).acquire_owned() => return place.ok(),
+            permit = Arc::clone(permits).acquire_owned() => return permit.ok(),
             () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => drop(asking.pop_front()),
         }
     }
 }
 
-/// Serves a connection until its end, a time limit, or the loss of its place to another connection.
-async fn converse(
+/// Serves a connection until its end, a time limit, or its eviction.
+async fn serve_connection(
     stream: TcpStream,
     router: Router,
     evicted: oneshot::Receiver<()>,
-    _place: Option<OwnedSemaphorePermit>,
+    _permit: Option<OwnedSemaphorePermit>,
 ) {
-    let (progress, mut limit) = watch::channel(ASKING);
+    let (progress, mut limit) = watch::channel(REQUEST_LIMIT);
     let progress = Progress(progress);
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
@@ -103,14 +104,14 @@ async fn converse(
         router.call(request)
     });
     let connection = http1::Builder::new().max_buf_size(READ_BYTES).serve_connection(TokioIo::new(stream), service);
-    let (mut connection, mut deadline) = (pin!(connection), pin!(time::sleep(ASKING)));
+    let (mut connection, mut deadline) = (pin!(connection), pin!(time::sleep(REQUEST_LIMIT)));
     let mut evicted = Some(evicted);
     loop {
         tokio::select! {
             _ = &mut connection => return,
             () = &mut deadline => return,
-            () = lost(&mut evicted) => return,
-            // A complete request keeps its place.
+            () = eviction(&mut evicted) => return,
+            // A connection with a complete request is not evicted any more.
             Ok(()) = limit.changed() => {
                 evicted = None;
                 deadline.as_mut().reset(Instant::now() + *limit.borrow_and_update());
@@ -119,8 +120,8 @@ async fn converse(
     }
 }
 
-/// Waits until another connection needs the place.
-async fn lost(evicted: &mut Option<oneshot::Receiver<()>>) {
+/// Waits until this connection must close for another one.
+async fn eviction(evicted: &mut Option<oneshot::Receiver<()>>) {
     match evicted {
         Some(evicted) => drop(evicted.await),
         None => std::future::pending().await,

@@ -29,18 +29,19 @@ use crate::{
     wire,
 };
 
-/// Machines on one page.
+/// Number of machines on one page.
 const MACHINES: u32 = 100;
-/// Throws in the small chart of a machine: usually the last weeks.
+/// Number of throws in the small chart of a machine: usually those of the last weeks.
 const SPARK: u32 = 40;
-/// Bound of the page number, far above the largest fleet.
+/// Bound of the page number, far above the last page of the largest fleet.
 const PAGES: u32 = 10_000;
-/// Longest search text: a site, a slash and a machine \[characters\].
+/// Longest search text \[characters\]: a site, a slash and a machine.
 const SEARCH: usize = 129;
-/// More machines than this that are not monitored, and have no other alarm, are one line of the list.
+/// Largest number of silent machines that are rows of the list; more of them are one line. A silent machine is not
+/// monitored, and has no other alarm.
 const SILENT_ROWS: u64 = 10;
-/// Largest number of names in a list; more are counted.
-const SILENT: usize = 20;
+/// Largest number of names in a sentence; further ones are only counted.
+const NAMED: usize = 20;
 
 #[derive(Template)]
 #[template(path = "fleet.html", config = "src/web/askama.toml")]
@@ -50,36 +51,39 @@ struct Page {
     tally: Vec<(Badge, String, String)>,
     /// "12 machines".
     machines: String,
-    /// Active critical alarms, above those of many machines.
+    /// Active critical alarms, shown above the entries of `common`.
     urgent: Vec<AlarmLine>,
     common: Vec<Common>,
     /// The other alarms.
     alarms: Vec<AlarmLine>,
+    /// "12 more alarms", which are not on this page; empty without any.
     more_alarms: String,
     filters: Filters,
     sites: Vec<(String, bool)>,
     causes: Vec<(&'static str, String, bool)>,
     states: Vec<(&'static str, String, bool)>,
     rows: Vec<Row>,
+    /// "1 to 100 of 2,345".
     shown: String,
-    /// Number of the machines in one line, and the address of their list.
+    /// Number of the silent machines that are one line, and the address of their list.
     grouped: Option<(String, String)>,
     before: Option<String>,
     after: Option<String>,
+    /// Names of configured machines without a throw.
     silent: String,
-    /// Names of connected loggers without a throw.
+    /// Names of machines whose loggers are connected and have sent no throw.
     without_throw: String,
-    /// Machines of which every message was refused, with the reason.
+    /// Machines of which every message went to quarantine, with the reason.
     refused: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
 
-/// All alarms of one kind of a system-wide cause (not monitored, lost data).
+/// An entry for all similar alarms about machines not monitored or lost data.
 struct Common {
     badge: Badge,
-    says: String,
-    /// Text of one of the alarms; empty if the cause says all.
+    summary: String,
+    /// Text of one of the alarms; empty for machines not monitored.
     example: String,
     sites: String,
     address: String,
@@ -89,21 +93,23 @@ struct Common {
 struct Row {
     machine: MachineId,
     badge: Badge,
-    /// Worst present drift: cause, size, forecast.
+    /// Cause, size and forecast of the worst present drift.
     drift: Option<(String, String, String)>,
     /// Other drifts and alarms, maintenance, progress of the baseline, rejection of the last throw.
     notes: Vec<String>,
+    /// Points of the small chart.
     spark: String,
     last_throw: String,
 }
 
+/// The filters of the list of machines; an empty text is no filter.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Filters {
     pub(super) site: String,
     pub(super) state: String,
     pub(super) cause: String,
     pub(super) search: String,
-    /// From 0.
+    /// Number of the page, from 0.
     pub(super) page: u32,
 }
 
@@ -162,7 +168,7 @@ impl Filters {
     }
 }
 
-/// The value of a filter that is one of some words; `None` without the filter.
+/// The value of a filter whose text must be one of the words of `all`; `None` without a text.
 fn one_of<T: Copy + Into<&'static str>>(
     filter: &str,
     text: &str,
@@ -187,7 +193,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
     let report = web.view.sources.report();
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let reader = web.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
@@ -200,7 +206,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         None => tally.total().saturating_sub(grouped),
     };
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
-    // The worst faults are the first ones.
+    // The faults are sorted, the worst first.
     let is_urgent = |Fault { alarm, .. }: &Fault| alarm.severity == Severity::Critical && alarm.state.is_active();
     let urgent = overview.faults.partition_point(is_urgent);
     let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
@@ -216,7 +222,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
         states: WORST_FIRST.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
-        rows: rows.iter().map(|row| shown(row, &windows, limit_pct)).collect(),
+        rows: rows.iter().map(|row| table_row(row, &windows, limit_pct)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
@@ -234,8 +240,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     }))
 }
 
-/// Number of the silent machines if they are one line of the list, which the query then leaves out. They have a common
-/// cause, such as a lost link, and would push machines with faults out of sight.
+/// If there are many silent machines, excludes them from the query and returns their number, for one line. They usually
+/// have a common cause, such as a lost link, and would push machines with faults out of sight. Otherwise returns 0.
 fn group_silent(query: &mut FleetQuery, tally: &StateCounts) -> u64 {
     let is_chosen = query.state.is_some() || query.cause.is_some() || query.search.is_some();
     query.without_silent = tally.silent > SILENT_ROWS && !is_chosen;
@@ -243,7 +249,7 @@ fn group_silent(query: &mut FleetQuery, tally: &StateCounts) -> u64 {
 }
 
 fn tally_links(tally: &StateCounts, filters: &Filters) -> Vec<(Badge, String, String)> {
-    // A machine with a fault is not monitored either when its link is lost: the fault must stay in sight.
+    // A lost link makes a machine with a fault not monitored too. Its fault must stay in sight.
     let with_other_alarms = tally.of(MachineState::NotMonitored).saturating_sub(tally.silent);
     let number = |state| match state {
         MachineState::NotMonitored if with_other_alarms > 0 => {
@@ -259,7 +265,7 @@ fn lines(faults: &[Fault], windows: &[Window]) -> Vec<AlarmLine> {
     faults.iter().map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, windows)).collect()
 }
 
-/// Groups the alarms of system-wide causes, those about lost data by their kind.
+/// Groups the alarms about machines not monitored and lost data into entries, those about lost data by their kind.
 fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
     let mut kinds: BTreeMap<(Cause, bool, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
     for alarm in alarms {
@@ -286,7 +292,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         let (what, example) = match example {
             None => ("not monitored", String::new()),
             Some((_, text)) if count == 1 => ("with data loss", format!(": {text}")),
-            // Its numbers are those of one machine.
+            // The numbers in the text are those of one machine, so it is named.
             Some((CommonAlarm { site, machine, .. }, text)) => {
                 ("with data loss", format!(", for example {site}/{machine}: {text}"))
             }
@@ -298,10 +304,10 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         };
         let mut sites: Vec<_> = sites.into_iter().collect();
         sites.sort_by_key(|(_, (count, _))| Reverse(*count));
-        let sites: Vec<String> = sites.into_iter().take(SILENT).map(at_site).collect();
+        let sites: Vec<String> = sites.into_iter().take(NAMED).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
-            says: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
+            summary: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
             example,
             sites: sites.join(", "),
             address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
@@ -310,7 +316,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
     kinds.into_iter().map(entry).collect()
 }
 
-fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
+fn table_row(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     let drift = row.drifts.first().map(|drift| {
         let forecast = state::forecast(drift).unwrap_or_default();
         (drift.cause.to_string(), state::size(drift.change_pct, drift.change_pct_sd), forecast)
@@ -357,8 +363,8 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     }
 }
 
-/// Points of the line of the newest changes. The scale includes the warning limit on both sides, so that scatter looks
-/// small.
+/// Points of the small chart of the newest changes \[%\]. Its scale includes the warning limit on both sides, so that
+/// mere scatter looks small.
 fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
     let count = changes.clone().count();
     if count < 2 {
@@ -375,13 +381,13 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
 
 fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, String)> {
     let statistics = &overview.statistics;
-    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
+    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::bytes(free))).unwrap_or_default();
     vec![
         ("version", report.version.clone()),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk.as_ref())),
-        ("database", page::size(statistics.data_bytes)),
+        ("database", page::bytes(statistics.data_bytes)),
         ("throws kept", page::count(statistics.throws)),
         ("pending", page::count(statistics.pending)),
         ("to publish", page::count(statistics.outbox)),
@@ -401,8 +407,8 @@ async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let mut names: Vec<String> =
         named.into_iter().filter(|machine| !known.contains(machine)).map(ToString::to_string).collect();
     names.sort();
-    let more = names.len().saturating_sub(SILENT);
-    names.truncate(SILENT);
+    let more = names.len().saturating_sub(NAMED);
+    names.truncate(NAMED);
     let list = names.join(", ");
     Ok(if more > 0 { format!("{list} and {} more", page::count(more as u64)) } else { list })
 }
@@ -442,7 +448,7 @@ mod tests {
             alarm(Cause::DataLoss, "e", 1, Some("Machine e: 7 throws never arrived.")),
             alarm(Cause::DataLoss, "d", 1, Some("Machine d: the clock of the logger is wrong.")),
         ];
-        let shown: Vec<_> = common(&alarms).into_iter().map(|it| [it.says, it.example, it.sites]).collect();
+        let shown: Vec<_> = common(&alarms).into_iter().map(|it| [it.summary, it.example, it.sites]).collect();
         let since = "since 1970-01-01 00:00:00 UTC";
         let expected = [
             ("12 machines not monitored", "", "north 12"),
@@ -451,7 +457,7 @@ mod tests {
             ("1 machine with data loss, over and not acknowledged", ": 7 throws never arrived.", "north/e"),
         ];
         let expected =
-            expected.map(|(says, example, sites)| [format!("{says}, {since}"), example.into(), sites.into()]);
+            expected.map(|(summary, example, sites)| [format!("{summary}, {since}"), example.into(), sites.into()]);
         assert_eq!(shown, expected);
     }
 
@@ -468,7 +474,7 @@ mod tests {
             baseline: None,
             spark: Vec::new(),
         };
-        assert_eq!(shown(&row, &[], 15.0).notes, ["not monitored (over), data loss"]);
+        assert_eq!(table_row(&row, &[], 15.0).notes, ["not monitored (over), data loss"]);
     }
 
     #[test]

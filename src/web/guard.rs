@@ -1,4 +1,5 @@
-//! Checks of every request (method, host name, origin), a time limit, and security headers of every response.
+//! For every request: checks of method, host name and origin, and a time limit. For every response: security headers,
+//! an entity tag, and compression.
 
 use std::{io::Write as _, net::IpAddr, sync::Arc, time::Duration};
 
@@ -15,19 +16,19 @@ use tokio::time;
 
 use super::{connection::Progress, overview::Web, page::Failure, trouble};
 
-/// Time limit of a page, below the timeout of the page's script and the daemon's limit for one query.
+/// Time limit of a page: below the timeout of the script on the page, and below the daemon's limit for one query.
 pub(super) const LIMIT: Duration = Duration::from_secs(4);
 
 /// Content security policy: style, script, forms and connections of this daemon only; not in frames.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
                       form-action 'self'; frame-ancestors 'none'";
 
-/// Smallest compressed body \[bytes\]; a smaller one fits into one packet.
+/// Smallest body that is compressed \[bytes\]; a smaller one fits into one packet.
 const LEAST_COMPRESSED: usize = 1_024;
-/// Largest response \[bytes\]. Every page is far smaller. Only the trace of a throw of some minutes is larger, and is
-/// refused.
+/// Largest response \[bytes\]. Every page is far smaller. Only the trace of a throw that takes minutes is larger; its
+/// request is refused.
 pub(super) const LARGEST: usize = 16 << 20;
-/// Mark of lines that change every second; they do not count for the tag of the page.
+/// Mark of a line that changes every second. Such a line does not count for the entity tag of its page.
 const VOLATILE: &str = "data-volatile";
 
 pub(super) async fn guard(
@@ -42,7 +43,7 @@ pub(super) async fn guard(
     let config = web.view.config();
     let commands = config.web.token.is_some();
     let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, commands) {
-        // The sender of a refused request is unknown, so the response has no data of the daemon.
+        // The request may come from a foreign page, so the response has no data of the daemon.
         let mut response = if is_api { refusal.json() } else { refusal.page(Vec::new()) };
         if response.status() == StatusCode::METHOD_NOT_ALLOWED {
             let allowed = if commands { "GET, HEAD, POST" } else { "GET, HEAD" };
@@ -56,7 +57,8 @@ pub(super) async fn guard(
         }
         let answer = next.run(request);
         let mut response = if is_post {
-            // The queue of commands has its own limit: after an earlier answer the command may still be applied.
+            // Without this time limit: the queue of commands has its own. If this request ended earlier, its command
+            // could still be applied.
             answer.await
         } else {
             time::timeout(LIMIT, answer).await.unwrap_or_else(|_| Failure::busy().into_response())
@@ -73,19 +75,19 @@ pub(super) async fn guard(
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "same-origin"),
         (header::VARY, "accept-encoding"),
-        // One request for each connection: an idle one would use up the number of connections.
+        // One request for each connection: idle connections would use up the permits.
         (header::CONNECTION, "close"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
-    let response = shorten(response, known.as_ref(), wants_gzip).await;
+    let response = tag_and_compress(response, known.as_ref(), wants_gzip).await;
     progress.answered();
     response
 }
 
-/// Adds the tag. Removes the body if the browser has the same page already, else compresses a large body.
-async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bool) -> Response {
+/// Adds the entity tag. Removes the body if the browser has the same page already; else compresses a large body.
+async fn tag_and_compress(response: Response, known: Option<&HeaderValue>, wants_gzip: bool) -> Response {
     let (mut parts, body) = response.into_parts();
     let Ok(bytes) = to_bytes(body, LARGEST).await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
     if parts.status != StatusCode::OK || bytes.is_empty() {
@@ -96,7 +98,7 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
         parts.headers.insert(header::ETAG, tag);
         if is_known {
             parts.status = StatusCode::NOT_MODIFIED;
-            // The browser keeps the other headers of the page that it has.
+            // The browser keeps all other headers of its copy.
             let kept = [header::ETAG, header::CONNECTION].map(|name| (parts.headers.remove(&name), name));
             parts.headers.clear();
             for (value, name) in kept {
@@ -108,7 +110,7 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
     if !wants_gzip || bytes.len() < LEAST_COMPRESSED {
         return Response::from_parts(parts, Body::from(bytes));
     }
-    // Too long for an async worker.
+    // Compression takes too long for an async worker.
     let page = bytes.clone();
     let compressed = tokio::task::spawn_blocking(move || {
         let mut encoder = GzEncoder::new(Vec::with_capacity(page.len() / 4), Compression::fast());
@@ -120,12 +122,12 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
             parts.headers.remove(header::CONTENT_LENGTH);
             Response::from_parts(parts, Body::from(short))
         }
-        // Only when the runtime shuts down: compression into memory does not fail.
+        // Happens only when the runtime shuts down, as compression into memory does not fail.
         _ => Response::from_parts(parts, Body::from(bytes)),
     }
 }
 
-/// A weak entity tag: the same for pages that differ only in volatile lines.
+/// A weak entity tag: equal for pages that differ only in lines with [`VOLATILE`].
 fn tag(bytes: &[u8]) -> String {
     let lasting = |line: &&[u8]| !line.windows(VOLATILE.len()).any(|part| part == VOLATILE.as_bytes());
     let mut hash = crc32fast::Hasher::new();
@@ -142,15 +144,17 @@ fn accepts_gzip(headers: &HeaderMap) -> bool {
     accepted.split(',').map(str::trim).any(|coding| coding == "gzip" || coding == "*")
 }
 
+/// The reason to refuse a request; `None` if it is allowed. `names` are the configured host names; `commands` is true
+/// if pages accept operators' commands.
 fn refusal(request: &Request, names: &[String], commands: bool) -> Option<Failure> {
     let is_post = commands && *request.method() == Method::POST;
     if !is_post && !matches!(*request.method(), Method::GET | Method::HEAD) {
-        let says = if commands {
+        let message = if commands {
             "The dashboard takes only GET, and POST for operators' commands."
         } else {
             "The dashboard can only be read, with GET. Operators' commands need web.token in the configuration."
         };
-        return Some(Failure::new(StatusCode::METHOD_NOT_ALLOWED, says));
+        return Some(Failure::new(StatusCode::METHOD_NOT_ALLOWED, message));
     }
     let Some(host) = asked_host(request.headers()) else {
         return Some(Failure::new(
@@ -183,13 +187,15 @@ fn is_same_site(headers: &HeaderMap, host: &str) -> bool {
     site && origin
 }
 
+/// The value of the header `Host`; `None` unless there is exactly one.
 fn asked_host(headers: &HeaderMap) -> Option<&str> {
     let mut hosts = headers.get_all(header::HOST).iter();
     let host = hosts.next()?.to_str().ok()?;
     hosts.next().is_none().then_some(host)
 }
 
-/// Whether `host` names this daemon. Protects from DNS rebinding: the browser sends the name of the foreign site.
+/// Whether `host` names this daemon. This protects against DNS rebinding, in which a browser sends the name of a
+/// foreign site.
 fn is_ours(host: &str, names: &[String]) -> bool {
     let bare = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,

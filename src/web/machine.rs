@@ -26,18 +26,19 @@ use crate::{
     wire::{Alarm, Health},
 };
 
+/// Largest number of throws in the table.
 const THROWS: u32 = 20;
-/// Alarm events in the table.
+/// Largest number of alarm events in the table.
 const EVENTS: u32 = 50;
-/// Commands of operators in the table.
+/// Largest number of operators' commands in the table.
 const COMMANDS: u32 = 20;
-/// Largest number of baselines in the charts; a machine has one for each direction, and new ones after work on it.
+/// Largest number of baselines in the charts. A machine has one for each direction, and new ones after work on it.
 const BASELINES: u32 = 20;
 
-/// The throws in the trends.
+/// Which throws the charts of a machine show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Span {
-    /// The newest throws of each direction.
+    /// This number of the newest throws of each direction.
     Newest(u32),
     /// All stored throws.
     All,
@@ -57,7 +58,7 @@ impl Span {
         word.strip_prefix("span=").and_then(Self::from_word).ok_or_else(wrong)
     }
 
-    /// The span of the word `100`, `1000` or `all`.
+    /// The span for the word `100`, `1000` or `all`; `None` for another word.
     pub fn from_word(word: &str) -> Option<Self> {
         Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }
@@ -77,10 +78,10 @@ struct Page {
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
-    /// Reason why there are no trends of the coefficients.
+    /// Reason why there are no charts of the coefficients.
     no_trends: &'static str,
     features: Vec<Picture>,
-    /// JSON: time and address of each throw in the charts.
+    /// Time and path of each throw in the charts, as JSON.
     drawn_throws: String,
     drawn: String,
     rejected: String,
@@ -91,7 +92,7 @@ struct Page {
     form: Form,
     /// Longest window in the form \[h\].
     longest_hours: u32,
-    /// The style sheet, in a file without links; `None` for a page of the dashboard.
+    /// The style sheet, for the page as a file; `None` for a page of the dashboard.
     file_style: Option<&'static str>,
     volatile: String,
 }
@@ -99,9 +100,9 @@ struct Page {
 /// The form for commands.
 #[derive(Default)]
 pub(super) struct Form {
-    /// Reason of a refusal.
+    /// Reason why the last command was refused.
     pub(super) refused: Option<String>,
-    /// The values typed before a refusal; the page repeats them, except the token.
+    /// The values that the operator typed for it. The page repeats them, except the token.
     pub(super) fields: HashMap<String, String>,
 }
 
@@ -110,7 +111,8 @@ impl Form {
         self.fields.get(name).map(String::as_str).unwrap_or_default()
     }
 
-    /// The word, the text, and whether it is chosen, of each command; those of alarms only with alarms.
+    /// For each command: its word, its text, and whether it is chosen. Commands about alarms are left out without an
+    /// alarm.
     fn commands(&self, alarms: &[AlarmLine]) -> Vec<(&'static str, &'static str, bool)> {
         let of_alarms =
             [("ack", "acknowledge the alarm"), ("shelve", "shelve the alarm"), ("unshelve", "end the shelving")];
@@ -120,7 +122,7 @@ impl Form {
             ("rebaseline", "take a new baseline"),
         ];
         let all = of_alarms.into_iter().filter(|_| !alarms.is_empty()).chain(of_machine);
-        all.map(|(word, says)| (word, says, self.typed("command") == word)).collect()
+        all.map(|(word, text)| (word, text, self.typed("command") == word)).collect()
     }
 }
 
@@ -130,6 +132,7 @@ struct LastThrow {
     baseline: String,
     /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
+    /// Text in place of the changes.
     without: String,
 }
 
@@ -155,21 +158,22 @@ pub(super) async fn page(
     show(&web, &machine, Span::from_query(query.as_deref())?, Form::default()).await
 }
 
-/// The page with the form of a refused command.
+/// The page after a refused command, with its form.
 pub(super) async fn page_with(web: &Web, machine: &MachineId, form: Form) -> Result<Response, Failure> {
     show(web, machine, Span::from_query(None)?, form).await
 }
 
 async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<Response, Failure> {
     let trouble = web.trouble().await;
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let config = web.view.config();
     let page = read(web.reader(), machine, span, &config.diagnosis).await?;
     let page = page.ok_or_else(|| Failure::not_found(format!("No throw of a machine {machine} is known.")))?;
     Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), form, ..page }))
 }
 
-/// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
+/// The page of a machine as one HTML file without links. The charts show the limits in `settings`. `None` for an
+/// unknown machine.
 ///
 /// # Errors
 /// When the database cannot be read.
@@ -224,14 +228,14 @@ async fn read(
         maintenance: maintenance(now_state, &windows),
         alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
         last_throws: last_throws(&both, &baselines),
-        spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
+        spans: Span::CHOICES.into_iter().map(|(choice, word, text)| (word, text, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         no_trends: no_trends(&both, &baselines),
         features: trend::features(&both, &of_baseline, &marks),
         drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
         rejected: rejected(&both),
-        throws: rows_of(&throws),
+        throws: table_rows(&throws),
         events,
         commands,
         takes_commands: false,
@@ -273,12 +277,12 @@ async fn rows(
             reader.throws_in(machine, direction, choice).await?
         }
     };
-    // Rows are in the order of arrival; throws from a backlog arrive after later ones.
+    // The rows are in the order of arrival. Throws from a backlog arrive after newer ones.
     rows.sort_by_key(|row| row.started_at);
     Ok(rows)
 }
 
-/// The throws of the baseline of a direction, with its last throws; none if it has no baseline, or discarded it.
+/// The throws of the present baseline of a direction; empty if there is none, or a new one is still being learned.
 async fn throws_of_baseline(
     reader: &Reader,
     machine: &MachineId,
@@ -300,7 +304,7 @@ fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
     (state == MachineState::Maintenance).then(|| window.map_or_else(|| "in maintenance".to_owned(), page::window))
 }
 
-/// For each direction: baseline, last change, and scatter of the machine.
+/// The last throw of each direction: baseline, changes, and scatter of the machine.
 fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow> {
     let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
         let last = rows.last();
@@ -325,7 +329,7 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
     both.iter().map(last_throw).collect()
 }
 
-/// Reason why a throw has no changes from the baseline.
+/// Text for a throw without changes of the coefficients: the changes of the ratios, or the reason.
 fn without(row: &Health) -> String {
     if let Some(changes) = row.present_ratio_changes_pct() {
         let [friction, stiffness] = changes.map(|change| state::signed(change, 1));
@@ -340,7 +344,7 @@ fn without(row: &Health) -> String {
     }
 }
 
-/// Quality of a throw, with the reason if the throw is rejected or rough.
+/// The quality of a throw in words, with the reason if the throw is rejected or rough.
 fn quality(row: &Health) -> String {
     let word = row.quality.replace('_', " ");
     match &row.detail {
@@ -350,9 +354,10 @@ fn quality(row: &Health) -> String {
     }
 }
 
-/// The rows of the table, newest first. A reason that differs only in its numbers from that of a newer throw is not repeated.
-fn rows_of(throws: &[Health]) -> Vec<Row> {
-    /// Shorter reasons are repeated.
+/// The rows of the table of throws, newest first. A long reason that differs only in its numbers from that of a newer
+/// throw is not repeated.
+fn table_rows(throws: &[Health]) -> Vec<Row> {
+    /// Longest reason that is always repeated \[characters\].
     const LONG: usize = 60;
     let mut before: HashMap<String, u64> = HashMap::new();
     let mut of = |health: &Health| {
@@ -372,7 +377,7 @@ fn rows_of(throws: &[Health]) -> Vec<Row> {
     throws.iter().map(&mut of).collect()
 }
 
-/// "From … to …; 250 and 250 throws."
+/// "2026-05-04 … to 2026-05-06 …; drawn are 250 throws normal to reverse and 250 back."
 fn drawn(directions: &Directions) -> String {
     let times = || directions.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     let (Some(first), Some(last)) = (times().min(), times().max()) else {
@@ -392,7 +397,7 @@ fn drawn_throws(directions: &Directions) -> String {
     page::data(&rows.map(|row| (trend::x(row.started_at), page::throw_path(&row.throw))).collect::<Vec<_>>())
 }
 
-/// "Rejected throws: 12 supply sagged, 3 no movement."
+/// "Rejected among these: 12 supply sagged, 3 no movement."
 fn rejected(directions: &Directions) -> String {
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
     for row in directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected()) {
@@ -403,7 +408,8 @@ fn rejected(directions: &Directions) -> String {
     if reasons.is_empty() { String::new() } else { format!("Rejected among these: {}.", reasons.join(", ")) }
 }
 
-/// Marks in the charts: raised alarms, complete baselines and commands since the first throw shown, oldest first.
+/// The marks in the charts: raised alarms, complete baselines and commands since the first throw in the charts, oldest
+/// first.
 fn marks(
     directions: &Directions,
     events: &[Alarm],

@@ -1,8 +1,8 @@
-//! `/metrics`: counters and states of the daemon, for Prometheus: as `OpenMetrics` text, or, for readers that do not accept
-//! it, in the older text format of Prometheus.
+//! `/metrics`: counters and states of the daemon for Prometheus, as `OpenMetrics` text. Readers that do not accept this
+//! get the older text format of Prometheus.
 //!
-//! Label sets are bounded: causes, severities, reasons of rejection, states of the disk. Machines have their own series
-//! only in fleets of up to `web.machine_metrics` machines.
+//! The number of values of each label is bounded: causes, severities, reasons of rejection, states of the disk.
+//! Machines have series of their own only in fleets of up to `web.machine_metrics` machines.
 
 use std::{
     collections::HashSet,
@@ -41,7 +41,7 @@ const TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
-/// Time limit for the database; after it the response has only the counters of the daemon.
+/// Time limit to read the database. After it the response has only the counters of the daemon.
 const LIMIT: Duration = Duration::from_secs(2);
 
 pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
@@ -52,13 +52,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
-        let series = web.view.config().web.machine_metrics;
-        let omitted = if overview.tally.total() <= u64::from(series) { 0 } else { overview.tally.total() };
-        let help = "Machines without own series, as there are more than web.machine_metrics";
-        count(&mut registry, "machines_omitted", help, omitted);
-        if overview.tally.total() <= u64::from(series)
-            && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, series)).await
-        {
+        let (limit, total) = (web.view.config().web.machine_metrics, overview.tally.total());
+        let has_series = total <= u64::from(limit);
+        let help = "Machines without series of their own, as there are more than web.machine_metrics";
+        count(&mut registry, "machines_omitted", help, if has_series { 0 } else { total });
+        if has_series && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, limit)).await {
             machines(&mut registry, &rows);
         }
     }
@@ -68,14 +66,17 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
             .into_response();
     }
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
-    let (kind, text) =
-        if accept.contains("application/openmetrics-text") { (OPEN_METRICS, text) } else { (TEXT, older(&text)) };
+    let (kind, text) = if accept.contains("application/openmetrics-text") {
+        (OPEN_METRICS, text)
+    } else {
+        (TEXT, prometheus_text(&text))
+    };
     ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], text).into_response()
 }
 
-/// `OpenMetrics` text in the older format: it has no units, no infos and no end, and its comments name a counter as its
-/// samples do, with `_total`.
-fn older(open_metrics: &str) -> String {
+/// Converts `OpenMetrics` text to the older format. That has no units, no type `info` and no end mark, and its comments
+/// name a counter with `_total`, as its samples do.
+fn prometheus_text(open_metrics: &str) -> String {
     let of_kind = |kind: &'static str| {
         let types = open_metrics.lines().filter_map(|line| line.strip_prefix("# TYPE "));
         types.filter_map(move |it| it.strip_suffix(kind)?.strip_suffix(' ')).collect::<HashSet<_>>()
@@ -106,12 +107,13 @@ fn older(open_metrics: &str) -> String {
 }
 
 async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let query = FleetQuery { limit, ..FleetQuery::default() };
     web.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
 }
 
-/// Series of each machine. Names of machines are valid labels: at most 64 of `A-Z a-z 0-9 _ -`.
+/// Registers the series of each machine. Names of machines are valid labels: at most 64 characters of `A-Z a-z 0-9 _
+/// -`.
 fn machines(registry: &mut Registry, rows: &[FleetRow]) {
     let name = |row: &FleetRow| [("site", row.machine.site.to_string()), ("machine", row.machine.machine.to_string())];
     let with = |row: &FleetRow, label: &'static str, value: &str| {
@@ -160,11 +162,11 @@ fn throws(registry: &mut Registry, view: &View, report: &StatusReport) {
     ] {
         registry.register(name, help, ConstCounter::new(value));
     }
-    let refused = Family::<Labels<1>, Counter>::default();
-    for (reason, number) in view.sources.status.refused() {
-        refused.get_or_create(&[("reason", reason)]).inc_by(number);
+    let rejected = Family::<Labels<1>, Counter>::default();
+    for (reason, number) in view.sources.status.rejected() {
+        rejected.get_or_create(&[("reason", reason)]).inc_by(number);
     }
-    registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", refused);
+    registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", rejected);
     count(registry, "throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
     let inbox = view.sources.inbox.queued_bytes() as u64;
     gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, inbox);
@@ -205,9 +207,9 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
     count(registry, "connected", "Whether zenoh has a link", report.connected.into());
     count(registry, "loggers", "Loggers that are connected", report.loggers as u64);
-    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.standing.count(*state)));
+    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.fleet_counts.count(*state)));
     counts(registry, "machine_states", "Machines in each state", "state", states);
-    count(registry, "alarms_shelved", "Open alarms that are shelved", report.standing.shelved_alarms);
+    count(registry, "alarms_shelved", "Open alarms that are shelved", report.fleet_counts.shelved_alarms);
     let levels = DiskLevel::VARIANTS.iter().map(|level| (level.as_ref(), u64::from(report.disk == *level)));
     counts(registry, "disk_state", "1 for the present state of the disk", "state", levels);
     let is_silent = |task: &TaskName| report.silent.iter().any(|silent| silent == task.as_ref());
@@ -234,11 +236,12 @@ fn alarms(registry: &mut Registry, overview: &Overview) {
     registry.register("alarms_active", help, active);
 }
 
+/// Registers a gauge without unit.
 fn count(registry: &mut Registry, name: &str, help: &str, value: u64) {
     registry.register(name, help, ConstGauge::new(value.cast_signed()));
 }
 
-/// A gauge with one label.
+/// Registers a gauge with one label.
 fn counts<'a>(
     registry: &mut Registry,
     name: &str,
@@ -253,6 +256,7 @@ fn counts<'a>(
     registry.register(name, help, family);
 }
 
+/// Registers a gauge with a unit.
 fn gauge(registry: &mut Registry, name: &str, help: &str, unit: Unit, value: u64) {
     registry.register_with_unit(name, help, unit, ConstGauge::new(value.cast_signed()));
 }

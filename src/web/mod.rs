@@ -10,10 +10,10 @@
 //! | `/metrics` | `OpenMetrics` text |
 //! | `/healthz` | 200 while all heartbeats of the daemon's loops are fresh, else 503 with the reason |
 //!
-//! Clients cannot slow the daemon down: number, bytes and duration of connections are bounded (`connection`), and so
-//! are the time of a request (`guard`) and the rows that it reads. One request at a time reads the database, on
-//! connections that the judge does not use. Data of every page are read at most once a second (`overview`). Every page
-//! starts with the problems that make it incomplete or old (`trouble`).
+//! Clients cannot slow the daemon down. Number, bytes and duration of connections are bounded (`connection`), and so
+//! are the time of a request (`guard`) and the rows that it reads. Only one request at a time reads the database, on a
+//! connection that the judge does not use. Data that every page needs are read at most once a second (`overview`).
+//! Every page starts with the problems that make it incomplete or old (`trouble`).
 
 mod alarm;
 mod api;
@@ -50,16 +50,17 @@ pub(crate) use state::{forecast, size};
 
 const REFRESH: &str = include_str!("pages/refresh.js");
 const CHARTS: &str = include_str!("pages/charts.js");
-/// The chart library, after its licence.
+/// The chart library, preceded by its licence.
 const UPLOT: &str =
     concat!("/*\n", include_str!("pages/uplot/LICENSE"), "*/\n", include_str!("pages/uplot/uPlot.iife.min.js"));
 const UPLOT_STYLE: &str = include_str!("pages/uplot/uPlot.min.css");
 const SCRIPT_TYPE: &str = "text/javascript; charset=utf-8";
 const STYLE_TYPE: &str = "text/css; charset=utf-8";
-/// A file of this version of the program: browsers ask whether their copy is still the same.
-const ASK: &str = "no-cache";
-/// A file with its version in its address: browsers keep it for a year.
-const KEEP: &str = "public, max-age=31536000, immutable";
+/// Cache header of a file that another version of the program may change: browsers ask each time whether their copy is
+/// still the same.
+const REVALIDATE: &str = "no-cache";
+/// Cache header of a file with its version in its address: browsers keep it for a year.
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 /// The listening socket of the dashboard.
 #[derive(Debug)]
@@ -110,21 +111,21 @@ fn router(web: Arc<Web>) -> Router {
         .route("/api/v1/alarms", get(api::alarms))
         .route("/metrics", get(metrics::page))
         .route("/healthz", get(healthz))
-        .route("/style.css", get(|| async { asset(STYLE_TYPE, ASK, STYLE) }))
-        .route("/refresh.js", get(|| async { asset(SCRIPT_TYPE, ASK, REFRESH) }))
-        .route("/charts.js", get(|| async { asset(SCRIPT_TYPE, ASK, CHARTS) }))
-        .route("/uPlot-1.6.32.js", get(|| async { asset(SCRIPT_TYPE, KEEP, UPLOT) }))
-        .route("/uPlot-1.6.32.css", get(|| async { asset(STYLE_TYPE, KEEP, UPLOT_STYLE) }))
+        .route("/style.css", get(|| async { asset(STYLE_TYPE, REVALIDATE, STYLE) }))
+        .route("/refresh.js", get(|| async { asset(SCRIPT_TYPE, REVALIDATE, REFRESH) }))
+        .route("/charts.js", get(|| async { asset(SCRIPT_TYPE, REVALIDATE, CHARTS) }))
+        .route("/uPlot-1.6.32.js", get(|| async { asset(SCRIPT_TYPE, IMMUTABLE, UPLOT) }))
+        .route("/uPlot-1.6.32.css", get(|| async { asset(STYLE_TYPE, IMMUTABLE, UPLOT_STYLE) }))
         .fallback(|| async { Failure::not_found("There is no such page.") })
         .layer(middleware::from_fn_with_state(Arc::clone(&web), guard::guard))
         .with_state(web)
 }
 
-/// Healthy while no loop of the daemon is without a fresh heartbeat.
+/// The response 200 while every loop of the daemon has a fresh heartbeat, else 503.
 async fn healthz(State(web): State<Arc<Web>>) -> (StatusCode, String) {
     let silent = web.view.sources.report().silent;
     if silent.is_empty() {
-        return (StatusCode::OK, "every loop of the daemon beats\n".to_owned());
+        return (StatusCode::OK, "every loop of the daemon is running\n".to_owned());
     }
     (StatusCode::SERVICE_UNAVAILABLE, format!("these loops of the daemon hang: {}\n", silent.join(", ")))
 }

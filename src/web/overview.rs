@@ -1,4 +1,4 @@
-//! Data that every page and the metrics need, read together and at most once a second.
+//! The data that every page and the metrics need. They are read together, at most once a second.
 
 use std::{
     sync::Arc,
@@ -13,13 +13,14 @@ use crate::{
     wire::Alarm,
 };
 
-/// Requests that read the database at the same time; the other read connections are for queries over zenoh.
+/// Number of requests that may read the database at the same time. The other read connections are for queries over
+/// zenoh.
 const READING: usize = 1;
-/// Maximum age of the overview on a page.
+/// Largest age of the overview on a page.
 const FRESH: Duration = Duration::from_secs(1);
 /// Largest number of fault alarms on the fleet page: two screens.
 pub(super) const FAULTS: u32 = 50;
-/// Largest number of sites in the filter.
+/// Largest number of sites offered in the filter.
 const SITES: u32 = 200;
 
 /// State of the fleet and of the daemon at one moment.
@@ -29,22 +30,24 @@ pub(super) struct Overview {
     pub(super) tally: StateCounts,
     /// Open alarms about the condition of machines, the worst first, up to [`FAULTS`].
     pub(super) faults: Vec<Fault>,
+    /// Number of all such alarms.
     pub(super) fault_count: u64,
-    /// Numbers of open alarms of system-wide causes (not monitored, lost data), by cause and site.
+    /// Numbers of open alarms about machines not monitored and lost data, by cause and site.
     pub(super) common: Vec<CommonAlarm>,
     pub(super) sites: Vec<String>,
+    /// Open alarms about the daemon itself.
     pub(super) own_alarms: Vec<Alarm>,
-    /// Number of open alarms of another version that this version cannot read.
+    /// Number of open alarms that another version stored and this version cannot read.
     pub(super) unreadable: usize,
     pub(super) alarms_by_kind: Vec<AlarmCount>,
     pub(super) statistics: Statistics,
 }
 
-/// The shared state of all requests.
+/// The state that all requests share.
 pub(super) struct Web {
     pub(super) view: View,
-    /// The last overview and the time of its reading. The first request that finds it too old reads a new one; the
-    /// others wait.
+    /// The last overview, and when it was read. The first request that finds it too old reads a new one; other requests
+    /// wait for that.
     cache: Mutex<Option<(Instant, Arc<Overview>)>>,
     reading: Semaphore,
 }
@@ -58,11 +61,12 @@ impl Web {
         self.view.sources.store.reader()
     }
 
-    /// Waits for the permit to read the database; the request holds it until its page is complete.
-    pub(super) async fn turn(&self) -> Result<SemaphorePermit<'_>, StoreError> {
+    /// Waits for the permit to read the database. The request holds it until its page is complete.
+    pub(super) async fn read_permit(&self) -> Result<SemaphorePermit<'_>, StoreError> {
         self.reading.acquire().await.map_err(|_| StoreError::Closed)
     }
 
+    /// The overview, at most [`FRESH`] old. Takes a permit to read while it runs, so the caller must not hold one.
     pub(super) async fn overview(&self) -> Result<Arc<Overview>, StoreError> {
         let mut last = self.cache.lock().await;
         if let Some((read_at, overview)) = &*last
@@ -70,7 +74,7 @@ impl Web {
         {
             return Ok(Arc::clone(overview));
         }
-        let _turn = self.turn().await?;
+        let _permit = self.read_permit().await?;
         let reader = self.reader();
         let itself = self.view.config().monitor.as_machine();
         let tally = reader.tally(&FleetQuery::default(), &itself).await?;
@@ -90,8 +94,8 @@ impl Web {
         Ok(overview)
     }
 
-    /// Discards the overview after a command has changed the state.
-    pub(super) async fn forget(&self) {
+    /// Discards the overview, after a command has changed the state of the fleet.
+    pub(super) async fn discard_overview(&self) {
         *self.cache.lock().await = None;
     }
 }

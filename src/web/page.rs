@@ -17,11 +17,11 @@ use crate::{
 
 pub(super) const STYLE: &str = include_str!("pages/style.css");
 
-/// A failure as response; `guard` turns it into a page.
+/// A failure of a request. As a response it has no body: `guard` adds a page or JSON.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
     pub(super) status: StatusCode,
-    pub(super) says: String,
+    pub(super) message: String,
 }
 
 #[derive(Template)]
@@ -29,37 +29,37 @@ pub(super) struct Failure {
 struct FailurePage<'a> {
     trouble: Vec<String>,
     title: &'a str,
-    says: &'a str,
+    message: &'a str,
 }
 
 impl Failure {
-    pub(super) fn new(status: StatusCode, says: impl Into<String>) -> Self {
-        Self { status, says: says.into() }
+    pub(super) fn new(status: StatusCode, message: impl Into<String>) -> Self {
+        Self { status, message: message.into() }
     }
 
-    pub(super) fn not_found(says: impl Into<String>) -> Self {
-        Self::new(StatusCode::NOT_FOUND, says)
+    pub(super) fn not_found(message: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, message)
     }
 
-    pub(super) fn bad_request(says: impl Into<String>) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, says)
+    pub(super) fn bad_request(message: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, message)
     }
 
     pub(super) fn busy() -> Self {
-        let says = "The daemon is busy, or its database does not answer. Try again in a moment; \
+        let message = "The daemon is busy, or its database does not answer. Try again in a moment; \
                     pointsd status shows the state of the daemon.";
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, says)
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, message)
     }
 
-    /// The failure in the JSON interface.
+    /// The response of the JSON interface.
     pub(super) fn json(&self) -> Response {
-        (self.status, json(&serde_json::json!({ "error": self.says }))).into_response()
+        (self.status, json(&serde_json::json!({ "error": self.message }))).into_response()
     }
 
-    /// The page of the failure, with `trouble` as banner.
+    /// The response as a page, with the problems in `trouble` as banner.
     pub(super) fn page(&self, trouble: Vec<String>) -> Response {
         let title = self.status.canonical_reason().unwrap_or("Failure");
-        (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response()
+        (self.status, html(&FailurePage { trouble, title, message: &self.message })).into_response()
     }
 }
 
@@ -96,7 +96,7 @@ pub(super) fn html(page: &impl Template) -> Response {
 }
 
 pub(super) fn rendered(page: &impl Template) -> String {
-    // An error cannot happen: the template is checked at compile time and writes to memory.
+    // No error can happen: the template is checked at compile time, and the page is written to memory.
     page.render().unwrap_or_else(|error| format!("the page cannot be written: {error}\n"))
 }
 
@@ -104,13 +104,13 @@ pub(super) fn json(value: &serde_json::Value) -> Response {
     ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], wire::json(value)).into_response()
 }
 
-/// A file of the program; `cache` is the header that says how long browsers keep it.
+/// A file of the program. The header `cache` tells browsers how long to keep it.
 pub(super) fn asset(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
     let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)];
     (headers.map(|(name, value)| (name, HeaderValue::from_static(value))), content).into_response()
 }
 
-/// JSON for a data block of a page; no text in it can end the block.
+/// JSON for a `<script>` block of a page. A text in the JSON cannot end the block, as `<` is escaped.
 pub(super) fn data(value: &impl Serialize) -> String {
     wire::json(value).replace('<', "\\u003c")
 }
@@ -119,18 +119,18 @@ pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
     format!("/machines/{}/{}/throws/{}", machine.site, machine.machine, throw_path(throw))
 }
 
-/// End of the address of a throw, below the throws of its machine.
+/// The last part of the address of a throw, after `/machines/{site}/{machine}/throws/`.
 pub(super) fn throw_path(throw: &ThrowRef) -> String {
     format!("{}/{}", utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC), throw.throw_no)
 }
 
-/// "in maintenance until … by …: …", or the same of a shelved alarm.
+/// A maintenance or a shelving, as "in maintenance until … by …: …".
 pub(super) fn window(window: &Window) -> String {
     let what = window.cause.map_or_else(|| "in maintenance".to_owned(), |cause| format!("{cause} shelved"));
     format!("{what} {}", window.sentence())
 }
 
-/// "3 d 4 h", "4 h 5 min", "5 min" or "6 s".
+/// A duration \[s\] as "3 d 4 h", "4 h 5 min", "5 min" or "6 s".
 pub(super) fn duration(seconds: u64) -> String {
     let (days, hours, minutes) = (seconds / 86_400, seconds / 3_600 % 24, seconds / 60 % 60);
     match (days, hours, minutes) {
@@ -141,8 +141,8 @@ pub(super) fn duration(seconds: u64) -> String {
     }
 }
 
-/// "1.5 MiB".
-pub(super) fn size(bytes: u64) -> String {
+/// A size \[bytes\] as "1.5 MiB".
+pub(super) fn bytes(bytes: u64) -> String {
     let kib = bytes as f64 / 1024.0;
     match kib {
         ..1024.0 => format!("{kib:.0} KiB"),
@@ -151,7 +151,7 @@ pub(super) fn size(bytes: u64) -> String {
     }
 }
 
-/// "1,234,567".
+/// A number with separators, as "1,234,567".
 pub(super) fn count(number: u64) -> String {
     indicatif::HumanCount(number).to_string()
 }
@@ -164,6 +164,6 @@ mod tests {
     fn numbers_read_well() {
         assert_eq!([0, 999, 1_000, 1_234_567].map(count), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([59, 60, 7_500, 270_000].map(duration), ["59 s", "1 min", "2 h 5 min", "3 d 3 h"]);
-        assert_eq!([2_048, 3 << 19, 5 << 29].map(size), ["2 KiB", "1.5 MiB", "2.5 GiB"]);
+        assert_eq!([2_048, 3 << 19, 5 << 29].map(bytes), ["2 KiB", "1.5 MiB", "2.5 GiB"]);
     }
 }

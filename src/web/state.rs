@@ -6,7 +6,7 @@ use crate::{
     wire::Alarm,
 };
 
-/// A state with the way it is shown.
+/// A state of a machine, as a page shows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Badge(pub(super) MachineState);
 
@@ -20,17 +20,17 @@ impl Badge {
         })
     }
 
-    /// The word, as in SQL but with spaces.
+    /// The word as in SQL, but with spaces.
     pub(super) fn word(self) -> String {
         self.0.as_str().replace('_', " ")
     }
 
-    /// The name in the style sheet and in addresses.
+    /// The word as in SQL, for the style sheet and for addresses.
     pub(super) fn class(self) -> &'static str {
         self.0.as_str()
     }
 
-    /// A sign with its own shape, for readers who do not see the colour.
+    /// A sign whose shape differs from all others, for readers who do not see the colour.
     pub(super) const fn sign(self) -> &'static str {
         match self.0 {
             MachineState::Critical => "◆",
@@ -43,13 +43,13 @@ impl Badge {
     }
 }
 
-/// "+57 % ± 3" or "−20.1 % ± 0.4": a size with two standard deviations, which are never shown as 0.
+/// A change \[%\] with two standard deviations, as "+57 % ± 3" or "−20.1 % ± 0.4". The deviation is never shown as 0.
 pub(crate) fn size(change_pct: f64, sd: f64) -> String {
     let decimals = usize::from(2.0 * sd < 0.95);
     format!("{} % ± {:.decimals$}", signed(change_pct, decimals), (2.0 * sd).max(0.1))
 }
 
-/// A signed number with a true minus sign, never "−0".
+/// A signed number with a typographic minus sign, never "−0".
 pub(super) fn signed(value: f64, decimals: usize) -> String {
     let text = format!("{value:+.decimals$}");
     if text.chars().all(|c| !c.is_ascii_digit() || c == '0') {
@@ -59,7 +59,7 @@ pub(super) fn signed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// "critical in about 40 throws (30 to 60)".
+/// The forecast of a drift, as "critical in about 40 throws (30 to 60)"; `None` without one.
 pub(crate) fn forecast(drift: &Drifting) -> Option<String> {
     let limit = drift.limit_in_throws?;
     let throws = counted(format_args!("{:.0}", limit.mid), "throw");

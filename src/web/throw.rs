@@ -24,7 +24,7 @@ use crate::{
     wire::Health,
 };
 
-/// Baselines that are read; the newest of each direction is among them.
+/// Largest number of baselines read; the newest of each direction is among them.
 const BASELINES: u32 = 8;
 
 #[derive(Template)]
@@ -41,25 +41,29 @@ struct Page {
     /// `None` while the throw is pending.
     judged: Option<Row>,
     coefficients: Option<[String; 3]>,
-    /// Name and value of the ratios and of the motor's constants, as far as they are known.
+    /// Names and values of the ratios of the coefficients and of the motor's constants, as far as they are known.
     measured: Vec<(&'static str, String)>,
     temperature: Option<String>,
     supply: Option<String>,
     pictures: Vec<Picture>,
+    /// Address and number of the typical throw.
     typical: Option<(String, u64)>,
+    /// Address of the trace as CSV.
     csv: Option<String>,
+    /// Reason why there is no trace.
     no_trace: Option<String>,
 }
 
 type Names = Result<Path<(Name, Name, String, String)>, PathRejection>;
 
-/// Parses the machine and the throw in an address.
-fn named(names: Names) -> Result<(MachineId, ThrowRef), Failure> {
+/// Parses machine and throw from the parts of an address.
+fn parse_names(names: Names) -> Result<(MachineId, ThrowRef), Failure> {
     let Path((site, machine, boot_id, throw_no)) = names?;
     let wrong = |_| Failure::bad_request("The address must end in the number of the throw.");
     Ok((MachineId { site, machine }, ThrowRef { boot_id, throw_no: throw_no.parse().map_err(wrong)? }))
 }
 
+/// Reads a throw and, once it is judged, its health.
 async fn found(
     reader: &Reader,
     machine: &MachineId,
@@ -70,9 +74,9 @@ async fn found(
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
-    let (machine, throw) = named(names)?;
+    let (machine, throw) = parse_names(names)?;
     let trouble = web.trouble().await;
-    let _turn = web.turn().await?;
+    let _permit = web.read_permit().await?;
     let reader = web.reader();
     let (stored, health) = found(reader, &machine, &throw).await?;
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
@@ -110,12 +114,12 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     }))
 }
 
-/// A measured value; one that is not possible may have 301 digits.
+/// A measured value with its unit. An impossible value, as 1e300, is shortened: it would have 301 digits.
 fn measured_text(value: f64, unit: &str) -> String {
     if value.abs() < 1e6 { format!("{value:.1} {unit}") } else { format!("{} {unit}", brief(value)) }
 }
 
-/// Reads a good throw of the same direction from the time of the newest baseline.
+/// Reads a good throw of the same direction, made when the newest baseline was learned.
 async fn typical(
     web: &Web,
     machine: &MachineId,
@@ -131,28 +135,28 @@ async fn typical(
     Ok(reader.throw_of(machine, &found).await?.map(|(stored, _)| stored))
 }
 
-/// The trace as CSV, in the columns that `pointsd identify` and `pointsd import` read.
+/// The response with the trace as CSV, in the columns that `pointsd identify` and `pointsd import` read.
 pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
-    let (machine, throw) = named(names)?;
-    let _turn = web.turn().await?;
+    let (machine, throw) = parse_names(names)?;
+    let _permit = web.read_permit().await?;
     let (stored, _) = found(web.reader(), &machine, &throw).await?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let trace = throw.trace.clone();
-    // Too long for an async worker.
+    // This takes too long for an async worker.
     let text = tokio::task::spawn_blocking(move || trace.to_csv()).await.map_err(|_| Failure::busy())?;
     if text.len() > guard::LARGEST {
-        let says = format!(
+        let message = format!(
             "The trace of {} samples is too large for a page. Write it to a file with: pointsd export {machine} --traces DIR",
             throw.trace.len()
         );
-        return Err(Failure::new(StatusCode::PAYLOAD_TOO_LARGE, says));
+        return Err(Failure::new(StatusCode::PAYLOAD_TOO_LARGE, message));
     }
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
     Ok(([(header::CONTENT_TYPE, kind)], text).into_response())
 }
 
-/// The charts: current and position with those of the typical throw, current without the inrush, position and model,
-/// and their difference.
+/// The charts: current and position, both with the typical throw; current without the inrush; position and model; and
+/// their difference.
 fn pictures(
     throw: &Throw,
     health: Option<&Health>,
@@ -160,10 +164,10 @@ fn pictures(
     settings: &estimate::Settings,
 ) -> Vec<Picture> {
     let trace = &throw.trace;
-    let both = |title: &str, unit: &str, says: String, of: &dyn Fn(&Trace) -> Vec<f64>| {
+    let both = |title: &str, unit: &str, caption: String, of: &dyn Fn(&Trace) -> Vec<f64>| {
         let named = iter::once(("this throw", trace)).chain(typical.map(|trace| ("baseline", trace)));
         let curves = named.map(|(name, trace)| Curve { name, rate_hz: trace.sample_rate_hz(), values: of(trace) });
-        trend::over_time(title, unit, curves, says)
+        trend::over_time(title, unit, curves, caption)
     };
     let whole = |title: &str, unit: &str, of: fn(&Trace) -> &[f64]| {
         both(title, unit, trend::caption(title, trace), &|trace| of(trace).to_vec())
@@ -173,9 +177,9 @@ fn pictures(
     let running = health.and_then(|health| health.mean_current_a).filter(|mean| peak > 2.0 * mean);
     if let Some(mean) = running {
         let cut = |trace: &Trace| trace.current_a().iter().map(|it| it.clamp(-2.0 * mean, 2.0 * mean)).collect();
-        let says =
+        let caption =
             format!("The running current: the inrush is cut off at twice the mean current, {:.1} A.", 2.0 * mean);
-        pictures.push(both("Running current", "A", says, &cut));
+        pictures.push(both("Running current", "A", caption, &cut));
     }
     if !trace.has_position() {
         return pictures;
@@ -186,32 +190,32 @@ fn pictures(
         let curve = |name, values| Curve { name, rate_hz: trace.sample_rate_hz(), values };
         let measured = &trace.position_mm()[..model.len()];
         let difference = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
-        let says = "Measured position, and position of the model with the coefficients of this throw, driven by its \
+        let caption = "Measured position, and position of the model with the coefficients of this throw, driven by its \
                     current, while the motor runs.";
         let curves = [curve("measured", measured.to_vec()), curve("model", model)];
-        pictures.push(trend::over_time("Position and model", "mm", curves, says.to_owned()));
-        let says = "Measured minus modelled position.".to_owned();
-        pictures.push(trend::over_time("Residual", "mm", [curve("", difference)], says));
+        pictures.push(trend::over_time("Position and model", "mm", curves, caption.to_owned()));
+        let caption = "Measured minus modelled position.".to_owned();
+        pictures.push(trend::over_time("Residual", "mm", [curve("", difference)], caption));
     }
     pictures
 }
 
-/// Least current of a running motor, as share of the peak: far above the noise, far below the inrush.
-const ON: f64 = 0.05;
+/// Least current of a running motor, as share of the peak current: far above the noise, far below the inrush.
+const RUNNING_SHARE: f64 = 0.05;
 
-/// The position of the model with these coefficients \[mm\]: at rest until the motor starts, then driven by its current
-/// for `duration_s`. Integrated by the midpoint rule.
+/// The position of the model with these coefficients \[mm\]. The model is at rest until the motor starts, and is then
+/// driven by the measured current for `duration_s`. It is integrated by the midpoint rule.
 fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings: &estimate::Settings) -> Vec<f64> {
     let (current, position) = (trace.current_a(), trace.position_mm());
     let peak = current.iter().copied().fold(0.0_f64, |peak, it| if it.abs() > peak.abs() { it } else { peak });
-    let start = current.iter().position(|it| it.abs() > ON * peak.abs()).unwrap_or(0);
+    let start = current.iter().position(|it| it.abs() > RUNNING_SHARE * peak.abs()).unwrap_or(0);
     let (step_s, mm_per_rad) = (trace.sample_rate_hz().recip(), settings.lead_mm / std::f64::consts::TAU);
     let within =
         current.iter().enumerate().skip(start).take_while(|(at, _)| (at - start) as f64 * step_s <= duration_s);
     let end = within.last().map_or(start, |(at, _)| at + 1);
     let neutral_rad = settings.neutral_mm / mm_per_rad;
     let sign = if position[end.saturating_sub(1)] < position[0] { -1.0 } else { 1.0 };
-    // The sign of the inrush is the driving one; current of the other sign brakes.
+    // The inrush has the sign of the driving current; a current of the other sign brakes.
     let drive = |current: f64| {
         let forward = current * peak.signum();
         if settings.motor == Motor::Series { forward * forward.abs() } else { forward }
@@ -228,7 +232,7 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
     model
 }
 
-/// Each coefficient ± two standard deviations, rounded to two digits of the latter.
+/// Each coefficient ± two standard deviations, both rounded to two digits of the deviation.
 fn coefficients(health: &Health) -> Option<[String; 3]> {
     let (values, sd) = (health.coefficients?, health.sd?);
     Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))
@@ -246,17 +250,18 @@ fn constants(health: &Health, motor: [Option<f64>; 3]) -> Vec<(&'static str, Str
     ratios.into_iter().chain(motor).filter_map(|(name, value)| Some((name, value?))).collect()
 }
 
-/// A constant of the motor, which scatters by about one per cent from throw to throw.
+/// A constant of the motor with three digits, as it scatters by about 1 % from throw to throw.
 fn three_digits(value: f64) -> String {
     format!("{value:.0$}", decimals(value.abs(), 99.5))
 }
 
+/// A value ± `reach`, both rounded to two digits of `reach`.
 fn rounded(value: f64, reach: f64) -> String {
     let decimals = decimals(reach, 9.95);
     format!("{value:.decimals$} ± {reach:.decimals$}").replace('-', "−")
 }
 
-/// Decimals after which the digits of `value`, read without the point, are at least `least`; 9 at most.
+/// Number of decimals, at most 9, with which `value` has two significant digits (`least` = 9.95), or three (99.5).
 fn decimals(value: f64, least: f64) -> usize {
     let enough = |decimals: &u8| value * 10.0_f64.powi(i32::from(*decimals)) >= least;
     usize::from((0..9).find(enough).unwrap_or(9))

@@ -12,7 +12,7 @@ use crate::{
 
 /// Largest number of points of a curve: more than a chart resolves.
 pub(super) const POINTS: usize = 250;
-/// A trace is drawn as the least and the greatest sample of each of this many stretches.
+/// A long trace is divided into this number of stretches. Only the least and the greatest sample of each are drawn.
 const STRETCHES: usize = 300;
 /// Width and height of a chart \[px\].
 const SIZE: (f64, f64) = (420.0, 290.0);
@@ -20,19 +20,19 @@ const SIZE: (f64, f64) = (420.0, 290.0);
 /// A chart with its caption.
 pub(super) struct Picture {
     pub(super) svg: String,
-    /// The chart as JSON, for the page's script; empty in a file without scripts.
+    /// The chart as JSON, for the script of the page; empty in a file without scripts.
     pub(super) data: String,
-    pub(super) says: String,
+    pub(super) caption: String,
 }
 
 impl Picture {
-    fn new(panel: Panel, says: String) -> Self {
+    fn new(panel: Panel, caption: String) -> Self {
         let data = page::data(&panel);
-        Self { svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(), data, says }
+        Self { svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(), data, caption }
     }
 }
 
-/// A vertical line with its label.
+/// A vertical line in a chart, with its label.
 pub(super) struct Mark {
     pub(super) at: Timestamp,
     pub(super) label: String,
@@ -48,8 +48,8 @@ pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
     rows.into_iter().skip(first).step_by(step).collect()
 }
 
-/// Scatter of b0, a1 and a0 from throw to throw, two standard deviations \[%\], from the newest baseline. It is much
-/// larger than the error from sensor noise.
+/// Scatter of b0, a1 and a0 from throw to throw: two standard deviations \[%\] in the newest baseline of a direction.
+/// It is much larger than the error from sensor noise.
 pub(super) fn scatter_pct(baselines: &[BaselineRecord], direction: Direction) -> Option<[f64; 3]> {
     let baseline = baselines.iter().filter(|baseline| baseline.direction == direction).max_by_key(|it| it.taken_at)?;
     Some([0, 1, 2].map(|at| 200.0 * baseline.log_covariance[at][at].max(0.0).sqrt()))
@@ -66,7 +66,7 @@ pub(super) fn coefficients(
     if !directions.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
         return Vec::new();
     }
-    // The wider one of both directions.
+    // The larger scatter of both directions.
     let scatter = directions.iter().filter_map(|(direction, _)| scatter_pct(baselines, *direction));
     let scatter = scatter.reduce(|one, other| [0, 1, 2].map(|at| one[at].max(other[at])));
     let shown = [
@@ -77,38 +77,40 @@ pub(super) fn coefficients(
     let mut pictures: Vec<Picture> = shown
         .into_iter()
         .map(|(title, name, limit, at)| {
-            let own = scatter.map(|scatter| scatter[at]);
+            let band = scatter.map(|scatter| scatter[at]);
             let limits = (limit, limit * settings.critical_factor);
-            let says = format!(
+            let caption = format!(
                 "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
-                own.map(|own| format!("The band of ± {own:.1} % is the scatter of this machine. ")).unwrap_or_default(),
+                band.map(|band| format!("The band of ± {band:.1} % is the scatter of this machine. "))
+                    .unwrap_or_default(),
                 limits.1
             );
-            Picture::new(change(title, limits, own, directions, marks, |row| Some(row.change_pct?[at])), says)
+            Picture::new(change(title, limits, band, directions, marks, |row| Some(row.change_pct?[at])), caption)
         })
         .collect();
     let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
-    let says = format!(
+    let caption = format!(
         "The change of inertia, which changes b0, a1 and a0 alike: from the middle one of the three, as a fault of \
          another part changes one of them. Warning at {} %, critical at {} %.",
         limits.0, limits.1
     );
     let inertia = change("inertia", limits, None, directions, marks, |row| Some(inertia_pct(row.change_pct?)));
-    pictures.push(Picture::new(inertia, says));
+    pictures.push(Picture::new(inertia, caption));
     pictures
 }
 
-/// The change of inertia \[%\]: that of the middle coefficient, as all three are proportional to 1 / J. A fault of another
-/// part changes one coefficient, and leaves the middle one.
+/// The change of inertia J \[%\], from the median of the changes of the three coefficients: all three are proportional
+/// to 1 / J. A fault of another part changes one coefficient, which leaves the median near 0.
 fn inertia_pct(mut change_pct: [f64; 3]) -> f64 {
     change_pct.sort_unstable_by(f64::total_cmp);
     100.0 * ((1.0 + change_pct[1] / 100.0).max(0.01).recip() - 1.0)
 }
 
+/// A chart of changes from the baseline \[%\]. `band` is the half width of the band of scatter \[%\].
 fn change(
     title: &str,
     (warning, critical): (f64, f64),
-    own: Option<f64>,
+    band: Option<f64>,
     directions: &Directions,
     marks: &[Mark],
     value: impl Fn(&Health) -> Option<f64>,
@@ -121,12 +123,12 @@ fn change(
         panel = panel.line(direction.to_string(), points);
     }
     if let Some((first, last)) = ends(directions) {
-        // Without a band the line at 0 only gives the chart the same range of time as the others.
-        let own = own.unwrap_or(0.0);
-        panel = panel.banded_line("", [(first, 0.0, own), (last, 0.0, own)]);
+        // Without a band, the line at 0 gives the chart the same range of time as the others.
+        let band = band.unwrap_or(0.0);
+        panel = panel.banded_line("", [(first, 0.0, band), (last, 0.0, band)]);
     }
     panel = panel.level(warning, "warning").level(-warning, "warning");
-    // The critical limit is drawn only if a change is near it, as it would compress the chart.
+    // The critical limit is drawn only if a change is above the warning limit, as it would compress the chart.
     if furthest.1 > warning {
         panel = panel.level(critical, "critical");
     }
@@ -137,15 +139,15 @@ fn change(
     marked(panel, rejected, marks)
 }
 
-/// Time and value of each throw. A NaN interrupts the curve: for a throw without the value, and before a throw with another
-/// baseline, as a line between changes from two baselines is no trend.
+/// Time and value of each throw. A NaN interrupts the curve at a throw without the value. It also interrupts the curve
+/// before the first throw with a new baseline, as a line between changes from two baselines is no trend.
 fn since_baseline(rows: &[Health], value: impl Fn(&Health) -> Option<f64>) -> Vec<(f64, f64)> {
     let mut points = Vec::with_capacity(rows.len());
     let mut before = None;
     for row in rows {
         let (at, value) = (x(row.started_at), value(row));
         if value.is_some() {
-            // A new baseline sets the counts of the last throw before it to 0.
+            // The last throw before a new baseline has both counts at 0.
             let is_last = row.baseline.is_some_and(|(so_far, _)| so_far == 0);
             let throws = if is_last { u64::MAX } else { row.throws_since_baseline };
             if before.replace(throws).is_some_and(|before| throws < before) {
@@ -157,15 +159,15 @@ fn since_baseline(rows: &[Health], value: impl Fn(&Health) -> Option<f64>) -> Ve
     points
 }
 
-/// A feature, which a throw has with or without an estimate.
+/// Gets a feature of a throw, which it can have without an estimate.
 type Feature = fn(&Health) -> Option<f64>;
 
 const ALL_THROWS: &str = "of each throw, also of rejected ones";
 const ROUGH_THROWS: &str = "of each throw, also of rough ones, which have only the ratios of the coefficients";
 
-/// Charts of the features of every throw, also of rejected ones: duration and currents. If some throws are rough, the
-/// ratios of the coefficients too.
-/// `of_baseline`: the throws of the baseline of each direction, empty without a baseline.
+/// Charts of the features of every throw, also of rejected ones: duration and currents, and the ratios of the
+/// coefficients if some throws have only these. `of_baseline` has the throws of the baseline of each direction, or
+/// none.
 pub(super) fn features(directions: &Directions, of_baseline: &[Vec<Health>; 2], marks: &[Mark]) -> Vec<Picture> {
     let ratios: [(&str, &str, &str, Feature); 2] = [
         ("Friction per motor (a1 / b0)", "mA s/rad", ROUGH_THROWS, |row| ratio(row, row.a1_per_b0, 1)),
@@ -186,7 +188,7 @@ pub(super) fn features(directions: &Directions, of_baseline: &[Vec<Health>; 2], 
             least = points.iter().fold(least, |least, (_, value)| least.min(*value));
             panel = panel.line(direction.to_string(), points);
         }
-        // Takes the colour of the band in the other charts.
+        // An empty line, which takes the colour that the band has in the other charts.
         panel = panel.line("", []);
         let levels: Vec<f64> = of_baseline.iter().filter_map(|rows| median(rows, value)).collect();
         for level in &levels {
@@ -197,26 +199,27 @@ pub(super) fn features(directions: &Directions, of_baseline: &[Vec<Health>; 2], 
         }
         let lines =
             if levels.is_empty() { "" } else { " The dashed lines are the medians of the baseline in each direction." };
-        let says = format!("{title} {of}.{lines}");
-        Some(Picture::new(marked(panel, rejected_at(directions, least), marks), says))
+        let caption = format!("{title} {of}.{lines}");
+        Some(Picture::new(marked(panel, rejected_at(directions, least), marks), caption))
     };
     ratios.iter().copied().chain(shown).filter_map(picture).collect()
 }
 
-/// A ratio to b0, times 1000: of the estimate, or of the coefficients.
+/// A ratio to b0, times 1000: `known` from the estimate, or else computed from the coefficient at index `at`.
 fn ratio(row: &Health, known: Option<f64>, at: usize) -> Option<f64> {
     let ratio = known.or_else(|| row.coefficients.map(|coefficients| coefficients[at] / coefficients[0]));
     ratio.map(|ratio| 1e3 * ratio)
 }
 
-/// Median of a feature of evaluated throws.
+/// Median of a feature over the evaluated throws; `None` without any.
 fn median(rows: &[Health], value: Feature) -> Option<f64> {
     let mut values: Vec<f64> = rows.iter().filter(|row| row.is_evaluated()).filter_map(value).collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }
 
-/// Time on the axis \[s since 1970\]. From whole microseconds, so that its text has at most six decimals.
+/// Time on the axis \[s since 1970\]. It is computed from whole microseconds, so that its text has at most six
+/// decimals.
 pub(super) fn x(at: Timestamp) -> f64 {
     at.as_microsecond() as f64 / 1e6
 }
@@ -227,7 +230,7 @@ fn ends(directions: &Directions) -> Option<(f64, f64)> {
     Some((x(times().min()?), x(times().max()?)))
 }
 
-/// Dots for rejected throws, at `height`.
+/// Points of the dots for rejected throws, at `height`.
 fn rejected_at(directions: &Directions, height: f64) -> Vec<(f64, f64)> {
     let rows = directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
     let mut dots: Vec<f64> = rows.map(|row| x(row.started_at)).collect();
@@ -236,6 +239,7 @@ fn rejected_at(directions: &Directions, height: f64) -> Vec<(f64, f64)> {
     dots.into_iter().flat_map(|at| [(at, height), (at, f64::NAN)]).collect()
 }
 
+/// The chart with the dots of rejected throws and the marks.
 fn marked(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> Panel {
     let panel = if rejected.is_empty() { panel } else { panel.dotted_line("rejected", rejected) };
     marks.iter().fold(panel, |panel, mark| panel.mark(x(mark.at), mark.label.clone()))
@@ -249,20 +253,20 @@ pub(super) struct Curve {
 }
 
 /// A chart of curves over the time of a throw.
-pub(super) fn over_time(title: &str, unit: &str, curves: impl IntoIterator<Item = Curve>, says: String) -> Picture {
+pub(super) fn over_time(title: &str, unit: &str, curves: impl IntoIterator<Item = Curve>, caption: String) -> Picture {
     let panel = curves.into_iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
         panel.line(curve.name, drawn(curve.rate_hz, &curve.values))
     });
-    Picture::new(panel, says)
+    Picture::new(panel, caption)
 }
 
-/// "Motor current over the time of the throw, 6,000 samples at 1000 Hz."
+/// A caption, as "Motor current over the time of the throw, 6,000 samples at 1000 Hz."
 pub(super) fn caption(title: &str, trace: &Trace) -> String {
     let samples = page::count(trace.current_a().len() as u64);
     format!("{title} over the time of the throw, {samples} samples at {} Hz.", trace.sample_rate_hz())
 }
 
-/// The samples; of many samples the first, the last, and the extremes of each stretch.
+/// The points of a curve. Of a long trace only the first and the last sample, and the extremes of each stretch.
 fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
     let stretch = values.len().div_ceil(STRETCHES).max(2);
     let mut kept = vec![0];

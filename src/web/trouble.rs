@@ -10,14 +10,14 @@ use super::{
 };
 use crate::{daemon::View, store::DiskLevel, throw::counted};
 
-/// Number of pending throws from which pages show a warning: half a minute of work.
+/// Number of pending throws above which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
 
-/// Time limit for the problems in the database; after it the page is shown without them.
+/// Time limit to read the problems in the database. After it the page is shown without them.
 const LIMIT: Duration = Duration::from_secs(2);
 
 impl Web {
-    /// All problems, for a page that needs nothing else from the overview. Waits for its own permit to read.
+    /// All problems, for a page that needs nothing else from the overview. Takes a permit to read while it runs.
     pub(super) async fn trouble(&self) -> Vec<String> {
         if let Ok(Ok(overview)) = time::timeout(LIMIT, self.overview()).await {
             return all(&self.view, &overview);
@@ -28,6 +28,7 @@ impl Web {
     }
 }
 
+/// All problems, for a page that has read the overview.
 pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
     [of_daemon(view), of_data(overview)].concat()
 }
@@ -36,8 +37,8 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
     let report = view.sources.report();
     let mut trouble = report.problems();
-    let is_stored = matches!(report.disk, DiskLevel::Ample | DiskLevel::Low) && !report.copying;
-    if !is_stored || !report.silent.is_empty() {
+    let can_store = matches!(report.disk, DiskLevel::Ample | DiskLevel::Low) && !report.copying;
+    if !can_store || !report.silent.is_empty() {
         trouble.push("New throws wait: this page may be old.".to_owned());
     }
     if report.loggers == 0 {
@@ -46,9 +47,9 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     trouble
 }
 
-/// Problems stored in the database.
+/// Problems known from the database.
 fn of_data(overview: &Overview) -> Vec<String> {
-    // Shelved and cleared alarms are only in the list of alarms.
+    // Not the shelved and cleared alarms, which are in the list of alarms.
     let own = overview.own_alarms.iter().filter(|alarm| alarm.state.is_active());
     let mut trouble: Vec<String> = own.map(|alarm| format!("Alarm of the daemon itself: {}", alarm.text)).collect();
     if overview.unreadable > 0 {

@@ -93,8 +93,8 @@ fn the_page_of_the_installation_has_every_problem_of_the_status() {
             backlog: 40,
             ..StatusReport::default()
         };
-        report.standing.own_alarms = 2;
-        report.standing.shelved_alarms = 2;
+        report.fleet_counts.own_alarms = 2;
+        report.fleet_counts.shelved_alarms = 2;
         report
     };
     let parts: Vec<String> = [DiskLevel::Low, DiskLevel::Full, DiskLevel::Failing]

@@ -144,7 +144,10 @@ fn a_logger_that_no_daemon_serves_says_so() {
     let mut logger = command.arg(&file).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(logger.stderr.take().unwrap()).lines().map_while(Result::ok);
     let warning = lines.find(|line| line.contains("no daemon serves this site")).unwrap_or_default();
-    assert!(warning.contains("mars") && warning.contains("the daemons found serve other machines ("), "{warning}");
+    assert!(
+        warning.contains("mars") && warning.contains("the daemons that answer serve other machines ("),
+        "{warning}"
+    );
     logger.kill().unwrap();
     logger.wait().unwrap();
 }

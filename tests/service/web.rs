@@ -269,7 +269,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
             thread::sleep(Duration::from_millis(20));
         }
     };
-    until(200, "every loop of the daemon beats\n", &mut |_| {});
+    until(200, "every loop of the daemon is running\n", &mut |_| {});
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
     // A running write may still succeed; then the next one waits for another minute.
     let mut seconds = 0;
@@ -286,7 +286,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
     });
     assert!(is_told, "no page shows it");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
-    until(200, "every loop of the daemon beats\n", &mut |_| {});
+    until(200, "every loop of the daemon is running\n", &mut |_| {});
 }
 
 #[test]

@@ -44,7 +44,7 @@ const INTERVAL_S: f64 = 1200.0;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd demo --seed 7")]
 pub(super) struct Arguments {
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Keep the daemon and its dashboard running until Ctrl-C, and the database after it.
@@ -131,14 +131,14 @@ fn died(task: &str) -> Failure {
     Failure::new(Exit::Software, anyhow!("{task} ended unexpectedly"))
 }
 
-/// The folder of the demo; a temporary one is removed when this is dropped, unless --keep is given.
+/// The folder of the demo. On drop a temporary folder is removed, unless --keep is given.
 struct Folder {
     path: PathBuf,
     is_kept: bool,
 }
 
 impl Folder {
-    /// Creates the folder; an error if it has a database already.
+    /// Creates the folder. It is an error if it has a database already.
     fn make(arguments: &Arguments) -> Result<Self, Failure> {
         let path = match &arguments.folder {
             Some(path) => path.clone(),

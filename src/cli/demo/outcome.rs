@@ -14,7 +14,7 @@ use crate::{
     wire::Alarm,
 };
 
-/// Row limit, above the number of events that the demo can raise.
+/// Largest number of alarm events read: above the number that the demo can raise.
 const EVENTS: u32 = 10_000;
 
 /// The injected faults: one machine for each cause, and a healthy one.
@@ -36,7 +36,8 @@ pub(super) struct Row {
 }
 
 impl Row {
-    /// Whether every drift alarm names the injected cause and there is one, or a healthy machine has no alarm.
+    /// Whether the alarms are right: a machine with a fault has drift alarms, and all name the injected cause; a
+    /// healthy machine has no alarm.
     pub(super) fn is_right(&self) -> bool {
         match self.injected {
             None => self.alarms.is_empty(),
@@ -59,7 +60,7 @@ impl Row {
             alarms => alarms.iter().map(|alarm| alarm.cause.to_string()).collect::<Vec<_>>().join(", "),
         };
         let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw.as_ref())).map(|(injected, throw)| {
-            // `throw_no` counts from 1 and `from_throw` from 0, so the first throw with the fault gives 1.
+            // `throw_no` counts from 1 and `from_throw` from 0, so an alarm at the first throw with the fault gives 1.
             i64::try_from(throw.throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
         });
         let drift = self.drift.as_ref();

@@ -1,4 +1,5 @@
-//! Terminal output of the demo: progress of throws and baselines, and alarms. In a pipe only baselines and alarms.
+//! Output of the demo. A terminal shows the progress of throws and baselines, and the alarms; a pipe gets a line for
+//! each complete baseline and each alarm.
 
 use std::io::IsTerminal;
 
@@ -26,7 +27,7 @@ pub(super) struct Screen {
 struct Line {
     bar: ProgressBar,
     throws: u64,
-    /// For each direction: throws in the baseline, and throws that it needs.
+    /// For each direction: number of throws in the baseline, and number that it needs.
     baseline: [(u64, u64); 2],
     learned: bool,
 }

@@ -15,7 +15,7 @@ use toml::{
 
 use crate::throw::OutOfRange;
 
-/// Largest configuration file \[bytes\]; a larger file is not a configuration.
+/// Largest configuration file \[bytes\]; a larger file cannot be a configuration.
 const MAX_BYTES: u64 = 4 << 20;
 
 /// An error in a configuration. `Display` is one line: file, line, key, problem.
@@ -46,8 +46,9 @@ impl std::fmt::Display for ConfigError {
     }
 }
 
-/// Position of a key in the text.
+/// Position of a key and its value in the text \[bytes\].
 struct Place {
+    /// The key with its sections, as `machine[2].lead_mm`.
     path: String,
     key: Range<usize>,
     value: Range<usize>,
@@ -101,7 +102,7 @@ impl Document {
     }
 
     /// An error about a key, with its line; for a key that is not in the text, with the line of its section.
-    pub(crate) fn complain(&self, key: &str, problem: impl Into<String>) -> ConfigError {
+    pub(crate) fn error_at(&self, key: &str, problem: impl Into<String>) -> ConfigError {
         let mut path = key;
         let place = loop {
             if let Some(place) = self.places.iter().find(|place| place.path == path) {
@@ -120,12 +121,13 @@ impl Document {
         }
     }
 
-    /// The outcome of a check of ranges, with the error at its key in a section.
+    /// The result of a check of ranges in a section; its error becomes an error about the key, with its line.
     pub(crate) fn in_section(&self, section: &str, checked: Result<(), OutOfRange>) -> Result<(), ConfigError> {
-        checked.map_err(|error| self.complain(&format!("{section}.{}", error.key), error.problem()))
+        checked.map_err(|error| self.error_at(&format!("{section}.{}", error.key), error.problem()))
     }
 
-    #[expect(clippy::wrong_self_convention, reason = "the error is placed in this document")]
+    /// The error of the parser, with its line and key in this document.
+    #[expect(clippy::wrong_self_convention, reason = "converts the error, not the document")]
     fn from_toml(&self, error: &toml::de::Error) -> ConfigError {
         let start = error.span().map(|span| span.start);
         // The innermost key whose name or value includes the position of the error.
@@ -141,7 +143,7 @@ impl Document {
         {
             problem = format!("duplicate key {name}");
         }
-        // `north` without quotes reads like the beginning of `nan`, `inf` or `false`.
+        // The parser takes `north` without quotes for the beginning of `nan`, `inf` or `false`.
         if ["invalid float", "invalid boolean", "invalid literal", "string values must be quoted"]
             .iter()
             .any(|of_text| problem.contains(of_text))
@@ -162,6 +164,7 @@ impl Document {
         }
     }
 
+    /// The line of a byte of the text, from 1.
     fn line(&self, at: usize) -> usize {
         1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
     }
@@ -183,6 +186,7 @@ fn plain(message: &str) -> String {
     format!("{before}expected a table of keys with values{rest}")
 }
 
+/// Adds the positions of all keys and list items below `path`.
 fn collect(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
     let mut add = |path: String, key: Range<usize>, value: &Spanned<DeValue<'_>>| {
         collect(value.get_ref(), &path, places);
@@ -218,27 +222,27 @@ mod tests {
         size: u32,
     }
 
-    fn complaint(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         let document = Document::parse(Path::new("x.toml"), text.to_owned());
         document.and_then(|document| document.deserialize::<Example>()).unwrap_err().to_string()
     }
 
     #[test]
-    fn every_complaint_names_file_line_and_key() {
-        assert!(complaint("[store]\nsize = 1\nsise = 2\n").starts_with("x.toml:3: store.sise: unknown field `sise`"));
-        assert!(complaint("[store]\n\nsize = \"1\"\n").starts_with("x.toml:3: store.size: invalid type"));
-        assert!(complaint("[store]\n").starts_with("x.toml:1: store: missing field `size`"));
-        assert!(complaint("\nstore = {\n").starts_with("x.toml:"));
-        assert_eq!(complaint("[store]\nsize = 1\nsize = 2\n"), "x.toml:3: duplicate key size");
-        assert!(complaint("[store]\nsize = \"1\"\n").ends_with("expected a whole number from 0"));
-        assert!(complaint("store = 1\n").ends_with("expected a table of keys with values"));
+    fn every_error_names_file_line_and_key() {
+        assert!(error_of("[store]\nsize = 1\nsise = 2\n").starts_with("x.toml:3: store.sise: unknown field `sise`"));
+        assert!(error_of("[store]\n\nsize = \"1\"\n").starts_with("x.toml:3: store.size: invalid type"));
+        assert!(error_of("[store]\n").starts_with("x.toml:1: store: missing field `size`"));
+        assert!(error_of("\nstore = {\n").starts_with("x.toml:"));
+        assert_eq!(error_of("[store]\nsize = 1\nsize = 2\n"), "x.toml:3: duplicate key size");
+        assert!(error_of("[store]\nsize = \"1\"\n").ends_with("expected a whole number from 0"));
+        assert!(error_of("store = 1\n").ends_with("expected a table of keys with values"));
     }
 
     #[test]
-    fn a_key_that_is_not_there_is_complained_about_at_its_section() {
+    fn a_key_that_is_not_there_is_reported_at_its_section() {
         let text = "a = 1\n[[machine]]\nx = 1\n[[machine]]\ny = 2\n";
         let document = Document::parse(Path::new("x.toml"), text.to_owned()).unwrap();
-        assert_eq!(document.complain("machine[1].y", "bad").to_string(), "x.toml:5: machine[1].y: bad");
-        assert_eq!(document.complain("machine[1].z", "bad").to_string(), "x.toml:4: machine[1].z: bad");
+        assert_eq!(document.error_at("machine[1].y", "bad").to_string(), "x.toml:5: machine[1].y: bad");
+        assert_eq!(document.error_at("machine[1].z", "bad").to_string(), "x.toml:4: machine[1].z: bad");
     }
 }

@@ -10,31 +10,31 @@ use crate::{
     throw::{MachineId, Name},
 };
 
-/// A section `[[machine]]`: the keys of `[machines]` that differ.
+/// A section `[[machine]]`: a machine, and its values for keys of `[machines]`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct MachineEntry {
     site: Name,
     machine: Name,
     #[serde(flatten)]
-    differing: Table,
+    overrides: Table,
 }
 
 /// Settings of the estimator for all machines.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Machines {
     pub(super) default: Settings,
-    pub(super) own: HashMap<MachineId, Settings>,
+    pub(super) overrides: HashMap<MachineId, Settings>,
 }
 
 impl Machines {
     /// The settings of one machine.
     pub fn of(&self, machine: &MachineId) -> &Settings {
-        self.own.get(machine).unwrap_or(&self.default)
+        self.overrides.get(machine).unwrap_or(&self.default)
     }
 
     /// The machines with a section `[[machine]]`.
     pub fn named(&self) -> impl Iterator<Item = &MachineId> {
-        self.own.keys()
+        self.overrides.keys()
     }
 }
 
@@ -43,10 +43,10 @@ impl MachineEntry {
         MachineId { site: self.site.clone(), machine: self.machine.clone() }
     }
 
-    /// The `defaults` with the keys of this entry, or the first invalid key with its problem.
+    /// The `defaults`, changed by the keys of this entry; or the first invalid key and its problem.
     pub(super) fn over(&self, defaults: &Settings) -> Result<Settings, (String, String)> {
         let mut settings = defaults.clone();
-        for (key, value) in &self.differing {
+        for (key, value) in &self.overrides {
             let mut table = match Value::try_from(&settings) {
                 Ok(Value::Table(table)) => table,
                 other => return Err((key.clone(), format!("cannot replace a default: {other:?}"))),

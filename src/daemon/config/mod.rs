@@ -32,9 +32,9 @@ settings! {
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Monitor {
-        /// Site in the name of this daemon.
+        /// Site of this daemon, the first part of its name.
         pub site: Name = Name::fixed("fleet");
-        /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
+        /// Identifier of this daemon at the site. Its liveliness token is `points/v1/{site}/monitor/{id}/alive`.
         pub id: Name = Name::fixed("pointsd");
         /// Other daemons that this one watches.
         pub peers: Vec<Peer> = Vec::new();
@@ -52,12 +52,12 @@ pub struct Peer {
 }
 
 impl Monitor {
-    /// The name as a machine, for the alarms about the daemon itself.
+    /// The name of the daemon in the form of a machine's, for the alarms about the daemon itself.
     pub(crate) fn as_machine(&self) -> MachineId {
         MachineId { site: self.site.clone(), machine: self.id.clone() }
     }
 
-    /// The reason why no machine may have this name; `None` if one may.
+    /// The reason why this name is reserved; `None` if a machine may have it.
     pub(crate) fn reserves(&self, machine: &MachineId) -> Option<String> {
         if machine.site == self.site && machine.machine == self.id {
             Some("this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned())
@@ -69,26 +69,26 @@ impl Monitor {
         }
     }
 
-    /// The names of the watched daemons as machines.
+    /// The names of the watched daemons, in the form of machines' names.
     pub(super) fn watched(&self) -> impl Iterator<Item = MachineId> {
         self.peers.iter().map(|peer| MachineId { site: peer.site.clone(), machine: peer.id.clone() })
     }
 }
 
 settings! {
-    /// The `[subscribe]` section: the received throws.
+    /// The `[subscribe]` section: which throws the daemon receives, and how many.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Subscribe {
         /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
         pub key: Scope = Scope::default();
-        /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
+        /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger messages go to quarantine.
         pub max_payload_bytes: usize = 16 << 20, Within(1024.0, f64::from(32 << 20), "bytes");
-        /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use
-        /// any number of keys.
+        /// Largest number of machines, 1 to 100,000. Throws of further machines go to quarantine, as an attacker could
+        /// publish on any number of keys.
         pub max_machines: usize = 10_000, Within(1.0, 100_000.0, "machines");
-        /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived
-        /// \[s\], 0 to 86,400.
+        /// Longest time \[s\] that the throws after a gap wait for missing throws from the backlog, 0 to 86,400. The
+        /// time starts again with each missing throw that arrives.
         pub backlog_wait_s: f64 = 60.0, Within(0.0, 86_400.0, "s");
     }
 }
@@ -98,7 +98,7 @@ settings! {
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Identify {
-        /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
+        /// Number of threads, 0 to 64; 0 means the number of processors, at most 8.
         pub threads: usize = 0, Within(0.0, 64.0, "threads");
     }
 }
@@ -108,11 +108,12 @@ settings! {
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Web {
-        /// Address and port; without it there is no dashboard. Every client that reaches it can read.
+        /// Address and port; without them there is no dashboard. Every client that reaches the port can read the pages.
         pub listen: Option<SocketAddr> = None;
-        /// Host names for browsers, in addition to IP addresses and `localhost`.
+        /// Host names under which browsers may open the pages, in addition to IP addresses and `localhost`.
         pub hosts: Vec<String> = Vec::new();
-        /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
+        /// Largest fleet \[machines\] with series for each machine in `/metrics`, 0 to 20,000; a larger fleet has only
+        /// totals.
         pub machine_metrics: u32 = 1_000, Within(0.0, f64::from(MOST_SERIES), "");
         /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
         pub token: Option<Token> = None;
@@ -141,8 +142,8 @@ settings! {
     }
 }
 
-/// The configuration of `pointsd`, with the sections of its file. `Default` is for missing sections only: it has no
-/// session of a daemon.
+/// The configuration of `pointsd`, with the sections of its file. `Default` only fills missing sections: its zenoh
+/// session is not that of a daemon.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[cfg_attr(test, derive(Serialize))]
 #[serde(deny_unknown_fields, default)]
@@ -163,7 +164,7 @@ pub struct Config {
     /// The sections `[[machine]]`.
     #[serde(rename = "machine", skip_serializing)]
     pub(super) machine_entries: Vec<MachineEntry>,
-    /// Settings of the estimator for each machine, from these sections.
+    /// Settings of the estimator for each machine, from the two fields above.
     #[serde(skip)]
     pub machines: Machines,
     /// The dashboard.
@@ -172,8 +173,8 @@ pub struct Config {
     pub webhook: Webhook,
     /// Log lines.
     pub log: Log,
-    /// The zenoh session. Parsed as the type of zenoh for errors with a position; then the section is merged into the
-    /// defaults of a daemon.
+    /// The zenoh session. The section is first parsed as zenoh's own type, for errors with a position. Then it is
+    /// merged into the defaults of a daemon.
     #[serde(skip_serializing)]
     pub zenoh: ::zenoh::Config,
 }
@@ -192,7 +193,7 @@ impl Config {
         Self::from_document(&Document::read(file)?)
     }
 
-    /// Settings that are valid and have no effect.
+    /// Warnings about settings that are valid and have no effect.
     pub fn warnings(&self) -> Vec<String> {
         let key = &self.subscribe.key;
         let served =
@@ -212,7 +213,7 @@ impl Config {
     /// # Errors
     /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
-        // First, as it explains what the type of zenoh does not.
+        // First, as its errors explain more than those of zenoh's own type.
         let section = section(document)?;
         let config: Self = document.deserialize()?;
         check_ranges(&config, document)?;
@@ -236,26 +237,27 @@ fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError>
 
 fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
     match monitor.watched().position(|peer| peer == monitor.as_machine()) {
-        Some(index) => Err(document.complain(&format!("monitor.peers[{index}]"), "is this daemon itself")),
+        Some(index) => Err(document.error_at(&format!("monitor.peers[{index}]"), "is this daemon itself")),
         None => Ok(()),
     }
 }
 
 fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigError> {
-    let mut own = HashMap::new();
+    let mut overrides = HashMap::new();
     for (index, entry) in config.machine_entries.iter().enumerate() {
         let settings = entry
             .over(&config.machine_defaults)
-            .map_err(|(key, problem)| document.complain(&format!("machine[{index}].{key}"), problem))?;
-        if own.insert(entry.id(), settings).is_some() {
+            .map_err(|(key, problem)| document.error_at(&format!("machine[{index}].{key}"), problem))?;
+        if overrides.insert(entry.id(), settings).is_some() {
             let problem = format!("{} is described a second time", entry.id());
-            return Err(document.complain(&format!("machine[{index}].machine"), problem));
+            return Err(document.error_at(&format!("machine[{index}].machine"), problem));
         }
     }
-    Ok(Machines { default: config.machine_defaults.clone(), own })
+    Ok(Machines { default: config.machine_defaults.clone(), overrides })
 }
 
-/// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
+/// The `[diagnosis]` section alone, for a command that only reads the database: its user may have no right to the files
+/// that the other sections name.
 ///
 /// # Errors
 /// The first error of this section.
@@ -270,10 +272,11 @@ pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError>
     Ok(diagnosis)
 }
 
-/// Longest host name.
+/// Longest host name \[characters\].
 const HOST_LENGTH: usize = 253;
 
-/// Bound of `machine_metrics`: with four series each a scrape is at most about 1 MB.
+/// Bound of `machine_metrics`. A machine has two series, and up to two more for each drift, of about 70 bytes each: a
+/// scrape is a few megabytes before compression.
 const MOST_SERIES: u32 = 20_000;
 /// Length of a token \[characters\]: a shorter one could be guessed.
 const TOKEN_LENGTH: RangeInclusive<usize> = 16..=256;
@@ -283,55 +286,56 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     for (index, host) in web.hosts.iter().enumerate() {
         if host.is_empty() || host.len() > HOST_LENGTH || !host.chars().all(fits) {
             let problem = format!("{host:?} is not a host name: letters, digits, - and . without port");
-            return Err(document.complain(&format!("web.hosts[{index}]"), problem));
+            return Err(document.error_at(&format!("web.hosts[{index}]"), problem));
         }
     }
     document.in_section("web", web.check_ranges())?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
-        return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
+        return Err(document.error_at("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
     }
     Ok(())
 }
 
 /// Checks the `[log]` section.
 pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
-    // The filter takes any other word for a module, of which everything is logged, and of all others nothing.
+    // The filter accepts any other word as the name of a module: it would log all lines of this module and nothing
+    // else.
     let is_wrong =
         |part: &&str| part.contains(char::is_whitespace) || !part.contains('=') && part.parse::<LevelFilter>().is_err();
     if let Some(part) = log.level.split(',').find(is_wrong) {
         let problem = format!(
             "{part:?} is not a level: write error, warn, info, debug or trace, for a module zenoh=debug, and no spaces"
         );
-        return Err(document.complain("log.level", problem));
+        return Err(document.error_at("log.level", problem));
     }
     log.level
         .parse::<Targets>()
         .map(drop)
-        .map_err(|error| document.complain("log.level", format!("{:?}: {error}", log.level)))
+        .map_err(|error| document.error_at("log.level", format!("{:?}: {error}", log.level)))
 }
 
 /// Checks that the folder of the database exists and is writable.
 fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigError> {
-    let complain = |problem: String| Err(document.complain("store.path", problem));
+    let invalid = |problem: String| Err(document.error_at("store.path", problem));
     if fs::metadata(path).is_ok_and(|at| !at.is_file()) {
-        return complain(format!("{} is a folder or a device, must be a file", path.display()));
+        return invalid(format!("{} is a folder or a device, must be a file", path.display()));
     }
     if path.file_name().is_none() {
-        return complain(format!("{} is not a file name", path.display()));
+        return invalid(format!("{} is not a file name", path.display()));
     }
     let parent = store::folder_of(path);
     match fs::metadata(parent) {
-        Ok(folder) if !folder.is_dir() => complain(format!("{} is not a folder", parent.display())),
+        Ok(folder) if !folder.is_dir() => invalid(format!("{} is not a folder", parent.display())),
         Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
-            complain(format!("this user cannot write to the folder {}", parent.display()))
+            invalid(format!("this user cannot write to the folder {}", parent.display()))
         }
         Ok(_) => Ok(()),
-        Err(error) => complain(format!("the folder {} of the database: {error}", parent.display())),
+        Err(error) => invalid(format!("the folder {} of the database: {error}", parent.display())),
     }
 }
 
-/// The `[zenoh]` section as it is in the file.
+/// The `[zenoh]` section as written in the file.
 fn section(document: &Document) -> Result<Option<toml::Table>, ConfigError> {
     #[derive(Deserialize)]
     struct Section {
@@ -349,7 +353,7 @@ fn checked_session(
 ) -> Result<::zenoh::Config, ConfigError> {
     let session = zenoh::session_config(kind, section, document)?;
     if let Some(section) = section {
-        // What zenoh would refuse only at the start of a session that listens.
+        // Errors that zenoh would report only at the start of a session that listens.
         zenoh::check_endpoints(section, document)?;
         zenoh::check_access(section, document)?;
     }

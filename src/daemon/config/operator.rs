@@ -1,4 +1,5 @@
-//! The zenoh session of an operator's command. The file of a daemon always leads to this daemon.
+//! The zenoh session of an operator's command. With the configuration file of a daemon, it always connects to this
+//! daemon.
 
 use toml::{Table, Value};
 
@@ -8,15 +9,15 @@ use super::{
 };
 use crate::throw::MachineId;
 
-/// Sections of a daemon's file.
+/// Sections that only the configuration file of a daemon has.
 const DAEMON_SECTIONS: [&str; 9] =
     ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web", "webhook"];
-/// Sections of `pointsim`'s file, whose `[zenoh]` is a client's.
+/// Sections that only the file of `pointsim` has; its `[zenoh]` section is that of a client.
 const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
 /// Keys of a daemon's TLS section that are valid for its clients too.
 const SHARED_TLS: [&str; 4] =
     ["root_ca_certificate", "root_ca_certificate_base64", "enable_mtls", "verify_name_on_connect"];
-/// Keys for the certificate of a client, each with the daemon's key that replaces it if it is missing.
+/// Keys for the certificate of a client, each with the key of the daemon's certificate that is used if it is missing.
 const CLIENT_TLS: [(&str, &str); 4] = [
     ("connect_certificate", "listen_certificate"),
     ("connect_private_key", "listen_private_key"),
@@ -31,12 +32,12 @@ pub struct OperatorSession {
     pub zenoh: ::zenoh::Config,
     /// Endpoints to connect to.
     pub endpoints: Vec<String>,
-    /// The daemon of the file; `None` for a client's file and without a file.
+    /// Name of the daemon whose file was given; `None` for the file of a client and without a file.
     pub monitor: Option<MachineId>,
 }
 
-/// The session of an operator's command: a client of `connect`, or of the daemon or router in the file. The built-in
-/// endpoint is used only without a file.
+/// The session of an operator's command: a client of the endpoint `connect`, or of the daemon or router in the file.
+/// The built-in endpoint is used only without both.
 ///
 /// # Errors
 /// When the file is invalid, or has no endpoint for a client.
@@ -65,8 +66,8 @@ pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Resul
     })
 }
 
-/// Whether a file is that of a daemon. A file with only a `[zenoh]` section is that of a client if it has endpoints to
-/// connect to and none to listen on.
+/// Whether a file is the configuration of a daemon. A file with only a `[zenoh]` section belongs to a client if it has
+/// endpoints to connect to and none to listen on.
 fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
     if DAEMON_SECTIONS.iter().any(|name| file.contains_key(*name)) {
         return true;
@@ -77,7 +78,7 @@ fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
     !is_client
 }
 
-/// The part of a daemon's `[zenoh]` for its clients.
+/// The `[zenoh]` section for a client of a daemon, made from the section of the daemon.
 fn client_of(zenoh: &Table) -> Table {
     let mut client = Table::new();
     if let Some(link) = find(zenoh, &["transport", "link"]).and_then(Value::as_table) {
@@ -103,9 +104,10 @@ fn client_of(zenoh: &Table) -> Table {
     client
 }
 
-/// Endpoints of the daemon of this file: those on which it listens, or its router.
+/// Endpoints at which a client reaches the daemon of this file: those on which the daemon listens, or else its
+/// router's.
 fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
-    // Without its TLS files, which only the daemon may be able to read; only the endpoints are needed.
+    // Only the endpoints are needed. The TLS files in `transport` may be readable for the daemon only.
     let mut without_files = zenoh.clone();
     without_files.remove("transport");
     let config = sessions::session_config(sessions::MONITOR, Some(&without_files), document)?;
@@ -114,13 +116,13 @@ fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     let reached: Vec<String> = listens.iter().filter_map(|endpoint| from_here(endpoint)).collect();
     match (reached.is_empty(), listens.is_empty()) {
         (false, _) => Ok(reached),
-        (true, false) => Err(document.complain(
+        (true, false) => Err(document.error_at(
             "zenoh.listen.endpoints",
             "the system chooses the port at each start: give --connect with the endpoint in the daemon's log",
         )),
         (true, true) => match endpoints(&config, "connect", mode) {
             none if none.is_empty() => Err(document
-                .complain("zenoh", "this daemon has no endpoint: give --connect with the endpoint of its router")),
+                .error_at("zenoh", "this daemon has no endpoint: give --connect with the endpoint of its router")),
             routers => Ok(routers),
         },
     }
@@ -130,12 +132,12 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     let config = sessions::session_config(sessions::CLIENT, Some(zenoh), document)?;
     if find(zenoh, &["connect", "endpoints"]).is_none() {
         let problem = "names no daemon: give --connect tls/HOST:7447, or write connect.endpoints = [\"tls/HOST:7447\"]";
-        return Err(document.complain("zenoh.connect.endpoints", problem));
+        return Err(document.error_at("zenoh.connect.endpoints", problem));
     }
     Ok(endpoints(&config, "connect", "client"))
 }
 
-/// The endpoints of a session for a mode. Zenoh accepts one list, or one list for each mode.
+/// The endpoints of a session in a mode. Zenoh accepts one list, or a list for each mode.
 fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
     let text = config.get_json(&format!("{side}/endpoints")).unwrap_or_default();
     let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
@@ -184,7 +186,7 @@ mod tests {
             ("[zenoh]\nlisten.endpoints = { router = [\"tcp/[::]:7647\"], peer = [] }\n", "tcp/[::1]:7647"),
             ("[store]\n[zenoh]\nmode = \"client\"\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
             ("[store]\n[zenoh]\nlisten.endpoints = []\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
-            // A cabinet that listens and joins a router: the endpoint is that of the cabinet.
+            // A daemon that listens, and also connects to a router: a client connects to the daemon.
             (
                 "[store]\n[zenoh]\nlisten.endpoints = [\"tcp/10.0.0.1:2\"]\nconnect.endpoints = [\"tcp/r:1\"]\n",
                 "tcp/10.0.0.1:2",
@@ -211,14 +213,14 @@ mod tests {
 
     #[test]
     fn a_file_that_names_no_endpoint_never_leads_to_the_default_one() {
-        for (text, complaint) in [
+        for (text, expected) in [
             ("[zenoh]\nmode = \"client\"\n", "zenoh.connect.endpoints: names no daemon: give --connect"),
             ("[store]\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n", "the system chooses the port"),
             ("[store]\n[zenoh]\nlisten.endpoints = []\n", "has no endpoint"),
             ("[store]\nsise = 1\n", "b.toml:2: store.sise: unknown field"),
         ] {
             let error = session(text).unwrap_err().to_string();
-            assert!(error.starts_with("b.toml:") && error.contains(complaint), "{text}: {error}");
+            assert!(error.starts_with("b.toml:") && error.contains(expected), "{text}: {error}");
         }
         let connect = |text: &str| {
             let document = Document::parse("b.toml".as_ref(), text.to_owned()).unwrap();

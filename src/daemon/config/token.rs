@@ -1,4 +1,4 @@
-//! A secret in the configuration.
+//! The type of a secret in the configuration.
 
 use serde::{Deserialize, Serialize};
 use subtle::ConstantTimeEq as _;
@@ -8,12 +8,12 @@ use subtle::ConstantTimeEq as _;
 pub struct Token(String);
 
 impl Token {
-    /// The secret, for the request that needs it.
+    /// The secret as text.
     pub fn secret(&self) -> &str {
         &self.0
     }
 
-    /// Whether `text` is the secret, in constant time for texts of the same length.
+    /// Whether `text` is the secret. The comparison takes the same time for all texts of the same length.
     pub fn is(&self, text: &str) -> bool {
         self.0.as_bytes().ct_eq(text.as_bytes()).into()
     }

@@ -20,17 +20,18 @@ settings! {
     pub struct Webhook {
         /// Address of the receiver, `http://…` or `https://…`; without it nothing is sent.
         pub url: Option<String> = None;
-        /// Least severity of the alarms that are sent.
+        /// Least severity of an alarm that is sent.
         pub severity: Severity = Severity::Warning;
         /// Causes of the alarms that are sent; empty for all.
         pub causes: Vec<Cause> = Vec::new();
-        /// Messages in a period, 1 to 1,000. Further events are sent at its end, as one summary.
+        /// Largest number of messages in a period, 1 to 1,000. Further events are sent as one summary at the end of the
+        /// period.
         pub max_messages: u32 = 10, Within(1.0, 1_000.0, "messages");
-        /// The period \[s\], 1 to 86,400.
+        /// Length of the period \[s\], 1 to 86,400.
         pub period_s: f64 = 60.0, Within(1.0, 86_400.0, "s");
         /// Value of the header `Authorization`, up to 1,024 characters.
         pub authorization: Option<Token> = None;
-        /// File with the authorities of the receiver's certificate (PEM); without it those of Mozilla.
+        /// File with the certificate authorities for the receiver (PEM); without it those of Mozilla are used.
         pub ca_file: Option<PathBuf> = None;
     }
 }
@@ -39,7 +40,7 @@ settings! {
 const AUTHORIZATION: usize = 1_024;
 
 impl Webhook {
-    /// Whether the filters let an alarm pass.
+    /// Whether severity and cause of an alarm pass the filters.
     pub(crate) fn wants(&self, alarm: &Alarm) -> bool {
         alarm.severity >= self.severity && (self.causes.is_empty() || self.causes.contains(&alarm.cause))
     }
@@ -49,7 +50,7 @@ impl Webhook {
         self.url.as_ref()?.parse().ok()
     }
 
-    /// The authorities of `ca_file`.
+    /// The certificate authorities in `ca_file`.
     pub(crate) fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
         let Some(file) = &self.ca_file else { return Ok(None) };
         let pem = fs::read(file).map_err(|error| format!("{} cannot be read: {error}", file.display()))?;
@@ -63,23 +64,23 @@ impl Webhook {
 
     /// Checks the section.
     pub(super) fn check(&self, document: &Document) -> Result<(), ConfigError> {
-        let complain = |key: &str, problem: String| Err(document.complain(&format!("webhook.{key}"), problem));
+        let invalid = |key: &str, problem: String| Err(document.error_at(&format!("webhook.{key}"), problem));
         if let Some(url) = &self.url {
             let uri = self.uri().unwrap_or_default();
             let is_http = matches!(uri.scheme_str(), Some("http" | "https"));
-            // The address is in the log, so a password must not be in it.
+            // The address appears in the log, so it must not have a password.
             let has_user = uri.authority().is_some_and(|authority: &Authority| authority.as_str().contains('@'));
             if !is_http || has_user || uri.host().is_none_or(str::is_empty) {
                 let problem = format!("{url:?} is not http://HOST/PATH or https://HOST/PATH without a user name");
-                return complain("url", problem);
+                return invalid("url", problem);
             }
         }
         document.in_section("webhook", self.check_ranges())?;
         if let Some(token) = &self.authorization
             && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
         {
-            return complain("authorization", "must be up to 1024 printable ASCII characters".to_owned());
+            return invalid("authorization", "must be up to 1024 printable ASCII characters".to_owned());
         }
-        self.authorities().map(drop).or_else(|problem| complain("ca_file", problem))
+        self.authorities().map(drop).or_else(|problem| invalid("ca_file", problem))
     }
 }

@@ -1,4 +1,4 @@
-//! The `[zenoh]` section: configuration of zenoh, merged into the defaults of this program.
+//! The `[zenoh]` section: the configuration of zenoh, which is merged into the defaults of this program.
 
 use std::{collections::HashSet, path::Path};
 
@@ -6,15 +6,13 @@ use toml::{Table, Value};
 
 use super::{ConfigError, Document};
 
-/// Keys of the TLS section that name a file, which must exist.
+/// Keys of the TLS section whose values are files, which must exist.
 const FILE_KEYS: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
-/// The session of the daemon: the router of a cabinet, to which loggers and operators connect. By default it listens on
-/// loopback only. It drops throws for slow subscribers: otherwise a subscriber that does not read would block the links
-/// of the loggers for 5 s.
-///
-/// No timestamps: throws have their time in the payload.
+/// Default settings of the daemon's session: the router of a cabinet, to which loggers and operators connect. It
+/// listens on loopback only. It drops throws for slow subscribers: otherwise a subscriber that does not read would
+/// block the links of the loggers for 5 s. Zenoh adds no timestamps, as throws have their time in the payload.
 pub(super) const MONITOR: &str = r#"
 mode = "router"
 listen.endpoints = ["tcp/127.0.0.1:7447"]
@@ -22,13 +20,13 @@ timestamping.enabled = false
 qos.network = [{ messages = ["put"], flows = ["egress"], key_exprs = ["points/v1/*/*/throw"], overwrite = { congestion_control = "drop" } }]
 "#;
 
-/// The session of a logger or an operator: a client of the router.
+/// Default settings of the session of a logger or an operator: a client of the router.
 pub(super) const CLIENT: &str = r#"
 mode = "client"
 connect.endpoints = ["tcp/127.0.0.1:7447"]
 "#;
 
-/// Settings of every session: endless retries of the connection, no discovery.
+/// Default settings of every session: endless retries of the connection, and no discovery of other sessions.
 const COMMON: &str = "
 connect.timeout_ms = -1
 connect.exit_on_failure = false
@@ -42,13 +40,13 @@ pub(super) fn base(kind: &str) -> Result<Table, toml::de::Error> {
     toml::from_str(&format!("{kind}{COMMON}"))
 }
 
-/// The configuration of a kind of session, with `section` merged into it.
+/// The configuration of a kind of session ([`MONITOR`] or [`CLIENT`]), with `section` merged into it.
 pub(super) fn session_config(
     kind: &str,
     section: Option<&Table>,
     document: &Document,
 ) -> Result<zenoh::Config, ConfigError> {
-    let invalid = |problem: String| document.complain("zenoh", problem);
+    let invalid = |problem: String| document.error_at("zenoh", problem);
     let mut merged = base(kind).map_err(|error| invalid(error.to_string()))?;
     if let Some(section) = section {
         overlay(&mut merged, section);
@@ -60,7 +58,7 @@ pub(super) fn session_config(
     })
 }
 
-/// Merges `over` into `base`: nested tables key by key, any other value replaces the one in `base`.
+/// Merges `over` into `base`. Nested tables are merged key by key; any other value replaces the value in `base`.
 pub(crate) fn overlay(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
@@ -87,22 +85,23 @@ fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> 
     for key in FILE_KEYS {
         if let Some(path) = tls.get(key).and_then(Value::as_str).filter(|path| !Path::new(path).is_file()) {
             let problem = format!("there is no file {path:?}");
-            return Err(document.complain(&format!("zenoh.transport.link.tls.{key}"), problem));
+            return Err(document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem));
         }
     }
     Ok(())
 }
 
-/// Refuses endpoints in the place of their table, of which zenoh says only that it expected an integer.
+/// Rejects a list of endpoints in place of the table `listen` or `connect`. Zenoh's own error is only that it expected
+/// an integer.
 pub(super) fn check_sides(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let is_wrong = |side: &&str| section.get(*side).is_some_and(|value| !value.is_table());
     ["listen", "connect"].into_iter().find(is_wrong).map_or(Ok(()), |side| {
         let problem = format!("is a table: write {side}.endpoints = [\"tcp/HOST:7447\"]");
-        Err(document.complain(&format!("zenoh.{side}"), problem))
+        Err(document.error_at(&format!("zenoh.{side}"), problem))
     })
 }
 
-/// Checks the endpoints, with which zenoh would fail only at the start.
+/// Checks the endpoints. Zenoh would fail with a wrong one only at the start of the session.
 pub(super) fn check_endpoints(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let has =
         |key: &str| tls(section).is_some_and(|tls| tls.contains_key(key) || tls.contains_key(&format!("{key}_base64")));
@@ -111,13 +110,14 @@ pub(super) fn check_endpoints(section: &Table, document: &Document) -> Result<()
         let Some(endpoints) = section.get(side).and_then(|table| table.get("endpoints")) else { continue };
         for (key, endpoint) in texts(&format!("zenoh.{side}.endpoints"), endpoints) {
             check_endpoint(endpoint, side == "listen" && !has_certificate)
-                .map_err(|problem| document.complain(&key, format!("{endpoint:?}: {problem}")))?;
+                .map_err(|problem| document.error_at(&key, format!("{endpoint:?}: {problem}")))?;
         }
     }
     Ok(())
 }
 
-/// The endpoints in a value, each with its key: a list, lists for each mode, or groups of locators.
+/// The texts in a value, each with its key. A value of endpoints is a list, a table of lists for each mode, or of
+/// groups of locators.
 fn texts<'a>(key: &str, value: &'a Value) -> Vec<(String, &'a str)> {
     match value {
         Value::String(text) => vec![(key.to_owned(), text)],
@@ -132,7 +132,7 @@ fn texts<'a>(key: &str, value: &'a Value) -> Vec<(String, &'a str)> {
     }
 }
 
-/// Checks an endpoint as `tcp/HOST:PORT`, with parameters after `?` or `#`.
+/// Checks an endpoint of the form `tcp/HOST:PORT`, with parameters after `?` or `#`.
 pub(crate) fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<(), &'static str> {
     let (protocol, rest) = endpoint.split_once('/').ok_or("write tcp/HOST:PORT or tls/HOST:PORT")?;
     if !matches!(protocol, "tcp" | "tls") {
@@ -150,7 +150,7 @@ pub(crate) fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<
     Ok(())
 }
 
-/// Checks that the policies of the access control name rules and subjects that exist, each once.
+/// Checks that the policies of the access control name existing rules and subjects, and that no `id` is used twice.
 pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let Some(access) = section.get("access_control").and_then(Value::as_table) else { return Ok(()) };
     if access.get("enabled").and_then(Value::as_bool) != Some(true) {
@@ -159,14 +159,14 @@ pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), C
     let list = |key: &str| access.get(key).and_then(Value::as_array).map(Vec::as_slice);
     let (Some(rules), Some(subjects), Some(policies)) = (list("rules"), list("subjects"), list("policies")) else {
         let problem = "with enabled = true, rules, subjects and policies must be given";
-        return Err(document.complain("zenoh.access_control", problem));
+        return Err(document.error_at("zenoh.access_control", problem));
     };
     let mut names = [("rules", rules), ("subjects", subjects)].map(|(kind, list)| (kind, list, HashSet::new()));
     for (kind, list, known) in &mut names {
         for (at, id) in list.iter().enumerate().filter_map(|(at, entry)| Some((at, entry.get("id")?.as_str()?))) {
             if !known.insert(id) {
                 let problem = format!("{id:?} is described a second time");
-                return Err(document.complain(&format!("zenoh.access_control.{kind}[{at}].id"), problem));
+                return Err(document.error_at(&format!("zenoh.access_control.{kind}[{at}].id"), problem));
             }
         }
     }
@@ -175,10 +175,10 @@ pub(super) fn check_access(section: &Table, document: &Document) -> Result<(), C
             let key = format!("zenoh.access_control.policies[{at}].{kind}");
             let named = policy.get(kind).map(|value| texts(&key, value)).unwrap_or_default();
             if named.is_empty() {
-                return Err(document.complain(&key, "must name at least one"));
+                return Err(document.error_at(&key, "must name at least one"));
             }
             if let Some((key, name)) = named.into_iter().find(|(_, name)| !known.contains(name)) {
-                return Err(document.complain(&key, format!("{name:?} is not in zenoh.access_control.{kind}")));
+                return Err(document.error_at(&key, format!("{name:?} is not in zenoh.access_control.{kind}")));
             }
         }
     }

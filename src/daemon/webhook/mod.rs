@@ -1,5 +1,5 @@
-//! Sends alarm events to the webhook, in order and at least once: each stays in the database until the receiver has
-//! accepted it, or refused it as a message that it cannot use. In a flood many events become one summary.
+//! Sends alarm events to the webhook, in order and at least once. An event stays in the database until the receiver has
+//! accepted it, or has refused it as a message that it cannot use. In a flood many events become one summary.
 
 mod post;
 mod summary;
@@ -28,15 +28,15 @@ use crate::{
 use post::{PostError, WebhookServer};
 use summary::Summary;
 
-/// Pause after the first failed attempt; it doubles with each further one.
+/// Pause after the first failed attempt; doubled with each further attempt up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
-/// Longest pause between two attempts: the delay of an alarm after the receiver is back.
+/// Longest pause between two attempts: the longest delay of an alarm after the receiver works again.
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 /// Time between two heartbeats during a wait.
 const BEAT: Duration = Duration::from_secs(5);
-/// Notifications read for the next message; more are read only if the filters remove all of them.
+/// Number of notifications read for the next message. Further ones are read only if the filters remove all of them.
 const BATCH: u32 = 64;
-/// Notifications read for a summary: all that are kept.
+/// Number of notifications read for a summary: all that the store keeps.
 const ALL: u32 = 10_000;
 
 /// The sending loop.
@@ -48,9 +48,9 @@ pub(super) struct Notifier {
     status: Arc<Status>,
     /// Notified when the outbox has a new message.
     outbox: Arc<Notify>,
-    /// Time in which at most `webhook.max_messages` are sent.
+    /// Time in which at most `webhook.max_messages` messages are sent.
     period: Duration,
-    /// Start of the present period, and messages sent in it.
+    /// Start of the present period, and number of messages sent in it.
     sent: (Instant, u32),
 }
 
@@ -59,12 +59,12 @@ struct Message {
     body: Bytes,
     /// Number of events in the message.
     events: u64,
-    /// The last of them; all notifications up to this row are done with the message.
+    /// Row of the last event. All notifications up to this row are removed after the message.
     last: i64,
 }
 
 impl Notifier {
-    /// The loop of a configuration; `None` without a webhook.
+    /// Prepares the loop; `None` if no webhook is configured.
     ///
     /// # Errors
     /// When the database or the certificates cannot be used.
@@ -106,8 +106,8 @@ impl Notifier {
         }
     }
 
-    /// Up to `limit` pending events that the filters let pass. If the filters let none pass, they are removed, and more
-    /// are read.
+    /// Reads up to `limit` pending events, and returns those that pass the filters. If none passes, the events are
+    /// removed, and the next ones are read. Empty if no event is pending.
     async fn pending(&self, limit: u32) -> Vec<(i64, Alarm)> {
         loop {
             let rows = match self.store.reader().notifications(limit).await {
@@ -123,7 +123,7 @@ impl Notifier {
             let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
                 Ok(alarm) => Some((row, alarm)),
                 Err(error) => {
-                    tracing::error!(row, %error, "an alarm event of another version cannot be sent: LOST for the webhook");
+                    tracing::error!(row, %error, "an alarm event that another version stored cannot be read: it is LOST for the webhook");
                     None
                 }
             };
@@ -136,7 +136,7 @@ impl Notifier {
         }
     }
 
-    /// All events in one message, one event as it is; `None` without an event.
+    /// The message for some events: a single event as it is, several as a summary; `None` without an event.
     fn message(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
         let alarms: Vec<&Alarm> = pending.iter().map(|(_, alarm)| alarm).collect();
         let body = match &*alarms {
@@ -146,7 +146,7 @@ impl Notifier {
         Some(Message { body, events: alarms.len() as u64, last: pending.last()?.0 })
     }
 
-    /// Sends a message until the receiver accepts it, or refuses it.
+    /// Sends a message again and again until the receiver accepts or refuses it, then removes its notifications.
     async fn deliver(&self, message: Message) {
         let mut pause = FIRST_PAUSE;
         loop {
@@ -155,7 +155,7 @@ impl Notifier {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
                     let body = String::from_utf8_lossy(&message.body);
-                    tracing::error!(%error, events = message.events, %body, "webhook: alarm events are not sent");
+                    tracing::error!(%error, events = message.events, %body, "webhook: the receiver refuses alarm events, which are not sent again");
                     self.status.edit().webhook_refused += message.events;
                     break;
                 }
@@ -179,7 +179,7 @@ impl Notifier {
         }
     }
 
-    /// Waits with heartbeats: only requests and the database may hang.
+    /// Waits until `end`, with heartbeats: a loop that waits on purpose does not hang.
     async fn wait(&self, end: impl Future<Output = ()>) {
         let (mut end, mut pace) = (pin!(end), time::interval(BEAT));
         loop {

@@ -1,4 +1,4 @@
-//! One HTTP request to the receiver.
+//! The HTTP request to the receiver of the webhook.
 
 use std::{pin::pin, sync::Arc, time::Duration};
 
@@ -17,7 +17,7 @@ use tokio_rustls::{
 
 use super::super::config::Webhook;
 
-/// Time limit of a request, from the name of the host to the status of the response.
+/// Time limit of a request, from the look-up of the host name to the status of the response.
 const LIMIT: Duration = Duration::from_secs(10);
 
 /// The reason why a message was not accepted.
@@ -26,7 +26,7 @@ pub(super) enum PostError {
     /// The receiver cannot use this message; it may accept others.
     #[error("the receiver refuses the message with status {0}")]
     Refused(StatusCode),
-    /// The receiver answered with another status than success.
+    /// The receiver answered with another status: a later attempt may succeed.
     #[error("the receiver answers with status {0}{hint}", hint = redirect_hint(*.0))]
     Status(StatusCode),
     /// No answer within [`LIMIT`].
@@ -44,13 +44,13 @@ const fn redirect_hint(status: StatusCode) -> &'static str {
     if status.as_u16() / 100 == 3 { "; redirects are not followed: set webhook.url to the final address" } else { "" }
 }
 
-/// The receiver.
+/// Address and credentials of the receiver.
 pub(super) struct WebhookServer {
     uri: Uri,
     host: String,
     port: u16,
     authorization: Option<HeaderValue>,
-    /// For `https`.
+    /// `None` for `http`.
     tls: Option<(TlsConnector, ServerName<'static>)>,
 }
 
@@ -58,10 +58,10 @@ impl WebhookServer {
     /// The receiver of a checked configuration; `None` without an address.
     ///
     /// # Errors
-    /// A sentence, when the authorities of its certificate cannot be used.
+    /// A sentence, when the certificate authorities cannot be used.
     pub(super) fn new(settings: &Webhook) -> Result<Option<Self>, String> {
         let Some(uri) = settings.uri() else { return Ok(None) };
-        // An IPv6 address has brackets in a URL only.
+        // An IPv6 address has brackets only within a URL.
         let host = uri.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
         let is_tls = uri.scheme_str() == Some("https");
         let port = uri.port_u16().unwrap_or(if is_tls { 443 } else { 80 });
@@ -99,7 +99,7 @@ impl WebhookServer {
         let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
         let mut request = Request::new(Full::new(body));
         *request.method_mut() = Method::POST;
-        // The request line has the path only.
+        // The request line of HTTP/1.1 has only the path; the host is a header.
         *request.uri_mut() = self.uri.path_and_query().map(|path| Uri::from(path.clone())).unwrap_or_default();
         let authority = self.uri.authority().and_then(|it| HeaderValue::from_str(it.as_str()).ok());
         let agent = HeaderValue::from_static(concat!("pointsd/", env!("CARGO_PKG_VERSION")));

@@ -25,7 +25,7 @@ pub(super) struct Summary {
     last_event_at: Timestamp,
     /// Events of the same kind, the most frequent first.
     groups: Vec<Group>,
-    /// One sentence.
+    /// The whole summary as one sentence.
     text: String,
 }
 
@@ -37,12 +37,12 @@ struct Group {
     state: AlarmState,
     site: Name,
     events: usize,
-    /// The first machines.
+    /// The first machines by name, at most 20.
     machines: Vec<Name>,
 }
 
 impl Summary {
-    /// The summary of some alarms; `None` without an alarm.
+    /// The summary of some alarm events; `None` without an event.
     pub(super) fn of(alarms: &[&Alarm], monitor: &MachineId) -> Option<Self> {
         let mut kinds: BTreeMap<_, Vec<&Alarm>> = BTreeMap::new();
         for alarm in alarms.iter().copied() {
@@ -83,7 +83,7 @@ impl Group {
         })
     }
 
-    /// "480 not monitored at north (critical, active unacknowledged)".
+    /// A part of the text, as "480 not monitored at north (critical, active unacknowledged)".
     fn sentence(&self) -> String {
         let state = self.state.as_str().replace('_', " ");
         format!("{} {} at {} ({}, {state})", self.events, self.cause, self.site, self.severity.as_str())

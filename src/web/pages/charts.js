@@ -1,17 +1,17 @@
-// Replaces each static chart by one of the same data: a drag zooms, a double click shows everything, the pointer shows
-// values, and a click on a throw opens its page. All charts of a page have the same zoom and the same cursor.
+// Replaces each static chart by an interactive chart of the same data. A drag zooms, a double click shows everything, the
+// pointer shows values, and a click on a throw opens its page. All charts of a page share the zoom and the cursor.
 "use strict";
 {
-  const RATIO = 0.68; // height to width: with title and names as high as the static charts
-  const NEAR_PX = 15; // a click this near to a throw opens it: about the size of a fingertip on a mouse pad
-  const DOUBLE_MS = 300; // a click waits this long for the second one of a double click
-  const ROWS = 3; // rows of labels above a chart; a mark without space for its label is a line only
+  const RATIO = 0.68; // height / width of a chart: with its title and names it is as high as a static chart
+  const NEAR_PX = 15; // largest distance from a throw to a click that opens it
+  const DOUBLE_MS = 300; // time that a click waits for the second click of a double click
+  const ROWS = 3; // rows of labels above a chart; a mark for whose label there is no space is only a line
   const ROW_PX = 14;
   const FONT = "12px system-ui, sans-serif";
 
   let charts = [];
-  let addresses = new Map(); // path of the throw at each time
-  let zoom = null; // range of x, or null for all
+  let addresses = new Map(); // from the time of a throw to the path of its page
+  let zoom = null; // shown range of x; null for all data
   let picked = null; // x of the point under the pointer
   let opening = 0;
 
@@ -21,7 +21,8 @@
     return { ink: of("ink"), line: of("line"), paper: of("paper"), curves: [1, 2, 3, 4].map((at) => of(`curve-${at}`)) };
   }
 
-  // Index of the point next to the pointer, else of the one next to its time; and whether the pointer is near it.
+  // Returns the index of the point nearest to the pointer if it is near, else `index`, the point nearest in time. Notes in
+  // the chart whether the pointer is near the point.
   function nearest(chart, index) {
     const { left, top } = chart.cursor;
     let best = { index, distance: NEAR_PX };
@@ -38,7 +39,7 @@
     return best.index;
   }
 
-  // The value at an index; of curves with other times than this one the value next to it.
+  // The value of a curve at an index. A curve over the time of a throw may have no sample at this time: then the nearest.
   function value(column, at, isHistory) {
     const furthest = isHistory ? 0 : column.length;
     for (let by = 0; by <= furthest; by++) {
@@ -84,7 +85,7 @@
     ctx.stroke();
   }
 
-  // A text with an outline, readable over lines.
+  // Draws a text with an outline, so that it is readable over lines.
   function label(chart, colour, text, x, y, align) {
     const { ctx } = chart;
     Object.assign(ctx, { font: FONT.replace("12", 12 * uPlot.pxRatio), textAlign: align, textBaseline: "alphabetic" });
@@ -94,7 +95,7 @@
     ctx.fillText(text, x, y);
   }
 
-  // The scatter of the machine, below the curves.
+  // Draws the band of scatter below the curves.
   function drawBand(chart, panel) {
     const { ctx, bbox } = chart;
     for (const curve of panel.curves.filter((curve) => curve.reach.length > 0)) {
@@ -114,7 +115,7 @@
     }
   }
 
-  // Limits as horizontal lines, marks as vertical lines with labels above the chart.
+  // Draws limits as horizontal lines, and marks as vertical lines with labels above the chart.
   function drawLines(chart, panel, colour) {
     const { ctx, bbox } = chart;
     const [right, bottom] = [bbox.left + bbox.width, bbox.top + bbox.height];
@@ -122,7 +123,7 @@
     for (const [y, text] of panel.levels) {
       const at = chart.valToPos(y, "y", true);
       dashed(chart, colour.ink, [bbox.left, at], [right, at]);
-      // The text of a high line goes below the line, as the marks are above the chart.
+      // Near the top, the text goes below the line, as the labels of the marks are above the chart.
       const down = at < bbox.top + 16 * uPlot.pxRatio ? 13 : -4;
       label(chart, colour, text, bbox.left + 4 * uPlot.pxRatio, at + down * uPlot.pxRatio, "left");
     }
@@ -154,8 +155,8 @@
     }));
     const kept = [...edges, ...panel.levels.map(([y]) => y)];
     const axis = { stroke: colour.ink, font: FONT, labelFont: FONT, labelSize: 17, labelGap: 0, grid: { stroke: colour.line, width: 1 }, ticks: { show: false } };
-    // Least step [s], label, and what is below it when the year, month, day, hour or minute changes. A date with its year is
-    // wider than the least space between two labels.
+    // For each least step [s]: the label, and its second line where year, month, day, hour or minute changes. The year has its
+    // own line, as a date with its year is wider than the least space between two labels.
     const dates = [
       [31536000, "{YYYY}", null, null, null, null, null, null, 1],
       [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
@@ -172,7 +173,7 @@
       tzDate: (second) => uPlot.tzDate(new Date(second * 1000), "Etc/UTC"),
       legend: { show: false },
       scales: {
-        // Of one throw alone uPlot would show almost three years.
+        // For a single throw uPlot would choose an axis of almost three years.
         x: { time: panel.times, range: (chart, low, high) => (panel.times && chart.data[0].length === 1 ? [low - 30, low + 30] : [low, high]) },
         y: {
           range: (_, low, high) => {
@@ -225,9 +226,9 @@
 
   function build(figure) {
     const panel = JSON.parse(figure.querySelector("script").textContent);
-    // A dot and the gap after it have the same time.
+    // Without the gap after each dot, which has the same time as the dot.
     for (const curve of panel.curves.filter((curve) => curve.dots)) curve.points = curve.points.filter(([, y]) => y !== null);
-    // The first curve is on top, so it is drawn last.
+    // The curves are drawn in reverse order, so that the first is on top.
     const colour = colours();
     panel.curves.forEach((curve, number) => { curve.colour = colour.curves[number % colour.curves.length]; });
     panel.curves.reverse();
@@ -255,7 +256,7 @@
     chart.over.addEventListener("click", (event) => {
       clearTimeout(opening);
       const address = chart.isNear && addresses.get(picked);
-      // A finger has no hover: it first shows the values, and their link opens the throw.
+      // A finger cannot hover: a touch only shows the values, with a link that opens the throw.
       if (address && event.pointerType !== "touch") opening = setTimeout(() => location.assign(address), DOUBLE_MS);
     });
     chart.over.addEventListener("dblclick", () => clearTimeout(opening));

@@ -1,9 +1,9 @@
-// Refreshes the page every few seconds: if the daemon has a new page, replaces the banner and the content of <main>. Without
-// an answer, shows the time of the last one, so that an old page is recognised.
+// Refreshes the page every few seconds. If the daemon has a new page, replaces the banner and the content of <main>. Without
+// an answer, shows the time of the last answer, so that an old page is recognised.
 "use strict";
-const SOON_MS = 5000; // after a change
-const LATER_MS = 10000; // while nothing changes: 4 kB a minute
-const PATIENCE_MS = 10000;
+const SOON_MS = 5000; // wait after a change
+const LATER_MS = 10000; // wait while nothing changes: 4 kB a minute
+const TIMEOUT_MS = 10000; // time limit of a request
 let answered = new Date();
 let tag = "";
 
@@ -13,7 +13,7 @@ function say(text) {
   if (note.textContent !== text) note.textContent = text;
 }
 
-// Replaces the banner only if it differs, as a screen reader reads it again after each change.
+// Replaces the banner only if it differs, as a screen reader reads the banner again after each change.
 function warn(fresh) {
   const banner = document.getElementById("trouble");
   if (banner.innerHTML === fresh.innerHTML) return;
@@ -48,7 +48,7 @@ function replace(main, fresh) {
   localTimes();
 }
 
-// While text is selected, a form is being filled in or a chart is dragged, the page is not replaced.
+// Whether the reader selects text, fills in a form or drags a chart: the page is then not replaced.
 function isBusy() {
   if (getSelection().type === "Range" || document.querySelector(".u-over:active")) return true;
   const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
@@ -59,7 +59,7 @@ async function refresh() {
   let wait = LATER_MS;
   try {
     const headers = tag ? { "If-None-Match": tag } : {};
-    const answer = await fetch(location.href, { cache: "no-store", headers, signal: AbortSignal.timeout(PATIENCE_MS) });
+    const answer = await fetch(location.href, { cache: "no-store", headers, signal: AbortSignal.timeout(TIMEOUT_MS) });
     if (answer.status === 304) {
       answered = new Date();
       say("");

@@ -1,9 +1,10 @@
-//! The clock of this computer, compared with the clocks of the loggers.
+//! Comparison of this computer's clock with the clocks of the loggers.
 //!
-//! A throw is dated by its logger and received by this computer. One that is received before its date shows that a clock
-//! is wrong. An old one shows nothing by itself, as it may come from a backlog or a recording. But a logger whose throws
-//! stay equally old, while they are received minutes apart, publishes each at once: then its clock is behind this
-//! computer, or this computer is ahead. If most loggers are behind by the same time, this computer is ahead.
+//! The logger dates a throw, and this computer notes when it received it. A throw that is received before its date
+//! shows that one of the two clocks is wrong. An old throw shows nothing by itself, as it may come from a backlog or a
+//! recording. But if the throws of a logger are all equally old, and are received minutes apart, then the logger
+//! publishes each at once. Then its clock is behind, or that of this computer is ahead. If most loggers are behind by
+//! the same time, this computer is ahead.
 
 use std::collections::VecDeque;
 
@@ -13,35 +14,37 @@ use crate::throw::MachineId;
 
 /// Largest number of compared loggers.
 const LOGGERS: usize = 32;
-/// Smallest difference that is no wrong time zone.
+/// Least difference that counts: a smaller one may be a wrong time zone.
 const DAY: SignedDuration = SignedDuration::from_hours(24);
-/// Least time between two throws whose ages are compared: throws of a backlog arrive faster.
+/// Least time between two receptions whose ages are compared: throws of a backlog arrive faster.
 const APART: SignedDuration = SignedDuration::from_mins(1);
-/// Change of the age, as part of the time between two throws, below which they were published at once: simulated machines
-/// live faster than real time.
+/// Two throws were published at once if the change of their ages, multiplied by this factor, is at most the time
+/// between their receptions. The ages of simulated machines, which run faster than real time, change more.
 const STEADY: i32 = 10;
-/// Largest difference between loggers that are behind by the same time.
+/// Largest difference of the ages of loggers that count as behind by the same time.
 const SAME: SignedDuration = SignedDuration::from_hours(1);
 
 /// The machines whose throws were judged last, the newest first, with the clocks of their loggers.
 #[derive(Debug, Default)]
-pub(super) struct Dating(VecDeque<Logger>);
+pub(super) struct LoggerClocks(VecDeque<Logger>);
 
 #[derive(Debug)]
 struct Logger {
     machine: MachineId,
-    /// Whether its last throw is dated more than a day after its reception.
+    /// Whether the last throw is dated more than a day after its reception.
     is_ahead: bool,
-    /// Time of reception of an earlier throw, and its age then.
+    /// Time of reception of an earlier throw, to compare with the next one.
     received_at: Timestamp,
+    /// Age of that throw at its reception.
     age: SignedDuration,
-    /// Age of its throws, if they are published at once and a day old or more.
+    /// Age of the throws, if they are published at once and a day old or more.
     behind: Option<SignedDuration>,
 }
 
-impl Dating {
-    /// Compares the time of a throw with its reception. Returns whether the clock of this computer is right as far as this
-    /// throw shows; `None` if the throw is dated ahead, and no other logger is known to compare with.
+impl LoggerClocks {
+    /// Notes the date and the reception of a throw. Returns false if the throw is dated more than a day ahead, and at
+    /// least half of the other loggers date ahead too: the clock of this computer is then behind. `None` if the throw
+    /// is dated ahead and no other logger is known.
     pub(super) fn note(&mut self, machine: &MachineId, started_at: Timestamp, received_at: Timestamp) -> Option<bool> {
         let before = self.0.iter().position(|logger| logger.machine == *machine).and_then(|at| self.0.remove(at));
         let (others, others_ahead) = (self.0.len(), self.0.iter().filter(|logger| logger.is_ahead).count());
@@ -64,13 +67,13 @@ impl Dating {
         if is_ahead { (others > 0).then_some(2 * others_ahead < others) } else { Some(true) }
     }
 
-    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
+    /// Number of loggers that date their throws a day or more after this computer; 0 if they are not the majority.
     pub(super) fn ahead(&self) -> usize {
         self.if_most(self.0.iter().filter(|logger| logger.is_ahead).count())
     }
 
-    /// Number of the last loggers that date their throws a day or more before this computer, all by the same time, if
-    /// these are most and at least two; else 0. One alone may be wrong itself.
+    /// Number of loggers that date their throws a day or more before this computer, all by the same time; 0 if they are
+    /// not the majority, or a single logger, whose own clock may be wrong.
     pub(super) fn behind(&self) -> usize {
         let mut behind: Vec<SignedDuration> = self.0.iter().filter_map(|logger| logger.behind).collect();
         behind.sort_unstable();
@@ -79,12 +82,13 @@ impl Dating {
         if same > 1 { self.if_most(same) } else { 0 }
     }
 
-    /// Whether the clock of the logger that was noted last is a day or more behind: its throws are published at once, and
-    /// another logger dates its own right. Two loggers that are behind by the same time show nothing: see [`Self::behind`].
+    /// Whether the clock of the logger that was noted last is a day or more behind. Its throws must be published at
+    /// once, and another logger must be right. Loggers that count in [`Self::behind`] show that this computer is ahead
+    /// instead.
     pub(super) fn is_last_behind(&self) -> bool {
         let Some(last) = self.0.front().filter(|last| last.behind.is_some()) else { return false };
         let is_right = |other: &Logger| {
-            // An earlier reception may be from before a jump of the clock of this computer.
+            // Not an old reception: the clock of this computer may have jumped since.
             other.age.abs() < DAY && last.received_at.duration_since(other.received_at) < DAY
         };
         self.behind() == 0 && self.0.iter().skip(1).any(is_right)
@@ -99,17 +103,17 @@ impl Dating {
 mod tests {
     use super::*;
 
-    /// The numbers of loggers ahead and behind after throws of three loggers, each from its start and its reception
-    /// \[s\].
+    /// The numbers of loggers ahead and behind after some throws of three loggers. Each throw has its start and its
+    /// reception \[s\].
     fn loggers(throws: impl IntoIterator<Item = [(i64, i64); 3]>) -> (usize, usize) {
-        let mut dating = Dating::default();
+        let mut clocks = LoggerClocks::default();
         let at = |seconds: i64| Timestamp::from_second(1_800_000_000 + seconds).unwrap();
         for throws in throws {
             for (name, (started, received)) in ["a", "b", "c"].into_iter().zip(throws) {
-                dating.note(&MachineId::new("north", name).unwrap(), at(started), at(received));
+                clocks.note(&MachineId::new("north", name).unwrap(), at(started), at(received));
             }
         }
-        (dating.ahead(), dating.behind())
+        (clocks.ahead(), clocks.behind())
     }
 
     #[test]
@@ -127,11 +131,11 @@ mod tests {
 
     #[test]
     fn a_logger_that_is_behind_alone_is_wrong_itself() {
-        let mut dating = Dating::default();
+        let mut clocks = LoggerClocks::default();
         let at = |seconds: i64| Timestamp::from_second(1_800_000_000 + seconds).unwrap();
         let mut is_behind = |name: &str, age: i64, received: i64| {
-            dating.note(&MachineId::new("north", name).unwrap(), at(received - age), at(received));
-            dating.is_last_behind()
+            clocks.note(&MachineId::new("north", name).unwrap(), at(received - age), at(received));
+            clocks.is_last_behind()
         };
         assert!(!is_behind("a", 3 * 86_400, 0) && !is_behind("a", 3 * 86_400, 600), "no other logger is known");
         assert!(!is_behind("b", 5, 700));
