@@ -16,6 +16,7 @@ use crate::{
     rig::{Daemon, PATIENCE, Rig, ends, listen, next, pointsd, pointsim, stub, throws},
 };
 
+/// Publishes the throws of simulated machines with `pointsim run`, and waits until all are sent.
 pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
         .args(arguments)
@@ -104,7 +105,7 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     assert!(commands[0]["until"].is_string(), "the window has no end: {commands:?}");
 }
 
-/// A machine that was removed from the track is silent for ever, which is no alarm once it is retired.
+/// A machine that was removed from the track sends no more throws. That is no alarm once the machine is retired.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_retired_machine_is_left_out_until_its_next_throw() {
     let (rig, daemon) = Rig::running();
@@ -231,7 +232,7 @@ async fn a_machine_that_no_daemon_serves_is_distinguished_from_no_daemon() {
     assert!(said.contains("no daemon knows north/21B"), "{said}");
 }
 
-/// A daemon that cannot answer, or is of another version, hides neither the others nor itself.
+/// The answers of the other daemons are shown, and that one daemon has no answer or one of another version.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_others() {
     let (_rig, daemon) = Rig::running();
@@ -261,7 +262,7 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(said.contains("fleet/pointsd: version"), "{said}");
     assert!(said.contains("unreadable reply of points/v1/east/monitor/other/status"), "{said}");
     assert!(said.contains("no answer of a daemon: the database does not answer"), "{said}");
-    // Without any alarm the answer is unknown, and is not "no alarms".
+    // While one daemon cannot answer, "no alarms" would be wrong.
     for (arguments, expected) in [(&["alarms", "--check"][..], 1), (&["alarms"], 69), (&["alarms", "--json"], 69)] {
         let (code, said) = daemon.operate(arguments);
         assert_eq!(code, Some(expected), "{said}");
@@ -338,7 +339,7 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
         let answers = bus::ask(&session, &format!("{key}?limit=3"), None, PATIENCE).await.unwrap();
         assert_eq!(answers.messages.len(), found, "{key}: {answers:?}");
     }
-    // Everything about a machine: its command queryable has nothing to say.
+    // All keys of a machine: the queryable for commands does not answer a query without a command.
     let all = bus::ask(&session, "points/v1/north/21B/*", None, PATIENCE).await.unwrap();
     assert!(all.messages.len() == 1 && all.errors.is_empty(), "{all:?}");
 }
@@ -351,7 +352,7 @@ async fn sighup_applies_the_settings_that_need_no_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_unknown_machine_is_an_error_and_not_no_alarms() {
+async fn an_unknown_machine_is_an_error_and_not_an_empty_list() {
     let (_rig, daemon) = Rig::running();
     logger(&daemon.endpoint, &["--machines", "1", "--throws", "2"]);
     for (machine, code, says) in [
@@ -430,9 +431,10 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     }
 }
 
-/// The link of a daemon that hangs is closed while a query waits for it: the query then ends without an error.
+/// Zenoh closes the link of a daemon that hangs while a query waits for its reply. The query then ends without an error,
+/// as if that daemon had no alarms.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_daemon_that_hangs_is_no_daemon_without_alarms() {
+async fn a_daemon_that_hangs_is_reported_and_not_taken_for_one_without_alarms() {
     let (_rig_a, a) = Rig::running_with("[monitor]\nid = \"a\"\n");
     let connect = format!("[monitor]\nid = \"b\"\n[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint);
     let (_rig_b, b) = Rig::running_with(&connect);
@@ -507,7 +509,7 @@ fn obstructed() -> Throw {
     let (current_a, mut position_mm) = (whole.trace.current_a().to_vec(), whole.trace.position_mm().to_vec());
     let half_way = position_mm.len() / 2;
     let reached = position_mm[half_way];
-    // With the noise of the sensor: exactly equal values would be those of a stuck one.
+    // With noise: exactly equal values would be those of a stuck sensor.
     let noise_mm: Vec<f64> = position_mm[..half_way].iter().map(|mm| 1e3 * mm % 0.05).collect();
     position_mm[half_way..].iter_mut().zip(noise_mm.iter().cycle()).for_each(|(mm, noise_mm)| *mm = reached + noise_mm);
     let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
@@ -526,7 +528,7 @@ async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
     daemon.says(1, &["status"]);
 }
 
-/// As after a change of its schema from outside.
+/// A trigger stands for a schema that another program has changed.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_alarm_that_the_database_rejects_is_counted_and_stated() {
     let (rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
