@@ -19,7 +19,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
     verdict::inspect(folder, acknowledged, |id| published(&id.boot_id, id.throw_no), verdict).await;
 }
 
-/// The trace of a throw, with the resolution of its message.
+/// The trace of a throw as it was published: CBOR carries 32-bit floats.
 fn published(boot_id: &str, throw_no: u64) -> Trace {
     let message = wire::encode_throw(Encoding::Cbor, &logger::throw(boot_id, throw_no));
     wire::decode_throw(Encoding::Cbor, &message).unwrap().trace
@@ -67,9 +67,9 @@ impl Known {
     }
 }
 
-/// Waits until all published throws are stored or missing, judged, and published with their events. `published` has the
-/// last number of each machine and boot id. That number alone shows nothing: it may have arrived live while an earlier one
-/// is still being fetched from the backlog.
+/// Waits until each published throw is stored or missing, every stored throw is judged, and all events are published.
+/// `published` has the last number of each machine and boot id. It is not enough that this throw is stored: it may have
+/// arrived live while the daemon still reads earlier throws from the backlog.
 pub(crate) async fn settled(rig: &Rig, reader: &Reader, published: &Published) -> Known {
     until(5 * PATIENCE, async || {
         let known = Known::of(rig, reader).await;

@@ -17,10 +17,11 @@ use crate::{
     witness::Witness,
 };
 
-/// Longest life of most daemons, and of one in twelve, which has time to publish the outbox of the others.
+/// Longest life of most daemons.
 const SHORT: Duration = Duration::from_millis(1500);
+/// Longest life of every twelfth daemon, which has time to publish the outbox of the others.
 const LONG: Duration = Duration::from_secs(9);
-/// Machines with a backlog for any absence of the daemon; one more machine has a backlog of one throw.
+/// Machines whose backlog covers every absence of the daemon; one more machine has a backlog of one throw.
 const REMEMBERED: usize = 3;
 
 fn plan(machine: &'static str, machines: usize, kept: usize) -> Plan {

@@ -21,7 +21,7 @@ use crate::{
 };
 
 const MACHINES: usize = 20;
-/// Throws of each machine in the backlog of its logger: more than a cut costs.
+/// Throws of each machine in the backlog of its logger: more than it makes during a cut.
 const BACKLOG: usize = 64;
 
 /// Length of a cut, and throws per second.
@@ -56,6 +56,7 @@ fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Publis
     silent
 }
 
+/// Number of throws of the machines with a long backlog, or of the machine with a backlog of one throw.
 fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, with_backlog: bool) -> usize {
     numbers
         .iter()
