@@ -11,8 +11,7 @@ use crate::{
     fleet::{Machine, Nature, shift},
 };
 
-/// A drive whose late brake leaves only the ratios of the coefficients.
-const OF_RATIOS: State = State { brake_s: 0.02, ..State::SOUND };
+const OF_RATIOS: State = State::OF_RATIOS;
 
 fn is_complete(machine: &Machine) -> bool {
     Direction::BOTH.into_iter().all(|way| machine.monitor.baseline(way).is_some_and(|record| record.complete))
@@ -54,7 +53,7 @@ fn an_unlucky_first_dozen_does_not_end_the_learning() {
         let mut machine = Machine::new(7_100 + seed, calm);
         for (throws, weather) in [(24, shift(Cause::Friction, 13.0)), (276, Vector3::zeros())] {
             let events = machine.events(throws, weather);
-            // So different throws may hide a change of the friction, which is stated.
+            // Throws that differ so much may hide a change of the friction, and the monitor states this.
             assert!(events.iter().all(|event| event.cause == Cause::NotMonitored), "seed {seed}: {events:?}");
         }
         assert!(is_complete(&machine), "seed {seed}");
@@ -80,7 +79,7 @@ fn a_small_complete_baseline_names_every_cause() {
     }
 }
 
-/// The first dozen throws of each direction decide that only the ratios are compared, and are the baseline.
+/// From the first dozen throws of each direction the monitor decides to compare only the ratios, and learns the baseline.
 #[test]
 fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     let faults = [

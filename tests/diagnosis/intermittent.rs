@@ -68,7 +68,7 @@ fn an_intermittent_fault_that_is_mended_clears() {
     assert_eq!(states, [AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged]);
 }
 
-/// Faulty throws also come two or three in a row, which is no drift of the machine.
+/// Two or three faulty throws in a row also happen, which are no drift of the machine.
 #[test]
 fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() {
     let settings = Settings::default();

@@ -11,10 +11,10 @@ use crate::fleet::{Machine, Nature, normal};
 
 /// Largest memory of a monitor with full histories \[bytes\].
 const LIMIT: u64 = 7_000;
-/// Throws after which all histories are full: more than fill the blocks of the history since the baseline.
+/// Throws that fill all histories of a monitor, also the blocks of the history since the baseline.
 const THROWS: u32 = 650;
 
-/// Throws of a machine whose baselines lack a few throws of 50 each.
+/// Throws of a machine whose two baselines lack a few of their 50 throws.
 const LEARNING_THROWS: u32 = 90;
 /// Largest memory of its monitor \[bytes\].
 const LEARNING_LIMIT: u64 = 10_900;
@@ -38,7 +38,7 @@ fn throw(machine: &mut Machine) -> Observation {
     Observation { features, temperature_c: near(12.0), ..observation }
 }
 
-/// Memory of the monitor that `make` returns, with what it refers to \[bytes\].
+/// Memory of the monitor that `make` returns, with all that it owns \[bytes\].
 fn memory(make: impl FnOnce() -> MachineMonitor) -> u64 {
     let mut monitor = None;
     let counted = measure(|| monitor = Some(Box::new(make())));

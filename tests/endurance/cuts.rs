@@ -38,10 +38,10 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
 }
 
 /// Checks the disk after a power cut at `cuts` points of the log.
-async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
+async fn cut(records: &[Record], original: &Path, cuts: usize, seed: u64) -> Verdict {
     let mut verdict = Verdict::default();
     let check = async |disk: &Disk, folder: &Path| inspect(folder, &disk.acknowledged, &mut verdict).await;
-    cut_at_random(records, was, cuts, seed, check).await;
+    cut_at_random(records, original, cuts, seed, check).await;
     verdict
 }
 
