@@ -1,13 +1,14 @@
-//! Loggers whose rate does not resolve the rise of the current: ratios down to 250 Hz, features below.
+//! Loggers whose rate does not resolve the rise of the current. Down to 250 Hz the throws give the ratios of the
+//! coefficients, below only features.
 
 use pointsd::{
     diagnose::{Cause, MachineState},
     throw::Throw,
 };
 
-use crate::drive::{Drive, State, with_trace};
+use crate::drive::{Drive, Logger, State, with_trace};
 
-/// Each `FACTOR`-th sample of a throw, beginning with another one in each throw.
+/// Each `FACTOR`-th sample of a throw; the first one differs from throw to throw.
 fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
     let first = usize::try_from(7 * throw.id.throw_no).unwrap() % FACTOR;
     let of = |values: Vec<f64>| values.into_iter().skip(first).step_by(FACTOR).collect();
@@ -79,7 +80,7 @@ fn a_machine_at_100_hz_is_monitored_by_its_features() {
 }
 
 /// Alarms in `lives` healthy machines of 500 throws.
-fn false_alarms(lives: std::ops::Range<u64>, logger: fn(Throw) -> Throw) -> usize {
+fn false_alarms(lives: std::ops::Range<u64>, logger: Logger) -> usize {
     let alarms = lives.map(|seed| {
         let mut drive = Drive::new(seed, seed % 2 == 0);
         drive.logger = logger;
