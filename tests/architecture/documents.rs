@@ -2,8 +2,8 @@
 
 use std::{collections::HashSet, fs, path::Path};
 
-/// Least number of words in a name that counts as a test: the shortest test on the pages has three. Names of other programs
-/// and of SQL states have fewer.
+/// Least number of words in a name that counts as a test: the shortest test on the pages has three. Names of other
+/// programs and of SQL states have fewer.
 const LEAST_WORDS: usize = 3;
 
 /// Adds the names that the sources below `folder` define: functions only, or every word.

@@ -121,7 +121,7 @@ async fn a_logger_does_not_connect_to_a_false_cabinet() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_certificate_in_an_unlisted_name_gets_nothing() {
+async fn a_client_that_the_access_rules_do_not_list_gets_nothing() {
     let (cabinet, endpoint) = cabinet().await;
     let throws = throw_subscriber(&cabinet).await;
     let health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;

@@ -127,7 +127,7 @@ fn still_machine() -> Value {
 }
 
 #[test]
-fn every_shipped_configuration_of_pointsd_is_right() {
+fn every_shipped_configuration_of_pointsd_is_valid() {
     let folder = tempfile::tempdir().unwrap();
     let installed = replaced(&read("pointsd.toml"), "/var/lib/pointsd/", &format!("{}/", folder.path().display()));
     for text in [configured(folder.path(), "127.0.0.1:7447"), installed] {

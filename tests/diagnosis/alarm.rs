@@ -45,8 +45,8 @@ fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
 }
 
-/// Just after a step the levels of the last throws still look healthy. Throws of one direction show nothing about a fault
-/// of the other.
+/// Just after a step the levels of the last throws still look healthy. Throws of one direction show nothing about a
+/// fault of the other.
 #[test]
 fn a_constant_fault_is_not_cleared() {
     let settings = Settings { off_delay_throws: 3, ..Settings::default() };

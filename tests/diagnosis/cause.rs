@@ -45,8 +45,8 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
     }
 }
 
-/// Logarithmic changes of gauges, the measures beside the coefficients; and whether the throws give only the ratios of the
-/// coefficients.
+/// Logarithmic changes of gauges, the measures beside the coefficients; and whether the throws give only the ratios of
+/// the coefficients.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gauges {
     /// No-load speed; `None` for machines that do not show it.
@@ -124,8 +124,8 @@ fn a_motor_is_named_whether_its_no_load_speed_changes_with_its_torque_or_not() {
     }
 }
 
-/// Weaker magnets turn faster. A dry load has the same torque at every speed, so its equivalent viscous friction falls. To
-/// the ratios this is a stiffer machine, or a weaker motor with less friction.
+/// Weaker magnets turn faster. A dry load has the same torque at every speed, so its equivalent viscous friction falls.
+/// To the ratios this is a stiffer machine, or a weaker motor with less friction.
 #[test]
 fn weak_magnets_before_a_dry_load_are_the_motor_if_its_speed_shows_it() {
     let dry = Vector3::new(-0.16, -0.13, 0.0);

@@ -1,5 +1,5 @@
-//! The circuit of the motor: a changed resistance, a wrong sensor of the supply voltage, a weak supply that explains slower
-//! throws, and a lost torque with sound magnets.
+//! The circuit of the motor: a changed resistance, a wrong sensor of the supply voltage, a weak supply that explains
+//! slower throws, and a lost torque with sound magnets.
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
@@ -7,7 +7,10 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::drive::{Drive, State};
+use crate::{
+    drive::{Drive, State},
+    fleet::{causes, channels},
+};
 
 const SOUND: State = State::SOUND;
 const OF_RATIOS: State = State::OF_RATIOS;
@@ -111,7 +114,7 @@ fn a_motor_that_warms_and_cools_has_no_alarm() {
     }
 }
 
-/// With a temperature, a smaller change of the resistance is more than heat explains.
+/// With a published temperature the monitor knows the effect of heat on the resistance, so it sees smaller faults.
 #[test]
 fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
     for (is_published, expected) in [(true, 1), (false, 0)] {
@@ -140,13 +143,12 @@ fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
                 throw.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
             }
         });
-        let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
-        assert_eq!(causes, [Cause::Supply], "seed {seed}: {events:?}");
+        assert_eq!(causes(&events), [Cause::Supply], "seed {seed}: {events:?}");
     }
 }
 
-/// The resistance is computed from the movement of the toe, so it is wrong where the toe does not follow the motor. A wrong
-/// gain of the current sensor would also change the inrush, which is as before.
+/// The resistance is computed from the movement of the toe, so it is wrong where the toe does not follow the motor. A
+/// wrong gain of the current sensor would also change the inrush, which is as before.
 #[test]
 fn a_resistance_that_is_wrong_in_one_direction_accuses_no_current_sensor() {
     for seed in 64..68 {
@@ -179,8 +181,7 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
             let mut events = drive.events_with(60, State { volts, ..before }, |throw| read_with(gain, throw));
             let slower = [Cause::SlowThrow, Cause::Unattributed, Cause::Supply, Cause::NotMonitored];
             events.retain(|event| volts >= 1.0 || !slower.contains(&event.cause));
-            let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-            assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
+            assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
             let pct = events[0].change_pct.unwrap();
             assert!((pct - 100.0 * (gain - 1.0)).abs() < 5.0, "{gain}: {pct}");
             let [again, ended] = split(drive.events(60, before));
@@ -189,8 +190,8 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
     }
 }
 
-/// The events of the next throws, read with this gain of the voltage sensor. The throws of one direction have no estimate,
-/// as with a load that varies along the stroke.
+/// The events of the next throws, read with this gain of the voltage sensor. The throws of one direction have no
+/// estimate, as with a load that varies along the stroke.
 fn events_one_sided(drive: &mut Drive, throws: usize, gain: f64, state: State) -> Vec<AlarmEvent> {
     drive.events_with(throws, state, |throw| {
         read_with(gain, throw);
@@ -225,8 +226,8 @@ fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
     }
 }
 
-/// The motor turns more slowly with less voltage, so the longer duration is no second alarm. A fault of a part at the same
-/// time is a second alarm.
+/// The motor turns more slowly with less voltage, so the longer duration is no second alarm. A fault of a part at the
+/// same time is a second alarm.
 #[test]
 fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
     for (seed, has_toe_sensor, before) in
@@ -243,8 +244,7 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
             let weak = State { volts, ..before };
             let [raised, _] = split(drive.events(60, weak));
             // Rough throws can scatter so much that the monitor states which faults it cannot see.
-            let causes = raised.iter().map(|event| event.cause).filter(|cause| *cause != Cause::NotMonitored);
-            let causes: Vec<_> = causes.collect();
+            let causes = causes(raised.iter().filter(|event| event.cause != Cause::NotMonitored));
             assert_eq!(causes, [Cause::Supply], "seed {seed}, {volts}: {raised:?}");
         }
         let mut drive = healthy();

@@ -1,5 +1,5 @@
-//! Throws without scatter, covariances at the ends of their range, constant temperatures: a monitor judges all of them with
-//! finite numbers. A panic would leave the throws of the machine without a diagnosis.
+//! Throws without scatter, covariances at the ends of their range, constant temperatures: a monitor judges all of them
+//! with finite numbers. A panic would leave the throws of the machine without a diagnosis.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};

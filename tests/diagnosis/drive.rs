@@ -71,7 +71,8 @@ impl State {
         late_s: 0.0,
     };
 
-    /// A brake that releases 20 ms late: it hides the scale of the coefficients, so that the throws give only their ratios.
+    /// A brake that releases 20 ms late: it hides the scale of the coefficients, so that the throws give only their
+    /// ratios.
     pub(crate) const OF_RATIOS: Self = Self { brake_s: 0.02, ..Self::SOUND };
 }
 
@@ -120,8 +121,8 @@ impl Drive {
         }
     }
 
-    /// A drive with a configured stroke, whose motor runs on for 35 ms after the arrival, after this number of sound throws
-    /// without an event.
+    /// A drive with a configured stroke, whose motor runs on for 35 ms after the arrival, after this number of sound
+    /// throws without an event.
     #[track_caller]
     pub(crate) fn with_stroke(throws: usize, seed: u64, publishes_volts: bool) -> Self {
         let mut drive = Self::new(seed, publishes_volts);

@@ -12,7 +12,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use crate::{
     drive::{Drive, State},
     field::{Machine, Scatter},
-    fleet::{in_parallel, normal},
+    fleet::{causes, in_parallel, normal},
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
@@ -91,8 +91,8 @@ fn a_change_of_the_features_that_grows_is_reported_again() {
     assert!(largest(&events[events.len() - 1]) > 1.5 * largest(&events[0]), "{events:?}");
 }
 
-/// The season changes the temperature by 22 K up and down, and the running current by 0.6 % per K. The machines throw once
-/// a day, or every four days. A fault is a step.
+/// The season changes the temperature by 22 K up and down, and the running current by 0.6 % per K. The machines throw
+/// once a day, or every four days. A fault is a step.
 #[test]
 fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() {
     let settings = Settings::default();
@@ -232,15 +232,15 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
             let events = drive.events(24, state);
-            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
+            let causes = causes(&events);
             let is_right = |found: &Cause| Some(*found) == cause || *found == Cause::Unattributed && cause.is_some();
             assert!(causes.iter().all(is_right) && causes.is_empty() == cause.is_none(), "{cause:?}: {events:?}");
         }
     }
 }
 
-/// Observations of a machine without a toe sensor, with random features. `scatter` is that of the logarithms of duration,
-/// running current and charge.
+/// Observations of a machine without a toe sensor, with random features. `scatter` is that of the logarithms of
+/// duration, running current and charge.
 fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> Observation {
     let mut state = Vector3::zeros();
     let mut throw = 0_u64;
@@ -326,8 +326,8 @@ fn slow_recordings_show_the_start_of_the_motor() {
     }
 }
 
-/// 100,000 simulated throws a row, for which the default budget allows 0.7 false alarms. `POINTSD_LIVES` sets the number of
-/// machines with 1,000 throws each, 100 by default.
+/// 100,000 simulated throws a row, for which the default budget allows 0.7 false alarms. `POINTSD_LIVES` sets the
+/// number of machines with 1,000 throws each, 100 by default.
 #[test]
 #[ignore = "simulates 400,000 throws, in some minutes"]
 fn currents_of_healthy_machines_stay_within_the_budget() {

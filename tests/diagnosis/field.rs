@@ -1,5 +1,5 @@
-//! Machines in the field: a generator of throws without the assumptions of the diagnosis. The scatter may have heavy tails
-//! and strong serial correlation, and the temperature has days and seasons.
+//! Machines in the field: a generator of throws without the assumptions of the diagnosis. The scatter may have heavy
+//! tails and strong serial correlation, and the temperature has days and seasons.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};

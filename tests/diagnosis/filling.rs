@@ -47,7 +47,7 @@ fn healthy_machines_complete_their_baseline_without_an_alarm() {
 /// The first twelve throws of each direction are in unusual weather: all later throws differ significantly from them,
 /// by less than every limit.
 #[test]
-fn an_unlucky_first_dozen_does_not_end_the_learning() {
+fn unusual_weather_in_the_first_throws_does_not_end_the_learning() {
     let calm = Nature { scatter: [0.002, 0.005, 0.003], ..Nature::default() };
     for seed in 0..10 {
         let mut machine = Machine::new(7_100 + seed, calm);
@@ -79,7 +79,8 @@ fn a_small_complete_baseline_names_every_cause() {
     }
 }
 
-/// From the first dozen throws of each direction the monitor decides to compare only the ratios, and learns the baseline.
+/// From the first dozen throws of each direction the monitor decides to compare only the ratios, and learns the
+/// baseline.
 #[test]
 fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     let faults = [

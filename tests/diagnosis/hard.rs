@@ -10,7 +10,7 @@ use pointsd::{
 
 use crate::{
     budget::free,
-    fleet::{Machine, Nature, shift},
+    fleet::{Machine, Nature, causes, shift},
 };
 
 /// The table has the scatter of healthy machines, and how many of 8 machines are blind for a critical change.
@@ -77,8 +77,7 @@ fn a_second_fault_is_named_beside_the_first() {
                 assert!(before.iter().all(|event| event.cause == first), "{first}");
                 let fault = shift(first, size(first)) + shift(second, size(second));
                 let after = machine.events(60, fault);
-                let raised: Vec<_> =
-                    after.iter().filter(|event| event.event_no == 1).map(|event| event.cause).collect();
+                let raised = causes(after.iter().filter(|event| event.event_no == 1));
                 lives += 1;
                 right += usize::from(raised.first() == Some(&second));
                 unattributed += usize::from(raised.contains(&Cause::Unattributed));
@@ -101,7 +100,7 @@ fn a_second_fault_is_named_beside_the_first() {
 
 /// The stated sizes of two faults, one of which may be dry friction that leaks into the other coefficients.
 #[test]
-fn the_sizes_of_two_faults_hold() {
+fn the_stated_sizes_of_two_faults_are_true() {
     let settings = Settings::default();
     let (mut said, mut held) = (0_u32, 0_u32);
     for first in Cause::PHYSICAL {
@@ -154,7 +153,7 @@ fn a_motor_fault_beside_friction_is_named_in_every_sign() {
     assert!(named >= 39, "named in {named} of 40");
 }
 
-/// With a viscous model, a rise of dry friction increases all coefficients by up to 0.67 of it.
+/// With a viscous model, a rise of dry friction increases all coefficients by up to 0.67 of the rise.
 #[test]
 fn dry_friction_that_leaks_is_friction_of_its_true_size() {
     let mut held = 0;
@@ -279,8 +278,8 @@ fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
     }
 }
 
-/// The throw with its ratios only. Its covariance has an unknown scale, noise of the ratios, and an error `shared` by all
-/// throws, which the mean of 24 throws does not reduce.
+/// The throw with its ratios only. Its covariance has an unknown scale, noise of the ratios, and an error `shared` by
+/// all throws, which the mean of 24 throws does not reduce.
 fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
     let (estimate, _) = throw.estimate.unwrap();
     let ratios = estimate.map(|value| value / estimate[0]);
@@ -355,14 +354,14 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
             let shared = Vector3::new(0.0, -0.3, 1.0) * error_sd;
             let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
             let events = some_rough(&mut machine, 20, fault, 24.0 * shared * shared.transpose(), |_, _| true);
-            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
-            assert!(!causes.is_empty() && causes.iter().all(|cause| *cause == Cause::Friction), "{part}: {events:?}");
+            let is_friction = events.iter().all(|event| event.cause == Cause::Friction);
+            assert!(!events.is_empty() && is_friction, "{part}: {events:?}");
         }
     }
 }
 
-/// The misfit of the model repeats in these throws, so their mean does not reduce it. A change that the misfit may explain
-/// has no alarm; a larger one is named.
+/// The misfit of the model repeats in these throws, so their mean does not reduce it. A change that the misfit may
+/// explain has no alarm; a larger one is named.
 #[test]
 fn a_fault_that_makes_every_throw_rough_is_named() {
     let misfit_sd = Vector3::new(0.0, 0.07, 0.08);
@@ -375,7 +374,7 @@ fn a_fault_that_makes_every_throw_rough_is_named() {
             let healthy = some_rough(&mut machine, 120, Vector3::zeros(), shared, is_rough);
             assert_eq!(healthy, [], "{every_tenth}, seed {seed}: healthy");
             let events = some_rough(&mut machine, 80, shift(Cause::Stiffness, pct), shared, |_, _| true);
-            // While the misfit may change the ratios by as much as it states, they leave more than one explanation.
+            // If no healthy throw was rough, the stated misfit leaves more than one explanation for a while.
             let is_right = |event: &AlarmEvent| {
                 let is_named = event.cause == Cause::Stiffness;
                 is_named || !every_tenth && event.cause == Cause::Unattributed && event.text.contains("stiffness")

@@ -6,7 +6,10 @@ use pointsd::{
     throw::Throw,
 };
 
-use crate::drive::{Drive, Logger, State, with_positions};
+use crate::{
+    drive::{Drive, Logger, State, with_positions},
+    fleet::{causes, channels},
+};
 
 /// Expected alarms of a life.
 #[derive(Debug, Clone, Copy)]
@@ -194,7 +197,7 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
 }
 
 #[test]
-fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
+fn a_noisy_position_sensor_is_named_and_no_part_is() {
     for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {
         let mut drive = Drive::after(60, seed, false);
         let noisy = State { position_noise_mm: noise_mm, ..State::SOUND };
@@ -203,15 +206,15 @@ fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
             assert_eq!(drive.feed(state).events, [], "{noise_mm} mm");
         }
         let events = drive.events(16, noisy);
-        let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-        assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{noise_mm} mm: {events:?}");
+        assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))], "{noise_mm} mm: {events:?}");
         let ended = drive.events(16, State::SOUND);
-        assert_eq!(ended.iter().map(|event| event.cause).collect::<Vec<_>>(), [Cause::Sensor], "{ended:?}");
+        assert_eq!(causes(&ended), [Cause::Sensor], "{ended:?}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
     }
 }
 
-/// Name of a fault of a sensor or of the supply, its state, the change of the published voltage, and its true size \[%\].
+/// Name of a fault of a sensor or of the supply, its state, the change of the published voltage, and its true size
+/// \[%\].
 fn sizes() -> [(&'static str, State, Logger, f64); 14] {
     const SOUND: State = State::SOUND;
     const SAME: Logger = |throw| throw;
@@ -255,8 +258,8 @@ fn sizes_hold(seeds: std::ops::Range<u64>) {
     }
 }
 
-/// A failed sensor of the supply voltage is a fault of its own. An impossible voltage names nothing else, and hides no fault,
-/// with or without a toe sensor.
+/// A failed sensor of the supply voltage is a fault of its own. An impossible voltage names nothing else, and hides no
+/// fault, with or without a toe sensor.
 #[test]
 fn an_impossible_supply_voltage_names_its_sensor_and_hides_no_fault() {
     let failed: [Logger; 3] = [
@@ -270,8 +273,8 @@ fn an_impossible_supply_voltage_names_its_sensor_and_hides_no_fault() {
         drive.events(100, State::SOUND);
         drive.logger = logger;
         let events = drive.events(20, State::SOUND);
-        let of: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-        assert_eq!(of, [(Cause::Sensor, Some(SensorChannel::Supply))], "toe sensor {has_toe_sensor}: {events:#?}");
+        let expected = [(Cause::Sensor, Some(SensorChannel::Supply))];
+        assert_eq!(channels(&events), expected, "toe sensor {has_toe_sensor}: {events:#?}");
         assert!(events[0].text.contains("is impossible"), "{}", events[0].text);
         let events = drive.events(60, State { friction: 1.6, ..State::SOUND });
         let is_fault = |event: &AlarmEvent| matches!(event.cause, Cause::Friction | Cause::Unattributed);
@@ -291,8 +294,8 @@ fn the_size_of_a_sensor_or_supply_fault_is_within_its_interval_in_forty_lives() 
     sizes_hold(400..440);
 }
 
-/// With a shifted zero the spring seems to be stressed elsewhere. This looks like more friction in one direction and less
-/// in the other.
+/// With a shifted zero the spring seems to be stressed elsewhere. This looks like more friction in one direction and
+/// less in the other.
 #[test]
 fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
     let parts = [
@@ -312,8 +315,7 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
         assert!(faulty.iter().all(|event| event.cause == part), "{position_offset_mm} mm, {part}: {faulty:#?}");
         assert!(!faulty.is_empty(), "{position_offset_mm} mm, {part}");
         let mended = drive.events(80, State::SOUND);
-        let ended = mended.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged);
-        let ended: Vec<_> = ended.map(|event| event.cause).collect();
+        let ended = causes(mended.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged));
         assert!(ended.contains(&Cause::Sensor) && ended.contains(&part), "{position_offset_mm} mm: {mended:#?}");
     }
 }

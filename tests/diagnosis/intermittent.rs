@@ -40,7 +40,7 @@ fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
 }
 
 #[test]
-fn of_a_large_fault_fewer_throws_are_enough() {
+fn a_large_intermittent_fault_needs_fewer_throws() {
     for (tail, least) in [(None, 20), (Some(3), 18)] {
         let found = |seed: &u64| {
             let mut machine = Machine::after(150, 62_000 + seed, Scatter { tail, ..Scatter::USUAL });

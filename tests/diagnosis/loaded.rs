@@ -1,4 +1,5 @@
-//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the speed.
+//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the
+//! speed.
 
 use pointsd::{
     diagnose::{AlarmEvent, Cause},

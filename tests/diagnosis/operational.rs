@@ -13,7 +13,7 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State, with_positions},
-    fleet::{Machine, Nature, shift},
+    fleet::{Machine, Nature, channels, shift},
 };
 
 fn machine() -> Machine {
@@ -70,13 +70,12 @@ fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_th
         let mut drive = Drive::with_stroke(120, 71, publishes_volts);
         let weak = State { position_gain: 0.94, ..State::SOUND };
         let events = drive.events(30, weak);
-        let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-        assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
+        assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
     }
 }
 
-/// The position ends as with a weak gain of its sensor, but for another reason: the motor stalls before an obstruction for
-/// longer than the detection of the end needs, or loses its supply.
+/// The position ends as with a weak gain of its sensor, but for another reason: the motor stalls before an obstruction
+/// for longer than the detection of the end needs, or loses its supply.
 #[test]
 fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
     for push_s in [0.0, 0.15, 0.3, 1.0, 4.0] {
@@ -104,7 +103,7 @@ fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let mut machine = machine();
     assert_eq!(summary(&feed(&mut machine, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
-    // One accepted throw among many rejected ones monitors nothing.
+    // One accepted throw among many rejected ones does not end the alarm.
     for _ in 0..5 {
         assert_eq!(feed(&mut machine, 1, |_| {}), []);
         assert_eq!(feed(&mut machine, 12, |o| o.estimate = None), []);
@@ -196,7 +195,7 @@ fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
 }
 
 #[test]
-fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
+fn an_alarm_of_the_daemon_itself_rises_and_ends_after_its_problem() {
     let settings = Settings::default();
     let mut monitor = MachineMonitor::new("pointsd");
     let mut now: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
@@ -213,7 +212,8 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     // At its limit the alarm does not toggle.
     assert_eq!(pass(&mut monitor, &mut now, 9, well), []);
     assert_eq!(pass(&mut monitor, &mut now, 1, full), []);
-    // Another problem of the same severity is a new event of the same alarm. Another number in the text is no new event.
+    // Another problem of the same severity is a new event of the same alarm. Another number in the text is no new
+    // event.
     let also = |throws: u32| {
         move |monitor: &mut MachineMonitor, now| {
             let text = format!("full; {throws} throws refused");
@@ -238,8 +238,8 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     assert_eq!(summary(&feed(&mut machine, 12, |_| {})), [ended(Cause::DataLoss)]);
 }
 
-/// Throws that were received before the gap was known may be older than the gap, so they do not end its alarm. The end of
-/// an alarm is not dated before its start, also if the throws that end it are older.
+/// Throws that were received before the gap was known may be older than the gap, so they do not end its alarm. The end
+/// of an alarm is not dated before its start, also if the throws that end it are older.
 #[test]
 fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     let settings = Settings::default();
@@ -308,7 +308,7 @@ fn refused_messages_are_named_as_the_reason_of_a_gap() {
 }
 
 #[test]
-fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
+fn impossible_estimates_cause_no_panic_and_are_not_learned() {
     let settings = Settings::default();
     let mut machine = Machine::new(22, Nature::default());
     for at in 0..3 {
@@ -470,24 +470,24 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
         hot(o);
         (o.faulty, o.estimate) = (Some(SensorChannel::Position), None);
     };
-    let channels = |events: &[AlarmEvent]| -> Vec<_> {
+    let sensors = |events: &[AlarmEvent]| -> Vec<_> {
         let sensor = events.iter().filter(|event| event.cause == Cause::Sensor);
         sensor.map(|event| (event.channel, event.state)).collect()
     };
     let (unseen, over) = (AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged);
     let events = feed(&mut machine, 20, hot);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), unseen)]);
     let ack = Command::Ack { cause: Cause::Sensor, by: "mia".to_owned() };
     machine.monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
     // One event, although both sensors are faulty in each throw.
     let events = feed(&mut machine, 10, both);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Position), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Position), unseen)]);
     assert!(events[0].text.contains("position sensor"), "{}", events[0].text);
     // The position sensor is mended, and the other is still faulty.
     let events = feed(&mut machine, 20, hot);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
     let events = feed(&mut machine, 20, |_| {});
-    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), over)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
 /// At the end of a maintenance the rules forget the last throws, so the alarms that come from them must end too.
@@ -510,7 +510,7 @@ fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
 }
 
 #[test]
-fn a_position_in_another_unit_is_asked_for_and_no_throw_is_refused() {
+fn a_position_in_another_unit_is_a_caveat_and_no_throw_is_refused() {
     let mut drive = Drive::after(40, 72, true);
     let asks = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("in centimetres (115 mm)"));
     assert!(!asks(&drive), "{:?}", drive.monitor.caveats());

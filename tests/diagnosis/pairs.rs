@@ -2,7 +2,10 @@
 
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 
-use crate::drive::{Drive, State};
+use crate::{
+    drive::{Drive, State},
+    fleet::causes,
+};
 
 /// Throws after the second fault.
 const AFTER: u32 = 160;
@@ -95,8 +98,8 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
     judgement
 }
 
-/// Judges forty lives of a pair in both orders, half of them with a published voltage. `is_clear` says for which gap and
-/// ramp the data can distinguish the two faults.
+/// Judges forty lives of a pair in both orders, half of them with a published voltage. `is_clear` says for which gap
+/// and ramp the data can distinguish the two faults.
 fn forty_lives(pair: [Fault; 2], is_clear: fn(gap: u32, ramp: u32) -> bool) {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |value| value.parse().unwrap());
     let (from, lives) = (number("SEED", 5_000), number("LIVES", 40));
@@ -171,14 +174,14 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
         };
         let (second, size) = if first.friction > 1.0 { (Cause::Stiffness, 30.0) } else { (Cause::Friction, 40.0) };
         assert!(*cause == second && (pct - size).abs() < 2.0 * sd, "{events:#?}");
-        let mut open: Vec<Cause> = drive.monitor.open_alarms().iter().map(|event| event.cause).collect();
+        let mut open = causes(&drive.monitor.open_alarms());
         open.sort_unstable();
         assert_eq!(open, [Cause::Friction, Cause::Stiffness]);
     }
 }
 
-/// In the ratios a weak magnet and a stiff rail together look nearly like a weaker magnet. The back-EMF shows how weak the
-/// magnet is.
+/// In the ratios a weak magnet and a stiff rail together look nearly like a weaker magnet. The back-EMF shows how weak
+/// the magnet is.
 #[test]
 fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ratios() {
     let before = State::OF_RATIOS;
@@ -197,7 +200,7 @@ fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ra
             events.iter().find(|event| event.cause == second).unwrap_or_else(|| panic!("{first:?}: {events:#?}"));
         let (pct, sd) = raised.change_pct.zip(raised.change_pct_sd).unwrap();
         assert!((pct - size).abs() < 2.5 * sd, "{raised:?}");
-        let open: Vec<Cause> = drive.monitor.open_alarms().iter().filter(is_part).map(|event| event.cause).collect();
+        let open = causes(drive.monitor.open_alarms().iter().filter(is_part));
         assert!(open.len() == 2 && open.contains(&Cause::Kt) && open.contains(&Cause::Stiffness), "{open:?}");
     }
 }

@@ -1,6 +1,6 @@
-//! A simulated drive that pulls a rail which bends: three masses with Coulomb friction under each, behind an elastic toe
-//! drive. The far masses stick until the rail has bent, so the friction grows along the stroke. It shares no code with the
-//! simulator, the estimator and the diagnosis.
+//! A simulated drive that pulls a rail which bends: three masses with Coulomb friction under each, behind an elastic
+//! toe drive. The far masses stick until the rail has bent, so the friction grows along the stroke. It shares no code
+//! with the simulator, the estimator and the diagnosis.
 
 use std::f64::consts::TAU;
 
@@ -176,8 +176,8 @@ fn lives(state: State) -> Vec<Vec<Cause>> {
     })
 }
 
-/// Friction that grows along the stroke looks like a stiffer spring, and the changed ratios like a weaker motor. But the
-/// motor starts as before.
+/// Friction that grows along the stroke looks like a stiffer spring, and the changed ratios like a weaker motor. But
+/// the motor starts as before.
 #[test]
 fn dry_slide_chairs_of_a_rail_that_bends_are_friction() {
     for friction in [1.4, 1.8, 2.5] {

@@ -16,8 +16,8 @@ const LIVES: u64 = 4;
 /// Throws for which a machine is followed after its ramp has ended.
 const AFTER_THE_END: u32 = 100;
 
-/// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws: straight with a `power` of 1, accelerating
-/// with 2.
+/// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws: straight with a `power` of 1,
+/// accelerating with 2.
 fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
     top * (f64::from(throw) / f64::from(throws)).min(1.0).powi(power)
 }

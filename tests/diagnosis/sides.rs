@@ -1,5 +1,5 @@
-//! Faults of one direction, and offsets of the current sensor, on a drive that the model does not describe completely; and
-//! a neutral position that is not the configured one.
+//! Faults of one direction, and offsets of the current sensor, on a drive that the model does not describe completely;
+//! and a neutral position that is not the configured one.
 
 use jiff::Timestamp;
 use pointsd::{
@@ -16,7 +16,8 @@ fn learned(seed: u64) -> Drive {
     Drive::after(120, seed, seed.is_multiple_of(2))
 }
 
-/// Number of lives in which the friction alarm states its direction at the end, and in which at most one event updates it.
+/// Number of lives in which the friction alarm states its direction at the end, and in which at most one event updates
+/// it.
 fn directions(seeds: std::ops::Range<u64>) -> [u32; 2] {
     let (mut said, mut once) = (0, 0);
     for seed in seeds {
@@ -111,9 +112,9 @@ fn a_current_at_rest_since_the_first_throw_is_a_caveat_and_no_alarm() {
     assert!(caveats.len() == 1 && caveats[0].contains("+1.0 A"), "{caveats:?}");
 }
 
-/// Simulates a machine whose rails are unstressed at `neutral_mm`, with a fault of a part after 110 throws, and identifies
-/// the throws with `configured_mm`. Returns the causes of its alarms, its drifts and caveats after 150 throws, and the
-/// largest deviation of a1 of its last healthy throws from the baseline, as a share of a1.
+/// Simulates a machine whose rails are unstressed at `neutral_mm`, with a fault of a part after 110 throws, and
+/// identifies the throws with `configured_mm`. Returns the causes of its alarms, its drifts and caveats after 150
+/// throws, and the largest deviation of a1 of its last healthy throws from the baseline, as a share of a1.
 fn unstressed_at(
     [neutral_mm, configured_mm]: [f64; 2],
     part: Part,
@@ -150,7 +151,7 @@ fn said_mm(caveats: &[String]) -> f64 {
 }
 
 #[test]
-fn a_neutral_position_that_is_not_configured_misleads_nobody() {
+fn a_neutral_position_that_is_not_configured_changes_neither_cause_nor_size() {
     for neutral_mm in [30.0, 57.5, 75.0] {
         for (part, cause, pct) in [
             (Part::Friction, Cause::Friction, 40.0),

@@ -44,7 +44,7 @@ fn wet(throw: u64) -> Vector3<f64> {
 }
 
 #[test]
-fn wet_spells_alarm_no_machine_of_five_and_a_fault_of_one_is_named() {
+fn wet_spells_raise_no_alarm_on_a_site_of_five_and_a_fault_is_named() {
     let (mut weather_alarms, mut alone) = (0, 0);
     for seed in 0..8 {
         for machines in [1, 5] {

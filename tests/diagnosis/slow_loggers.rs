@@ -6,7 +6,10 @@ use pointsd::{
     throw::Throw,
 };
 
-use crate::drive::{Drive, Logger, State, with_trace};
+use crate::{
+    drive::{Drive, Logger, State, with_trace},
+    fleet::causes,
+};
 
 /// Each `FACTOR`-th sample of a throw; the first one differs from throw to throw.
 fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
@@ -74,7 +77,7 @@ fn a_machine_at_100_hz_is_monitored_by_its_features() {
         let caveats = drive.monitor.caveats();
         assert!(caveats.len() == 1 && caveats[0].contains("only duration, running current"), "{caveats:?}");
         let events = drive.events(40, State { friction: 1.8, ..State::SOUND });
-        let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
+        let causes = causes(&events);
         assert!(causes.contains(&Cause::Unattributed) && !causes.contains(&Cause::NotMonitored), "{events:#?}");
     }
 }

@@ -53,8 +53,8 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
     }
 }
 
-/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, the causes of the drift alarms
-/// with the state of each event, and the last verdict.
+/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, the causes of the drift
+/// alarms with the state of each event, and the last verdict.
 fn winter_to_summer(seed: u64, pct: f64) -> (Machine, Vec<(Cause, AlarmState)>, Verdict) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (150, 600), day_k: 2.0 };
     let mut machine = Machine::new(seed, Scatter::USUAL);
@@ -102,8 +102,9 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
     assert!(alarmed <= 1 && blind <= 1, "{alarmed} of 7 lives had an alarm, {blind} stay blind");
 }
 
-/// The effect of the temperature on a machine has one slope, whose uncertainty is not one of thousands of throws. A monitor
-/// that multiplied it with its limit for chance would be blind on all of these machines, 5 K above their baseline.
+/// The effect of the temperature on a machine has one slope, whose uncertainty is not one of thousands of throws. A
+/// monitor that multiplied it with its limit for chance would be blind on all of these machines, 5 K above their
+/// baseline.
 #[test]
 fn a_warm_week_after_the_baseline_hides_no_fault() {
     const LIVES: u64 = 20;
@@ -152,8 +153,8 @@ fn a_failed_temperature_sensor_hides_nothing() {
     }
 }
 
-/// One logger sends degrees Fahrenheit from throw 120 on, until it is corrected. The readings of another logger are right
-/// after three wrong ones.
+/// One logger sends degrees Fahrenheit from throw 120 on, until it is corrected. The readings of another logger are
+/// right after three wrong ones.
 #[test]
 fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
@@ -182,8 +183,8 @@ fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     assert_eq!(last, Some(ClearedUnacknowledged));
 }
 
-/// The raised alarms of a machine without a published temperature, each with its throw after the baseline. `shift_at` gives
-/// the changes of the logarithms.
+/// The raised alarms of a machine without a published temperature, each with its throw after the baseline. `shift_at`
+/// gives the changes of the logarithms.
 fn alarms(seed: u64, throws: u64, shift_at: impl Fn(u64) -> Vector3<f64>) -> Vec<(u64, Cause)> {
     let mut machine = Machine::new(seed, Scatter::USUAL);
     machine.stay_healthy(130);
@@ -282,8 +283,8 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
     }
 }
 
-/// If a baseline begins in rain, dry rails later look like a fault. An alarm soon after the baseline says so, and an alarm
-/// long after it does not.
+/// If a baseline begins in rain, dry rails later look like a fault. An alarm soon after the baseline says so, and an
+/// alarm long after it does not.
 #[test]
 fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
     // Throws and change of the friction \[%\], one after the other.
@@ -302,8 +303,8 @@ fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
     }
 }
 
-/// Change of the friction in a throw: the first throw of a day is stiff by about `pct` percent, the second by a third of it.
-/// Sets the time since the last throw too: a night before the first throw, else half an hour.
+/// Change of the friction in a throw: the first throw of a day is stiff by about `pct` percent, the second by a third
+/// of it. Sets the time since the last throw too: a night before the first throw, else half an hour.
 fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3<f64> {
     let usual = SignedDuration::from_mins(30);
     let of_day = throw % u64::from(per_day.unsigned_abs());
@@ -376,8 +377,8 @@ fn table_of_grease() {
     }
 }
 
-/// Stated over true scatter of the friction in baselines with serial correlation but without rain. A monitor that left out
-/// the throws of supposed rain from each baseline would state too little scatter, and raise false alarms.
+/// Stated over true scatter of the friction in baselines with serial correlation but without rain. A monitor that left
+/// out the throws of supposed rain from each baseline would state too little scatter, and raise false alarms.
 #[test]
 #[ignore = "prints a table, in some minutes"]
 fn table_of_spells_in_wandering_baselines() {

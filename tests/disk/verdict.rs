@@ -47,8 +47,8 @@ fn key(machine: &MachineId, throw: &ThrowRef) -> Key {
     (machine.machine.to_string(), throw.boot_id.clone(), throw.throw_no)
 }
 
-/// Opens the database in `folder` in the same way as the daemon, and compares it with the acknowledgements. `sent` returns
-/// the trace that was published for a throw.
+/// Opens the database in `folder` in the same way as the daemon, and compares it with the acknowledgements. `sent`
+/// returns the trace that was published for a throw.
 pub(crate) async fn inspect(
     folder: &Path,
     acknowledged: &str,

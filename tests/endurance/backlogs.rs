@@ -20,8 +20,8 @@ const MACHINES: usize = 3;
 const THROWS: u64 = 1_600;
 /// Memory that the daemon has for received messages \[bytes\].
 const BUDGET: usize = 128 << 20;
-/// Limit of the daemon's memory while it reads the backlogs, below their size \[MiB\]. Measured: 87 on a quiet computer,
-/// 112 with compilers on both cores.
+/// Limit of the daemon's memory while it reads the backlogs, below their size \[MiB\]. Measured: 87 on a quiet
+/// computer, 112 with compilers on both cores.
 const MEMORY_MIB: f64 = 130.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -107,8 +107,7 @@ async fn a_daemon_that_is_started_twenty_times_receives_no_throw_twice() {
     }
     let silent = logger.stop();
     let last = silent.published;
-    rig.until_sql(&format!("SELECT 1 FROM (SELECT count(*) AS n FROM throw) WHERE n = {}", last * MACHINES as u64))
-        .await;
+    rig.until_number("SELECT count(*) FROM throw", last * MACHINES as u64).await;
     duplicates += daemon.status()["duplicates"].as_u64().unwrap();
     println!("{STARTS} starts, {last} throws of each of {MACHINES} machines: {duplicates} came twice");
     assert!(duplicates <= PAGE * MACHINES as u64, "{duplicates} throws came twice");
@@ -117,12 +116,13 @@ async fn a_daemon_that_is_started_twenty_times_receives_no_throw_twice() {
 /// Loggers with endless backlogs, known throws, foreign names, or messages that are no throws harm only themselves.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn loggers_with_false_replies_harm_only_themselves() {
+    const LIES: [&str; 4] = ["endless", "known", "other", "noise"];
     const REPLIES: u64 = 3_000;
     const MEMORY_MIB: f64 = 150.0;
     let (rig, daemon) = Rig::running_with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");
     let session = daemon.client().await;
     let throw_of = |throw_no| wire::encode_throw(Encoding::Cbor, &stub("b1", throw_no));
-    for lie in ["endless", "known", "other", "noise"] {
+    for lie in LIES {
         let key = format!("points/v1/bad/{lie}/throw");
         let queryable = session.declare_queryable(key.clone()).callback(move |query| {
             std::thread::spawn(move || {
@@ -145,8 +145,8 @@ async fn loggers_with_false_replies_harm_only_themselves() {
     // A correct logger has a gap, which its backlog fills.
     let plan = Plan { throws: 40, machine: "m", machines: 1, ..Plan::default() };
     let honest = Logger::start(&daemon.endpoint, plan).await;
-    rig.until_sql("SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = 'north') WHERE n = 40").await;
-    for lie in ["endless", "known", "other", "noise"] {
+    rig.until_number("SELECT count(*) FROM health_history WHERE site = 'north'", 40).await;
+    for lie in LIES {
         let known = format!("SELECT 1 FROM health_history WHERE machine = '{lie}' AND throw_no = 5");
         rig.until_sql(&known).await;
     }

@@ -41,12 +41,12 @@ pub(crate) type Published = BTreeMap<(String, String), u64>;
 /// Stored and missing throw numbers of each machine and boot id.
 #[derive(Default)]
 pub(crate) struct Known {
-    pub(crate) stored: BTreeMap<(String, String), Vec<u64>>,
-    pub(crate) missing: BTreeMap<(String, String), Vec<u64>>,
+    stored: BTreeMap<(String, String), Vec<u64>>,
+    missing: BTreeMap<(String, String), Vec<u64>>,
 }
 
 impl Known {
-    pub(crate) async fn of(rig: &Rig, reader: &Reader) -> Self {
+    async fn of(rig: &Rig, reader: &Reader) -> Self {
         let mut known = Self::default();
         for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
             let who = (stored.machine.machine.to_string(), stored.id.boot_id);
@@ -59,11 +59,31 @@ impl Known {
     }
 
     /// All numbers of a machine and boot id, in order.
-    pub(crate) fn all(&self, who: &(String, String)) -> Vec<u64> {
+    fn all(&self, who: &(String, String)) -> Vec<u64> {
         let parts = [self.stored.get(who), self.missing.get(who)];
         let mut all: Vec<u64> = parts.into_iter().flatten().flatten().copied().collect();
         all.sort_unstable();
         all
+    }
+
+    /// Prints the counts. Checks that each published throw is stored once, or missing once. No throw may be missing of
+    /// the machines `m…`, whose loggers have a long backlog; the machine `f1` has a backlog of one throw.
+    pub(crate) fn check(&self, published: &Published, what: &str) {
+        let count = |numbers: &BTreeMap<(String, String), Vec<u64>>, prefix: char| -> usize {
+            let chosen = numbers.iter().filter(|((machine, _), _)| machine.starts_with(prefix));
+            chosen.map(|(_, numbers)| numbers.len()).sum()
+        };
+        println!(
+            "{what}: {} throws stored, {} missing; of the machine with a backlog of one throw {} stored, {} missing",
+            count(&self.stored, 'm'),
+            count(&self.missing, 'm'),
+            count(&self.stored, 'f'),
+            count(&self.missing, 'f')
+        );
+        for (who, last) in published {
+            assert_eq!(self.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
+        }
+        assert_eq!(count(&self.missing, 'm'), 0, "throws in the backlogs were not stored: {:?}", self.missing);
     }
 }
 

@@ -109,9 +109,9 @@ async fn one_logger_at_full_speed_harms_no_other() {
         number += 1;
         send(number).await;
         if measured_at.elapsed() > Duration::from_secs(2) {
-            let question = "SELECT (page_count - freelist_count) * page_size AS bytes \
-                            FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
-            largest = largest.max(rig.sql(question)[0]["bytes"].as_u64().unwrap() >> 20);
+            let bytes = "SELECT (page_count - freelist_count) * page_size \
+                         FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
+            largest = largest.max(rig.number(bytes) >> 20);
             measured_at = Instant::now();
         }
         tokio::time::sleep(PACE).await;

@@ -58,8 +58,8 @@ impl Heap {
     }
 }
 
-/// Size of the file whose name is that of the database and a suffix \[MiB\]; 0 if it does not exist. The database may be
-/// a symbolic link.
+/// Size of the file whose name is that of the database and a suffix \[MiB\]; 0 if it does not exist. The database may
+/// be a symbolic link.
 pub(crate) fn file_mib(database: &Path, suffix: &str) -> f64 {
     let mut file = fs::canonicalize(database).unwrap().into_os_string();
     file.push(suffix);

@@ -31,7 +31,7 @@ const ROUND: usize = 2_000;
 /// MiB for the longest traces; the messages of this test reach none of them.
 const MEMORY_MIB: f64 = 400.0;
 /// Configured limit of the quarantine \[messages\].
-const QUARANTINE: i64 = 500;
+const QUARANTINE: u64 = 500;
 /// Log level without the line for each rejected message, of which there may be a million.
 const QUIET: &str = "info,zenoh=warn,pointsd::daemon::receive=error,pointsd::store=error";
 /// Configured limit of the machines.
@@ -67,7 +67,7 @@ impl Poison {
                 (name, cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", self.number as u64)))
             }
             9 => (self.key(), cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", 1))),
-            // The same boot id with other content each time.
+            // The same boot and numbers, with different content each time.
             10 => {
                 let mut again = stub("boot", 1 + self.number as u64 % 3);
                 again.temperature_c = Some(self.rng.random_range(-40.0..60.0));
@@ -219,7 +219,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             *stored.entry(row.id.throw_no).or_default() += 1;
         }
     }
-    let quarantined = rig.sql("SELECT count(*) AS n FROM quarantined_messages")[0]["n"].as_i64().unwrap();
+    let quarantined = rig.number("SELECT count(*) FROM quarantined_messages");
     println!(
         "{messages} messages in {seconds:.0} s, {published} good throws, {} of them stored; at most {most:.0} MiB; \
          {quarantined} kept in quarantine of {} that went there; {end:?}",

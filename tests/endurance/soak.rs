@@ -208,7 +208,7 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     let all_stored = async { while status(&session).await.is_none_or(|status| status.judged < published) {} };
     let in_time = tokio::time::timeout(2 * PATIENCE, all_stored).await;
     let end = status(&session).await.unwrap();
-    let missing = rig.sql("SELECT coalesce(sum(missing_throws), 0) AS n FROM data_gaps")[0]["n"].clone();
+    let missing = rig.number("SELECT coalesce(sum(missing_throws), 0) FROM data_gaps");
     drop(alarms);
     daemon.terminate();
     recording.draw();

@@ -114,7 +114,7 @@ fn largest_difference(motion: &Motion, reference: &[(f64, f64)]) -> (f64, f64) {
 #[test]
 fn the_machine_follows_an_independent_integration_of_its_equations() {
     for slide_friction in [0.0, 0.1] {
-        // Without friction at the screw: with the springs of equation (8) its steep tanh would need smaller steps.
+        // No friction at the screw: with the springs of equation (8) its steep tanh would need smaller steps.
         let rails = Rails { slide_friction, damping_ratio: 0.0, ..Rails::default() };
         let machine = Parameters { screw_dry_nm: 0.0, rails, ..Parameters::default() };
         let reference = Reference::new(&machine).run(1.0, 20);

@@ -40,7 +40,8 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 "the controller gives up"
             );
             let (toe_mm, current_a) = (motion.toe_mm[motion.cut_off], motion.current_a[motion.cut_off]);
-            // The obstacle yields by half a millimetre under the force of the clutch and, where they help, of the rails.
+            // The obstacle yields by half a millimetre under the force of the clutch and, where they help, of the
+            // rails.
             assert!((toe_mm - at_mm).abs() < 0.6, "{direction}, obstacle at {at_mm} mm: the toe is at {toe_mm} mm");
             assert!(
                 (current_a / expected_a - 1.0).abs() < 0.005,
@@ -157,7 +158,8 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
         let refused = identify(&Sensors::default(), at_mm).unwrap_err();
         assert!(refused.is_incomplete(), "{at_mm} mm: {refused}");
     }
-    // No obstruction: the motor may run on against its clutch at the end of the stroke, and the sensor may have a wrong gain.
+    // No obstruction: the motor may run on against its clutch at the end of the stroke, and the sensor may have a wrong
+    // gain.
     for gain_pct in [0.0, -1.5, 1.5] {
         let position = Channel { gain_pct, ..Channel::default() };
         let found = identify(&Sensors { position, ..Sensors::default() }, 114.3);
@@ -165,7 +167,7 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
     }
 }
 
-/// Also close to the end of the stroke.
+/// The throws end close to the end of the stroke, at 86 to 94 % of it.
 #[test]
 fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
@@ -204,7 +206,8 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     }
 }
 
-/// If the step of the converter is larger than the noise, its output changes at some positions and stands still at others.
+/// If the step of the converter is larger than the noise, its output changes at some positions and stands still at
+/// others.
 #[test]
 fn an_obstruction_before_a_quiet_converter_is_no_stuck_sensor() {
     for noise in [0.002, 0.005, 0.01, 0.02, 0.03] {

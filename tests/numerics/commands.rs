@@ -1,5 +1,5 @@
-//! The programs: `pointsim` writes throws, tables and figures, and `pointsd` identifies the coefficients that `pointsim`
-//! simulated.
+//! The programs: `pointsim` writes throws, tables and figures, and `pointsd` identifies the coefficients that
+//! `pointsim` simulated.
 
 use std::path::Path;
 use std::process::{Command, Output};

@@ -57,8 +57,8 @@ fn the_ripple_does_no_harm_where_it_is_sampled() {
     }
 }
 
-/// At 250 Hz the rise of the current is not resolved, so a throw shows only ratios. The ripple is not aliased to a constant
-/// current.
+/// At 250 Hz the rise of the current is not resolved, so a throw shows only ratios. The ripple is not aliased to a
+/// constant current.
 #[test]
 fn the_ripple_does_not_bias_the_ratios_at_250_hz() {
     let ratios = |supply: Waveform, rate_hz, direction, supply_phase_rad| {

@@ -269,7 +269,7 @@ fn random_damage_to_traces_and_messages_never_passes_for_a_sound_estimate_far_fr
         println!("{what}, {kind}: {count:?}");
     }
     println!("{runs} mutations, {} accepted more than 5 % away:\n{}", nonsense.len(), nonsense.join("\n"));
-    // A few are allowed: a scaled inrush looks like another inertia, and another sampling rate like a faster machine. If
-    // the mutation leaves no edge in the trace, one throw cannot show it.
+    // A few are allowed: a scaled inrush looks like another inertia, and another sampling rate like a faster machine.
+    // If the mutation leaves no edge in the trace, one throw cannot show it.
     assert!(nonsense.len() as u64 <= (runs / 10_000).max(2), "{nonsense:#?}");
 }

@@ -1,5 +1,6 @@
 //! Throws whose start or course differs from the model. They come from a simulated machine that shares no code with the
-//! estimator and the simulator: motor and toe as two masses, in steps of 10 us, with effects of real drives and loggers.
+//! estimator and the simulator: motor and toe as two masses, in steps of 10 us, with effects of real drives and
+//! loggers.
 
 use std::f64::consts::TAU;
 
@@ -31,7 +32,7 @@ const STIFFNESS: f64 = 0.049;
 const DRY_PER_MU: f64 = 9.0;
 /// Stiffness \[N m/rad\] and damping \[N m s\] of a stiff toe drive, at the screw.
 const STIFF: (f64, f64) = (6000.0, 3.0);
-/// The same of a toe drive of 5e6 N/m.
+/// Stiffness and damping of a soft toe drive, 5e6 N/m, at the screw.
 const SOFT: (f64, f64) = (12.7, 0.25);
 
 #[derive(Clone, Copy, Default)]
@@ -175,8 +176,8 @@ impl Drive {
 }
 
 impl Drive {
-    /// The true coefficients b0, a1, a0: dry friction counts as the viscous friction with the same torque at the mean speed
-    /// of the movement.
+    /// The true coefficients b0, a1, a0: dry friction counts as the viscous friction with the same torque at the mean
+    /// speed of the movement.
     fn truth(self) -> [f64; 3] {
         let (_, toe) = self.throw(&mut ChaCha8Rng::seed_from_u64(0));
         let reach = |share: f64| toe.iter().position(|mm| *mm > share * 114.5).unwrap();
@@ -406,8 +407,8 @@ fn the_intervals_cover_coulomb_friction() {
     }
 }
 
-/// The load varies within 10 ms to half a second: in some cases so little that the throw is good, in others so much that
-/// only its ratios are known.
+/// The load varies within 10 ms to half a second: in some cases so little that the throw is good, in others so much
+/// that only its ratios are known.
 #[test]
 fn the_intervals_of_ratios_cover_a_load_that_varies() {
     let mut counts = [[0; 2]; 2];
@@ -503,7 +504,7 @@ fn dry_slide_chairs_are_friction_whatever_the_grade() {
 
 /// Very dry chairs make the same error of the ratios in every throw, so the mean of 24 throws has this error too.
 #[test]
-fn the_mean_of_rough_throws_is_as_uncertain_as_it_errs() {
+fn the_stated_uncertainty_of_the_mean_of_rough_throws_covers_its_error() {
     for (model, slide_friction, direction) in [
         (RailModel::Beam, 0.5, Direction::NormalToReverse),
         (RailModel::Beam, 0.7, Direction::NormalToReverse),

@@ -96,8 +96,8 @@ fn agrees_with_an_independent_implementation_to_1e_6() {
     }
 }
 
-/// The result is near that of an iteration to the last digit. With strong noise each step is only about half as long as the
-/// step before, so the steps that would follow are together longer than the last one.
+/// The result is near that of an iteration to the last digit. With strong noise each step is only about half as long as
+/// the step before, so the steps that would follow are together longer than the last one.
 #[test]
 fn the_iteration_ends_near_its_limit() {
     fn distance<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, lambda: f64, tolerance: f64) -> f64 {
@@ -210,7 +210,7 @@ fn the_benchmark_of_the_literature_gives_the_published_results() {
 }
 
 #[test]
-fn a_constant_load_is_a_column_like_any_other() {
+fn a_constant_load_is_identified_as_another_input() {
     // y'' + 3 y' + 25 y = 40 u + 7 from rest: the solution without the load, plus the response to it.
     let (h, len) = (5e-3, 3000);
     let (u, mut y) = second_order(40.0, 3.0, 25.0, len, h, 0.0, 9);

@@ -5,8 +5,8 @@ use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A channel at rest that then makes a pulse, a ramp, an inrush or a random walk of this height. It ends there, or returns
-/// to exactly its value at rest.
+/// A channel at rest that then makes a pulse, a ramp, an inrush or a random walk of this height. It ends there, or
+/// returns to exactly its value at rest.
 fn channel(rng: &mut ChaCha8Rng, len: usize, height: f64) -> Vec<f64> {
     let rest = [0.0, 0.0, 0.15, 57.5, -3.0][rng.random_range(0..5)];
     let from = if rng.random() { rng.random_range(0..=len) } else { rng.random_range(0..=len.min(20)) };
@@ -31,8 +31,8 @@ fn channel(rng: &mut ChaCha8Rng, len: usize, height: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A random throw and random settings: few samples, a motor without movement, a movement without motor, a toe that returns
-/// to its start, currents from the first sample on, single wrong values, any rate.
+/// A random throw and random settings: few samples, a motor without movement, a movement without motor, a toe that
+/// returns to its start, currents from the first sample on, single wrong values, any rate.
 fn strange(seed: u64) -> (Throw, Settings) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let longest = [4, 40, 400, 3000, 3000][rng.random_range(0..5)];

@@ -139,7 +139,8 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     assert!(error.starts_with("warning: ") && error.contains("before the last one of north/21B"), "{error}");
 }
 
-/// The traces have no boot, number and direction of their throw: these come from the list of throws next to their folder.
+/// The traces have no boot, number and direction of their throw: these come from the list of throws next to their
+/// folder.
 #[test]
 fn exported_traces_are_imported_as_the_same_throws() {
     let rig = Rig::new();

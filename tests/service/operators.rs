@@ -26,6 +26,12 @@ pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     assert!(child.wait().unwrap().success());
 }
 
+/// The report of `pointsd status`, which ends with this exit code.
+#[track_caller]
+fn status(daemon: &Daemon, exit: i32) -> serde_json::Value {
+    serde_json::from_str(&daemon.says(exit, &["status", "--json"])).unwrap()
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let (rig, daemon) = Rig::running();
@@ -64,17 +70,14 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     assert_eq!(of("why"), ["-", "at work", "new motor"]);
     assert_eq!(of("by_whom"), ["tester"; 3]);
 
-    let text = daemon.says(0, &["status", "--json"]);
-    let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let status = status(&daemon, 0);
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
     // The changes from the discarded baseline are history.
     let health = status["health"].as_array().unwrap().iter();
     let known = health.map(|row| (row["machine"].as_str().unwrap(), row["b0_pct"].is_number())).collect::<Vec<_>>();
     assert_eq!(known, [("machine-1", false), ("machine-1", false), ("machine-2", true), ("machine-2", true)]);
-    let count = |view: &str| {
-        rig.sql(&format!("SELECT count(b0_pct) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
-    };
+    let count = |view: &str| rig.number(&format!("SELECT count(b0_pct) FROM {view} WHERE machine = 'machine-1'"));
     assert!(count("machine_health") == 0 && count("health_history") > 0);
     maintenance_is_visible(&rig, &daemon);
     daemon.terminate();
@@ -86,10 +89,9 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
 /// A machine in maintenance is visible in `status` and its exit code, in health and in SQL, and its window has an end.
 fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     daemon.says(0, &["maintenance", "north/machine-2", "--why", "new chairs", "--by", "tester"]);
-    let (code, text) = daemon.operate(&["status", "--json"]);
-    assert_eq!(code, Some(1), "a machine in maintenance needs attention: {text}");
-    let status: serde_json::Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(status["daemons"][0]["machines"]["maintenance"], 1, "{text}");
+    // A machine in maintenance needs attention.
+    let status = status(daemon, 1);
+    assert_eq!(status["daemons"][0]["machines"]["maintenance"], 1, "{status}");
     let states = |machine: &str| -> Vec<serde_json::Value> {
         let health = status["health"].as_array().unwrap().iter();
         health.filter(|health| health["machine"] == machine).map(|health| health["state"].clone()).collect()
@@ -125,17 +127,14 @@ async fn a_retired_machine_is_left_out_until_its_next_throw() {
     assert!(said.contains("no machine north/machine-1 is known here"), "{said}");
 
     let is_left_out = |daemon: &Daemon| {
-        let text = daemon.says(0, &["status", "--json"]);
-        let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let status = status(daemon, 0);
         let machines = status["health"].as_array().unwrap().iter().map(|row| row["machine"].as_str().unwrap());
-        assert_eq!(machines.collect::<Vec<_>>(), ["machine-2"; 2], "{text}");
-        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"healthy": 1}), "{text}");
+        assert_eq!(machines.collect::<Vec<_>>(), ["machine-2"; 2], "{status}");
+        assert_eq!(status["daemons"][0]["machines"], serde_json::json!({"healthy": 1}), "{status}");
         daemon.says(0, &["alarms", "--check"]);
     };
     is_left_out(&daemon);
-    let count = |view: &str| {
-        rig.sql(&format!("SELECT count(*) AS n FROM {view} WHERE machine = 'machine-1'"))[0]["n"].as_i64().unwrap()
-    };
+    let count = |view: &str| rig.number(&format!("SELECT count(*) FROM {view} WHERE machine = 'machine-1'"));
     assert_eq!(["machine_health", "active_alarms", "health_history"].map(count), [0, 0, 50]);
     let last = &rig.sql("SELECT state, text FROM alarm_events WHERE machine = 'machine-1' ORDER BY event_at DESC")[0];
     let text = last["text"].as_str().unwrap();
@@ -236,12 +235,12 @@ async fn a_machine_that_no_daemon_serves_is_distinguished_from_no_daemon() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_others() {
     let (_rig, daemon) = Rig::running();
-    assert_eq!(daemon.operate(&["status"]).0, Some(0));
-    assert_eq!(daemon.operate(&["alarms", "--check"]).0, Some(0));
-    let (code, said) = daemon.operate(&["alarms", "--limit", "0"]);
-    assert!(code == Some(64) && !said.contains("no alarms"), "{said}");
-    let (code, said) = daemon.operate(&["status", "--site", "nosite"]);
-    assert!(code == Some(69) && said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
+    daemon.says(0, &["status"]);
+    daemon.says(0, &["alarms", "--check"]);
+    let said = daemon.says(64, &["alarms", "--limit", "0"]);
+    assert!(!said.contains("no alarms"), "{said}");
+    let said = daemon.says(69, &["status", "--site", "nosite"]);
+    assert!(said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
     for (bogus, says) in [("bogus", "write tcp/HOST:PORT"), ("udp/[::1]:7447", "tcp and tls only"), ("tcp/a", "port")] {
         let error = ends(64, &mut pointsd(&["status", "--connect", bogus]));
         assert!(error.contains(says), "{error}");
@@ -264,8 +263,7 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(said.contains("no answer of a daemon: the database does not answer"), "{said}");
     // While one daemon cannot answer, "no alarms" would be wrong.
     for (arguments, expected) in [(&["alarms", "--check"][..], 1), (&["alarms"], 69), (&["alarms", "--json"], 69)] {
-        let (code, said) = daemon.operate(arguments);
-        assert_eq!(code, Some(expected), "{said}");
+        let said = daemon.says(expected, arguments);
         assert!(
             said.contains("the database does not answer") && !said.lines().any(|line| line == "no alarms"),
             "{said}"
@@ -313,21 +311,18 @@ async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_t
         let expected: Vec<&str> = hours.iter().map(|hour| &hour[1..]).collect();
         assert_eq!(shown.iter().map(|line| &line[..1]).collect::<Vec<_>>(), expected, "{arguments:?}: {text}");
     }
-    assert_eq!(daemon.operate(&["alarms", "--limit", "20000"]).0, Some(64), "a daemon sends 10,000 events");
+    // A daemon sends at most 10,000 events.
+    daemon.says(64, &["alarms", "--limit", "20000"]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
     let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
-    for (key, throws) in [("points/v1/north/21B/throw", 4), ("points/v1/south/21B/throw", 6)] {
-        let logger = daemon.logger(key).await;
+    for (site, throws) in [("north", 4), ("south", 6)] {
+        let logger = daemon.logger(&format!("points/v1/{site}/21B/throw")).await;
         logger.send((1..=throws).map(|throw_no| stub("boot", throw_no))).await;
-        rig.until_sql(&format!(
-            "SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = '{}') WHERE n = {throws}",
-            &key[10..15]
-        ))
-        .await;
+        rig.until_number(&format!("SELECT count(*) FROM health_history WHERE site = '{site}'"), throws).await;
     }
     for (key, found) in [
         ("points/v1/north/*/health", 3),
@@ -360,8 +355,7 @@ async fn an_unknown_machine_is_an_error_and_not_an_empty_list() {
         ("fleet/pointsd", 0, "no alarms"),
         ("north/machine-7", 69, "no daemon knows north/machine-7"),
     ] {
-        let (exit, text) = daemon.operate(&["alarms", machine]);
-        assert_eq!(exit, Some(code), "{machine}: {text}");
+        let text = daemon.says(code, &["alarms", machine]);
         assert!(text.contains(says), "{machine}: {text}");
     }
 }
@@ -431,8 +425,8 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     }
 }
 
-/// Zenoh closes the link of a daemon that hangs while a query waits for its reply. The query then ends without an error,
-/// as if that daemon had no alarms.
+/// Zenoh closes the link of a daemon that hangs while a query waits for its reply. The query then ends without an
+/// error, as if that daemon had no alarms.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_hangs_is_reported_and_not_taken_for_one_without_alarms() {
     let (_rig_a, a) = Rig::running_with("[monitor]\nid = \"a\"\n");

@@ -211,7 +211,7 @@ async fn a_big_history_gives_bounded_pages() {
     assert!(fleet.contains("1 to 100 of 2,601") && !fleet.contains("<tr><td><span class=\"badge not_monitored\">"));
     let selected = get(&address, "/?state=not_monitored").body;
     assert!(selected.contains("1 to 100 of 400") && !selected.contains("have no other alarm"), "{selected:.3000}");
-    let lost = rig.sql("SELECT count(*) AS n FROM active_alarms WHERE cause = 'not_monitored'")[0]["n"].clone();
+    let lost = rig.number("SELECT count(*) FROM active_alarms WHERE cause = 'not_monitored'");
     assert!(fleet.contains(&format!("{lost} machines not monitored, raised from")), "{fleet:.3000}");
     assert!(fleet.contains(&format!("By site: south {lost}")), "{fleet:.3000}");
     assert!(fleet.contains("now −22 % ± 1") && fleet.contains("motor <strong>−22 % ± 1</strong>"), "{fleet:.3000}");

@@ -235,6 +235,22 @@ impl Rig {
         serde_json::from_str(&text).unwrap()
     }
 
+    /// Runs a query that returns one whole number.
+    pub(crate) fn number(&self, question: &str) -> u64 {
+        let rows = self.sql(question);
+        let value = rows[0].as_object().and_then(|row| row.values().next()?.as_u64());
+        value.unwrap_or_else(|| panic!("{question}: {rows:?}"))
+    }
+
+    /// Waits until a query returns this whole number.
+    pub(crate) async fn until_number(&self, question: &str, expected: u64) {
+        until(PATIENCE, async || {
+            let number = self.number(question);
+            if number == expected { Ok(()) } else { Err(format!("{question}: {number}, not {expected}")) }
+        })
+        .await;
+    }
+
     /// Waits until a query returns a row.
     pub(crate) async fn until_sql(&self, question: &str) {
         until(PATIENCE, async || if self.sql(question).is_empty() { Err(question) } else { Ok(()) }).await;

@@ -1,6 +1,6 @@
-//! A problem that hides a fault must be visible. A motor has lost 15 % of its torque constant, and each row of the table
-//! hides this in another way. Within 20 throws an alarm, the state of the machine, the exit code of `pointsd status` and
-//! a metric must show the problem.
+//! A problem that hides a fault must be visible. A motor has lost 15 % of its torque constant, and each row of the
+//! table hides this in another way. Within 20 throws an alarm, the state of the machine, the exit code of `pointsd
+//! status` and a metric must show the problem.
 
 use std::{fs, os::unix::fs::FileExt, time::Instant};
 

@@ -68,8 +68,7 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     logger.send(&made).await;
     daemon.until_status("every throw as received", |status| status["received"] == made.len()).await;
     daemon.terminate();
-    let waiting = rig.sql("SELECT count(*) AS n FROM throw")[0]["n"].clone();
-    assert_eq!(waiting, made.len());
+    assert_eq!(rig.number("SELECT count(*) FROM throw"), made.len() as u64);
     // Pending throws are judged after the next start.
     let daemon = rig.start();
     let rows = rig.judged(made.len()).await;
@@ -120,7 +119,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     rig.until_sql("SELECT 1 FROM active_alarms WHERE machine = 'pointsd' AND text LIKE '%subscribe.max_machines%'")
         .await;
     daemon.until_status("an alarm of its own", |status| status["own_alarms"] == 1).await;
-    assert_eq!(daemon.operate(&["status"]).0, Some(1));
+    daemon.says(1, &["status"]);
     daemon.terminate();
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
@@ -151,12 +150,12 @@ async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
     logger.send([&stub("boot", 1)]).await;
     daemon.until_log("storing throws failed");
-    // Each write of the daemon takes two busy timeouts of 5 s. The daemon tries to store the throw with others, then alone,
-    // and other loops write in between. The lock lasts longer than both attempts.
+    // Each write of the daemon takes two busy timeouts of 5 s. The daemon tries to store the throw with others, then
+    // alone, and other loops write in between. The lock lasts longer than both attempts.
     tokio::time::sleep(Duration::from_secs(26)).await;
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     daemon.until_log("the database accepts throws again");
-    assert_eq!(rig.sql("SELECT count(*) AS n FROM throw")[0]["n"], 1);
+    assert_eq!(rig.number("SELECT count(*) FROM throw"), 1);
     assert!(rig.sql("SELECT * FROM quarantine").is_empty());
 }
 
@@ -310,10 +309,10 @@ async fn a_frozen_recorder_is_named_and_is_no_evidence_about_the_machine() {
     assert!(texts.first().is_some_and(|text| text.contains("repeats itself")), "{texts:?}");
     let states = rig.sql("SELECT DISTINCT state FROM machine_health");
     assert!(states.iter().all(|row| row["state"] != "healthy"), "{states:?}");
-    let repeated = rig.sql("SELECT count(*) AS n FROM throws_not_evaluated WHERE quality = 'repeated_trace'");
-    assert_eq!(repeated[0]["n"], FROZEN);
-    let unknown = rig.sql("SELECT count(*) AS n FROM estimate WHERE direction IS NULL");
-    assert_eq!(unknown[0]["n"], 0, "a repeated throw keeps the direction that its message has");
+    let repeated = "SELECT count(*) FROM throws_not_evaluated WHERE quality = 'repeated_trace'";
+    assert_eq!(rig.number(repeated), FROZEN);
+    let unknown = "SELECT count(*) FROM estimate WHERE direction IS NULL";
+    assert_eq!(rig.number(unknown), 0, "a repeated throw keeps the direction that its message has");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -333,7 +332,7 @@ async fn a_drift_is_seen_although_each_trace_comes_five_times() {
 
 /// The load generator sends the requested throws, each different from all others, and counts the judged ones.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_load_is_judged_whole() {
+async fn every_throw_of_the_load_generator_is_judged() {
     let (rig, daemon) = Rig::running();
     let load = ["load", "--machines", "10", "--rate", "50", "--seconds", "2", "--json", "--connect", &daemon.endpoint];
     let output = pointsim(&load).output().unwrap();
@@ -355,7 +354,7 @@ async fn a_load_without_a_daemon_ends_with_an_error() {
 
 /// A slow subscriber receives every health message, or the daemon counts it as dropped.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_health_is_lost_without_a_count() {
+async fn every_health_message_is_received_or_counted_as_dropped() {
     const THROWS: u64 = 4_000;
     let small_buffers = "[zenoh.transport.link.tcp]\nso_sndbuf = 8192\nso_rcvbuf = 8192\n";
     let (_rig, daemon) = Rig::running_with(small_buffers);

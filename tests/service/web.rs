@@ -219,7 +219,7 @@ async fn the_metrics_count_what_the_daemon_did() {
         open.to_lowercase().contains("content-type: application/openmetrics-text") && open.ends_with("# EOF\n"),
         "{open}"
     );
-    // Without this header the older text format, with the same samples.
+    // Without this header the daemon sends the older text format, with the same samples.
     let answer = get(&address, "/metrics");
     assert!(answer.header("content-type").unwrap().starts_with("text/plain; version=0.0.4"), "{answer:?}");
     let samples = |text: &str| text.lines().filter(|line| line.starts_with("pointsd_")).count();
