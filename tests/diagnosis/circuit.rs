@@ -17,9 +17,7 @@ const OF_RATIOS: State = State::OF_RATIOS;
 
 /// A drive with a published voltage, after a healthy time without an event.
 fn learned(seed: u64, state: State) -> Drive {
-    let mut drive = Drive::new(91_000 + seed, true);
-    drive.stay_healthy(100, state);
-    drive
+    Drive::after_in(state, 100, 91_000 + seed, true)
 }
 
 /// The alarms that were raised, and those that ended.

@@ -134,8 +134,14 @@ impl Drive {
     /// A drive after this number of sound throws, none of which had an event.
     #[track_caller]
     pub(crate) fn after(throws: usize, seed: u64, publishes_volts: bool) -> Self {
+        Self::after_in(State::SOUND, throws, seed, publishes_volts)
+    }
+
+    /// A drive after this number of throws of `state`, none of which had an event.
+    #[track_caller]
+    pub(crate) fn after_in(state: State, throws: usize, seed: u64, publishes_volts: bool) -> Self {
         let mut drive = Self::new(seed, publishes_volts);
-        drive.stay_healthy(throws, State::SOUND);
+        drive.stay_healthy(throws, state);
         drive
     }
 

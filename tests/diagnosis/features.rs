@@ -227,8 +227,7 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
     ];
     for (state, cause) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::new(58_000 + seed, false);
-            drive.stay_healthy(100, late);
+            let mut drive = Drive::after_in(late, 100, 58_000 + seed, false);
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
             let events = drive.events(24, state);

@@ -90,8 +90,7 @@ fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     ];
     for (cause, pct, fault) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::new(61_000 + seed, seed.is_multiple_of(2));
-            drive.stay_healthy(36, OF_RATIOS);
+            let mut drive = Drive::after_in(OF_RATIOS, 36, 61_000 + seed, seed.is_multiple_of(2));
             let events = drive.events(60, fault);
             let named = events.iter().find(|event| event.cause == cause);
             let named = named.unwrap_or_else(|| panic!("{cause}, seed {seed}: {events:#?}"));

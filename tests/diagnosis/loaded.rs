@@ -18,9 +18,7 @@ const OF_RATIOS: State = State { brake_s: State::OF_RATIOS.brake_s, ..LOADED };
 
 /// A loaded drive after a healthy time without an event.
 fn learned(seed: u64, publishes_volts: bool, state: State) -> Drive {
-    let mut drive = Drive::new(96_000 + seed, publishes_volts);
-    drive.stay_healthy(100, state);
-    drive
+    Drive::after_in(state, 100, 96_000 + seed, publishes_volts)
 }
 
 /// Cause, throw and text of each event.

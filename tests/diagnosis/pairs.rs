@@ -165,8 +165,7 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
     let both = State { friction: 1.4, stiffness: 1.3, ..before };
     let [dry, stiff] = [State { friction: 1.4, ..before }, State { stiffness: 1.3, ..before }];
     for (seed, first) in [(0, dry), (1, dry), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::new(97_000 + seed, true);
-        drive.stay_healthy(140, before);
+        let mut drive = Drive::after_in(before, 140, 97_000 + seed, true);
         drive.events(60, first);
         let events = drive.events(100, both);
         let [AlarmEvent { cause, change_pct: Some(pct), change_pct_sd: Some(sd), .. }] = &events[..] else {
@@ -188,8 +187,7 @@ fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ra
     let both = State { torque: 0.85, back_emf: 0.85, stiffness: 1.3, ..before };
     let [weak, stiff] = [State { stiffness: 1.0, ..both }, State { torque: 1.0, back_emf: 1.0, ..both }];
     for (seed, first) in [(0, weak), (1, weak), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::new(98_000 + seed, true);
-        drive.stay_healthy(140, before);
+        let mut drive = Drive::after_in(before, 140, 98_000 + seed, true);
         drive.events(60, first);
         let events = drive.events(160, both);
         let is_part = |event: &&AlarmEvent| Cause::PHYSICAL.contains(&event.cause);

@@ -75,8 +75,7 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
 fn a_lower_inrush_is_no_changed_start() {
     let late = State::OF_RATIOS;
     for (ohms, seed) in [(1.2, 33_000), (1.2, 33_001), (1.3, 33_000), (1.3, 33_001)] {
-        let mut drive = Drive::new(seed, false);
-        drive.stay_healthy(140, late);
+        let mut drive = Drive::after_in(late, 140, seed, false);
         drive.stay_healthy(80, State { ohms, ..late });
     }
 }

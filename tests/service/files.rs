@@ -12,7 +12,7 @@ use pointsd::throw::Throw;
 use crate::{
     http::small_history,
     operators::daemon_with_alarm,
-    rig::{Rig, ends, pointsd, pointsim, throws},
+    rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, throws},
 };
 
 type Row = std::collections::HashMap<String, String>;
@@ -76,11 +76,7 @@ async fn an_export_has_every_throw_with_its_estimate_and_its_trace() {
     let many = "SELECT * FROM health_history CROSS JOIN (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9)) CROSS JOIN \
                 (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9))";
     for arguments in [&["export"][..], &["sql", "--csv", many]] {
-        let mut command = pointsd(arguments);
-        command.arg("--database").arg(rig.database()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        drop(child.stdout.take());
-        let output = child.wait_with_output().unwrap();
+        let output = run_with_closed_pipe(pointsd(arguments).arg("--database").arg(rig.database()));
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {output:?}");
     }
     // Retention has deleted a trace.

@@ -1,10 +1,10 @@
 //! Import of recorded throws in JSON, as from a foreign logger, into the database without a daemon.
 
-use std::{fs, path::Path, process::Stdio};
+use std::{fs, path::Path};
 
 use pointsd::wire::{Encoding, encode_throw};
 
-use crate::rig::{Rig, ends, pointsd, stub, throws};
+use crate::rig::{Rig, ends, pointsd, run_with_closed_pipe, stub, throws};
 
 /// Runs `pointsd import`; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
@@ -41,9 +41,8 @@ fn a_closed_pipe_does_not_end_an_import() {
         fs::write(file, encode_throw(Encoding::Json, &throw)).unwrap();
     }
     let mut command = pointsd(&["import", "--json", "--machine", "north/21B", "--config"]);
-    let mut import = command.arg(rig.config()).args(&files).stdout(Stdio::piped()).spawn().unwrap();
-    drop(import.stdout.take());
-    assert_eq!(import.wait().unwrap().code(), Some(0));
+    let output = run_with_closed_pipe(command.arg(rig.config()).args(&files));
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 3);
 }
 

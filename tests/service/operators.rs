@@ -13,7 +13,7 @@ use zenoh::Wait;
 use crate::{
     http::KEY,
     region::router,
-    rig::{Daemon, PATIENCE, Rig, ends, listen, next, pointsd, pointsim, stub, throws},
+    rig::{Daemon, PATIENCE, Rig, ends, listen, next, pointsd, pointsim, run_with_closed_pipe, stub, throws},
 };
 
 /// Publishes the throws of simulated machines with `pointsim run`, and waits until all are sent.
@@ -454,14 +454,7 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
         (&["alarms", "--since", "2026-01-01"], 0),
     ];
     for (arguments, result) in commands {
-        let mut child = pointsd(arguments)
-            .args(["--connect", &daemon.endpoint])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        drop(child.stdout.take());
-        let output = child.wait_with_output().unwrap();
+        let output = run_with_closed_pipe(pointsd(arguments).args(["--connect", &daemon.endpoint]));
         assert!(output.stderr.is_empty(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(output.status.code(), Some(result), "{arguments:?}");
         let (_, text) = daemon.operate(arguments);
