@@ -1,9 +1,9 @@
-//! The tests that the pages of `deploy/` cite exist.
+//! Every test that a page of `deploy/` names exists.
 
 use std::{collections::HashSet, fs, path::Path};
 
-/// Least number of words of a name that is looked up: the shortest cited test has three. Names of other programs and of SQL
-/// states have fewer.
+/// Least number of words in a name that counts as a test: the shortest test on the pages has three. Names of other
+/// programs and of SQL states have fewer.
 const LEAST_WORDS: usize = 3;
 
 /// Adds the names that the sources below `folder` define: functions only, or every word.

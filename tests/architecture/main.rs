@@ -59,7 +59,8 @@ const IMPURE: &[&str] = &[
 /// Paths that the dashboard may not use, because they could write or publish. Commands go through the daemon's view.
 const WRITES: &[&str] = &["crate::daemon::Daemon", "crate::store::Store", "sqlx", "std::fs", "std::process", "zenoh"];
 
-fn whole(target: &Target) -> String {
+/// The whole path of a target.
+fn path_of(target: &Target) -> String {
     match target {
         Target::Item(module, item) => format!("crate::{}::{item}", module.join("::")),
         Target::Module(module) => format!("crate::{}", module.join("::")),
@@ -69,13 +70,11 @@ fn whole(target: &Target) -> String {
 
 /// Whether `target` is `forbidden` or below it. A type of this crate is identified by its room and its name only.
 fn is_below(target: &Target, forbidden: &str) -> bool {
-    let whole = whole(target);
-    let below =
-        |path: &str| path == forbidden || path.strip_prefix(forbidden).is_some_and(|rest| rest.starts_with("::"));
-    match target {
-        Target::Item(module, item) if !module.is_empty() => below(&format!("crate::{}::{item}", module[0])),
-        _ => below(&whole),
-    }
+    let path = match target {
+        Target::Item(module, item) if !module.is_empty() => format!("crate::{}::{item}", module[0]),
+        _ => path_of(target),
+    };
+    path == forbidden || path.strip_prefix(forbidden).is_some_and(|rest| rest.starts_with("::"))
 }
 
 /// The forbidden paths in the files of `room`, and paths to rooms that are not `allowed`.
@@ -89,7 +88,7 @@ fn offences(sources: &Sources, room: &str, allowed: &[&str], forbidden: &[&str])
             };
             let is_foreign_room = other.is_some_and(|other| other != room && !allowed.contains(&other));
             if is_foreign_room || forbidden.iter().any(|word| is_below(&target, word)) {
-                offences.push(format!("{}: {room} names {}", file.path.display(), whole(&target)));
+                offences.push(format!("{}: {room} names {}", file.path.display(), path_of(&target)));
             }
         }
     }
@@ -97,7 +96,7 @@ fn offences(sources: &Sources, room: &str, allowed: &[&str], forbidden: &[&str])
 }
 
 /// Cycles of imports between files.
-fn circles(sources: &Sources) -> Vec<String> {
+fn cycles(sources: &Sources) -> Vec<String> {
     let mut imports = DiGraphMap::<&Name, ()>::new();
     for module in sources.files.keys() {
         for target in sources.targets(module) {
@@ -109,17 +108,17 @@ fn circles(sources: &Sources) -> Vec<String> {
             }
         }
     }
-    let circles = tarjan_scc(&imports).into_iter().filter(|circle| circle.len() > 1);
+    let cycles = tarjan_scc(&imports).into_iter().filter(|cycle| cycle.len() > 1);
     let path = |module: &Name| sources.files[module].path.display().to_string();
-    circles
-        .map(|circle| {
+    cycles
+        .map(|cycle| {
             let mut edges: Vec<String> = imports
                 .all_edges()
-                .filter(|(from, to, ())| circle.contains(from) && circle.contains(to))
+                .filter(|(from, to, ())| cycle.contains(from) && cycle.contains(to))
                 .map(|(from, to, ())| format!("  {} -> {}", path(from), path(to)))
                 .collect();
             edges.sort();
-            format!("{} files import each other:\n{}", circle.len(), edges.join("\n"))
+            format!("{} files import each other:\n{}", cycle.len(), edges.join("\n"))
         })
         .collect()
 }
@@ -156,8 +155,8 @@ fn every_room_has_its_layer() {
 
 #[test]
 fn no_file_imports_a_file_that_imports_it_back() {
-    let circles = circles(&sources());
-    assert!(circles.is_empty(), "{}", circles.join("\n"));
+    let cycles = cycles(&sources());
+    assert!(cycles.is_empty(), "{}", cycles.join("\n"));
 }
 
 /// A small crate with these files: (path, text).
@@ -200,28 +199,28 @@ fn the_checks_see_every_way_to_import() {
 }
 
 #[test]
-fn the_check_sees_circles() {
+fn the_check_sees_cycles() {
     // Through a re-export, and through a third file.
-    let circle = crate_of(&[
+    let cycle = crate_of(&[
         ("lib.rs", ""),
         ("room/mod.rs", "mod one; mod two; mod three; pub use one::One; pub use three::Three;"),
         ("room/one.rs", "use super::two::Two; pub struct One(Two);"),
         ("room/two.rs", "use crate::room::Three; pub struct Two(Three);"),
         ("room/three.rs", "pub struct Three; fn back() { super::one::One::new(); }"),
     ]);
-    assert_eq!(circles(&circle).len(), 1);
+    assert_eq!(cycles(&cycle).len(), 1);
     // An item of mod.rs that a child uses, while mod.rs uses the child.
     let parent = crate_of(&[
         ("lib.rs", ""),
         ("room/mod.rs", "mod child; use child::Child; pub struct Parent(Child);"),
         ("room/child.rs", "use super::Parent; pub struct Child; impl From<Parent> for Child {}"),
     ]);
-    assert_eq!(circles(&parent).len(), 1);
+    assert_eq!(cycles(&parent).len(), 1);
     let tree = crate_of(&[
         ("lib.rs", ""),
         ("room/mod.rs", "mod one; mod two; pub use one::One; pub use two::Two;"),
         ("room/one.rs", "use super::Two; pub struct One(Two);"),
         ("room/two.rs", "pub struct Two;"),
     ]);
-    assert!(circles(&tree).is_empty());
+    assert!(cycles(&tree).is_empty());
 }

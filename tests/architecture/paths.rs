@@ -30,7 +30,7 @@ pub(crate) struct File {
     pub(crate) path: PathBuf,
     /// Names of the defined items.
     items: BTreeSet<String>,
-    /// Imported names, with their paths.
+    /// Path of each imported name.
     imports: BTreeMap<String, Name>,
     /// Modules of `use path::*`.
     globs: Vec<Name>,

@@ -1,4 +1,4 @@
-//! Time of the estimator and of the peer implementation.
+//! Time of the estimator, and of another implementation of the same method: the crate `dsmc`.
 
 use std::hint::black_box;
 
@@ -23,7 +23,7 @@ fn trace() -> Trace {
     sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(1)).expect("a sound throw").trace
 }
 
-/// SRIV with covariance and the peer without, with the same start and tolerance.
+/// Times SRIV with its covariance, and `dsmc`, which computes no covariance. Both have the same start and tolerance.
 pub(crate) fn estimation(criterion: &mut Criterion) {
     let trace = trace();
     let input = &trace.current_a()[..SAMPLES];

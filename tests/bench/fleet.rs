@@ -6,8 +6,8 @@ use pointsd::{
     throw::{MachineId, Throw, Trace},
 };
 
-/// Throws of one machine, with all traces as long as the longest, so that other programs can read them as one array: a
-/// trace that ends with the movement is rejected, so short ones go on at rest.
+/// Throws of one machine with traces of equal length, so that other programs can read them as one array. Shorter traces
+/// are lengthened at rest; longer ones are not cut, because a trace that ends with the movement is rejected.
 pub(crate) fn throws(count: u64) -> Vec<Throw> {
     let settings = FleetSettings { machines: 1, ..FleetSettings::default() };
     let mut machine = Fleet::new(&settings, 5).expect("valid settings").into_machines().remove(0);
@@ -26,7 +26,7 @@ pub(crate) fn throws(count: u64) -> Vec<Throw> {
         .collect()
 }
 
-/// `channel` with its last samples, those at rest, again and again.
+/// `channel` lengthened to `samples`: its last samples, which are at rest, are repeated.
 fn lengthened(channel: &[f64], samples: usize) -> Vec<f64> {
     /// Samples at rest after the movement in every simulated trace.
     const REST: usize = 20;

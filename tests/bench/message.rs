@@ -1,4 +1,4 @@
-//! Reading a message, judging an estimate and storing a throw.
+//! Times of decoding a message, judging an estimate and storing a throw.
 
 use std::{hint::black_box, time::Duration};
 
@@ -18,7 +18,7 @@ use crate::fleet::{machine, throws};
 /// Throws in a group of the store.
 const GROUP: u64 = 64;
 
-/// A message as CBOR, and as JSON.
+/// Decodes a message in CBOR, and in JSON.
 pub(crate) fn decoding(criterion: &mut Criterion) {
     let throw = &throws(1)[0];
     let mut group = criterion.benchmark_group("decode");
@@ -29,7 +29,7 @@ pub(crate) fn decoding(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The judgement of an estimate by a monitor with a complete baseline, and the identification before it.
+/// Judges an estimate with a monitor that has a complete baseline; and identifies the throw, for comparison.
 pub(crate) fn diagnosis(criterion: &mut Criterion) {
     let (mut identifier, settings) = (Identifier::default(), estimate::Settings::default());
     let throws = throws(132);
@@ -59,7 +59,7 @@ fn observation(throw: &Throw, identifier: &mut Identifier, settings: &estimate::
     Observation::of(throw, &found)
 }
 
-/// A group of received throws, compressed and committed; and the same samples as raw blobs in one table.
+/// Compresses and commits a group of received throws; and, for comparison, the same samples as raw blobs in one table.
 pub(crate) fn storing(criterion: &mut Criterion) {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     let folder = tempfile::tempdir().expect("a folder");
@@ -67,7 +67,7 @@ pub(crate) fn storing(criterion: &mut Criterion) {
     let store = runtime.block_on(Store::open(&settings, Timestamp::UNIX_EPOCH)).expect("a database").store;
     let throws = throws(GROUP);
     let mut throw_no = 0;
-    // Each group has the next throw of as many machines.
+    // Each group has one throw of each of `GROUP` machines.
     let mut group_of = || -> Vec<(MachineId, Throw, Timestamp)> {
         throw_no += 1;
         let renamed = (1..).zip(throws.iter().cloned()).map(|(number, mut throw)| {

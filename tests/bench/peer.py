@@ -1,4 +1,4 @@
-"""The same work with numpy, scipy and sqlite3, without a network: prints one JSON object.
+"""The work of pointsd with numpy, scipy and sqlite3, without a network: prints one JSON object.
 
 Each throw is identified by the simplified refined instrumental variable method (Young, Recursive Estimation and
 Time-Series Analysis, 2011, chapter 8) with its covariance, compared with a baseline, and stored with its samples. Two
@@ -32,7 +32,7 @@ def filters(a1, a0):
 
 
 def identify(current, position):
-    """b0, a1, a0 and their covariance."""
+    """Returns b0, a1, a0 and their covariance."""
     start = np.flatnonzero(np.abs(current) > MOTOR_ON_A)[0] - 1
     sign = np.sign(position[-1] - position[0])
     moved = sign * (position - position[:start].mean())
@@ -81,7 +81,7 @@ def main():
             number += GROUP
 
     with multiprocessing.get_context("fork").Pool(2) as pool:
-        # Without a bound the pool reads all groups at once.
+        # At most four groups wait: without this limit the queue of the pool would grow until the end.
         waiting = []
         for group in groups():
             waiting.append(pool.apply_async(work, (group,)))

@@ -1,5 +1,5 @@
-//! The whole way of a throw: from the socket of a real daemon to a committed, judged and published row, and the same
-//! work in Python.
+//! The whole pipeline: throws go to the socket of a real daemon, which commits, judges and publishes them. A Python
+//! program does the same work for comparison.
 
 use std::{
     fs,
@@ -17,7 +17,7 @@ const RATE: u32 = 500;
 /// Duration of each of the two runs \[s\].
 const SECONDS: u32 = 20;
 
-/// A daemon that ends with its value.
+/// A running daemon; the drop of this value kills it.
 struct Daemon(Child);
 
 impl Drop for Daemon {
@@ -38,11 +38,11 @@ impl Daemon {
     }
 }
 
-/// Runs the daemon under load, then the Python program, and prints the rates; the row has the processor times. `None`
-/// without Python, numpy or scipy.
+/// Runs the daemon under load, then the Python program, and prints their rates. Returns the processor times of one
+/// throw; `None` without Python, numpy or scipy.
 pub(crate) fn compare() -> Option<Row> {
     let folder = tempfile::tempdir().expect("a folder");
-    let (time_s, load) = of_daemon(folder.path());
+    let (time_s, load) = measure_daemon(folder.path());
     println!(
         "\npointsd: {RATE} throws a second for {SECONDS} s, published by a program on the same processor: {} of {} judged, the last \
          {:.2} s after its publication",
@@ -50,7 +50,7 @@ pub(crate) fn compare() -> Option<Row> {
         load["published"],
         load["behind_s"].as_f64().expect("a number")
     );
-    let python = of_python(folder.path())?;
+    let python = measure_python(folder.path())?;
     let peer_ms = python["processor_ms"].as_f64().expect("a number");
     println!(
         "Python, two processes at full speed: {:.0} throws a second\n",
@@ -64,8 +64,8 @@ pub(crate) fn compare() -> Option<Row> {
     })
 }
 
-/// Processor time of the daemon for each throw \[s\], and the report of the load.
-fn of_daemon(folder: &Path) -> (f64, Value) {
+/// Processor time of the daemon for each throw \[s\], and the report of `pointsim load`.
+fn measure_daemon(folder: &Path) -> (f64, Value) {
     let config = folder.join("pointsd.toml");
     let database = folder.join("points.db").display().to_string();
     let text =
@@ -94,7 +94,7 @@ fn of_daemon(folder: &Path) -> (f64, Value) {
 }
 
 /// The report of `peer.py` on the throws of one machine.
-fn of_python(folder: &Path) -> Option<Value> {
+fn measure_python(folder: &Path) -> Option<Value> {
     let throws = throws(16);
     let samples = throws[0].trace.len();
     let traces = throws.iter().flat_map(|throw| [throw.trace.current_a(), throw.trace.position_mm()]).flat_map(floats);
@@ -124,7 +124,7 @@ fn of_python(folder: &Path) -> Option<Value> {
     }
 }
 
-/// The peer must do the work: its estimates of the first throw are those of pointsd within 5 %.
+/// Checks that the Python program really identifies: its coefficients of the first throw are within 5 % of ours.
 fn check_estimate(throw: &pointsd::throw::Throw, report: &Value) {
     let found = pointsd::estimate::Identifier::default().identify(throw, &pointsd::estimate::Settings::default());
     let ours = found.outcome.expect("a healthy throw").coefficients();

@@ -1,4 +1,4 @@
-//! The simulated machine: time of one throw, and error of its step against a fine step.
+//! The simulated machine: time of one throw, and the errors that the time step of the simulation makes.
 
 use criterion::Criterion;
 use pointsd::simulate::{Conditions, Motion, Parameters, STEP_S, Sensors};

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-/// A row: the measured thing, its time, its peer and the peer's time \[s\].
+/// Mean time of a part of pointsd, and of its peer: another program or a simpler way for the same work. \[s\]
 pub(crate) struct Row {
     pub(crate) what: &'static str,
     pub(crate) time_s: f64,
@@ -11,13 +11,13 @@ pub(crate) struct Row {
 }
 
 impl Row {
-    /// A row of two benchmarks of the same run, given by their paths below `folder`; `None` if one was not run.
+    /// A row from two benchmarks, each with its title and its path below `folder`; `None` if one was not run.
     pub(crate) fn of(
         folder: &Path,
         (what, benchmark): (&'static str, &str),
-        (peer, its_benchmark): (&'static str, &str),
+        (peer, peer_benchmark): (&'static str, &str),
     ) -> Option<Self> {
-        Some(Self { what, time_s: mean_s(folder, benchmark)?, peer, peer_s: mean_s(folder, its_benchmark)? })
+        Some(Self { what, time_s: mean_s(folder, benchmark)?, peer, peer_s: mean_s(folder, peer_benchmark)? })
     }
 }
 

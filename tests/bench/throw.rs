@@ -1,4 +1,5 @@
-//! Time of one throw: each step and the whole way, each beside a peer in the same run.
+//! Time of one throw: of each step and of the whole pipeline, each compared with a peer (another program or a simpler
+//! way for the same work) in the same run.
 
 #![expect(clippy::expect_used, reason = "a benchmark may stop on an error")]
 

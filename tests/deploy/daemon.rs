@@ -25,7 +25,7 @@ fn configured(folder: &Path, address: &str) -> String {
 
 /// The JSON replies to a query.
 async fn ask_json(session: &Session, selector: &str, payload: Option<Value>) -> Vec<Value> {
-    // All open alarms of a machine have the same key, of which zenoh would return the last reply only.
+    // All open alarms of a machine have the same key. Without `None`, zenoh returns only the last reply of a key.
     let mut get = session
         .get(selector)
         .consolidation(zenoh::query::ConsolidationMode::None)
@@ -66,7 +66,7 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let viewer = client("viewer", &endpoint).await;
     let operator = client("operator", &endpoint).await;
     assert_eq!(until_answered(&viewer, STATUS).await[0]["stored"], 0);
-    // The daemon declares its token after its answers.
+    // The daemon declares its liveliness token after its queryables.
     until("the daemon is alive", async || {
         alive(&viewer, "points/v1/**/alive").await == ["points/v1/north/monitor/cabinet/alive"]
     })
@@ -84,12 +84,12 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let raised = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
     assert_eq!(raised["state"], "active_unacknowledged");
     let ack = serde_json::json!({"command": "ack", "cause": "not_monitored", "by": "test"});
-    assert!(ask_json(&viewer, COMMAND, Some(ack.clone())).await.is_empty());
-    assert!(ask_json(&logger, COMMAND, Some(ack.clone())).await.is_empty());
-    let unmoved = not_monitored(until_answered(&viewer, ALARM).await);
-    assert_eq!(unmoved.as_ref(), Some(&raised), "a viewer's command changed the alarm");
+    for (name, session) in [("viewer", &viewer), ("logger", &logger)] {
+        assert!(ask_json(session, COMMAND, Some(ack.clone())).await.is_empty(), "the {name}'s command was answered");
+    }
+    let unchanged = not_monitored(until_answered(&viewer, ALARM).await);
+    assert_eq!(unchanged.as_ref(), Some(&raised), "a command without permission changed the alarm");
 
-    // The program with `operator.toml` from INSTALL.md.
     acknowledge(folder.path(), &endpoint);
     let reply = ask_json(&operator, COMMAND, Some(ack)).await;
     assert_eq!(reply[0]["done"], false, "acknowledged a moment before: {reply:?}");
@@ -104,7 +104,7 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     );
 }
 
-/// Runs `pointsd ack` with the configuration from INSTALL.md.
+/// Runs `pointsd ack` with the file `operator.toml` that INSTALL.md shows.
 fn acknowledge(folder: &Path, endpoint: &str) {
     let page = read("INSTALL.md");
     let (_, rest) = page.split_once("```toml\n").expect("the page shows operator.toml");
@@ -127,7 +127,7 @@ fn still_machine() -> Value {
 }
 
 #[test]
-fn every_shipped_configuration_of_pointsd_is_right() {
+fn every_shipped_configuration_of_pointsd_is_valid() {
     let folder = tempfile::tempdir().unwrap();
     let installed = replaced(&read("pointsd.toml"), "/var/lib/pointsd/", &format!("{}/", folder.path().display()));
     for text in [configured(folder.path(), "127.0.0.1:7447"), installed] {

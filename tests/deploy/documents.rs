@@ -32,7 +32,7 @@ fn no_heading_of_a_document_occurs_twice() {
     }
 }
 
-/// The cells of the first column under a heading of a page, without their marks of code.
+/// The names in backticks in the first column of the table under a heading.
 fn first_cells(page: &str, heading: &str) -> Vec<String> {
     let section = page.split("\n## ").find(|section| section.starts_with(heading)).unwrap();
     let rows = section.lines().filter_map(|line| line.strip_prefix("| `")).filter_map(|row| row.split_once("` |"));
@@ -68,7 +68,7 @@ fn the_page_of_messages_has_every_field() {
     assert_eq!(first_cells(&page, "Status").into_iter().collect::<HashSet<_>>(), keys(&status));
 }
 
-/// The words in capitals of each line of `status` are in its table.
+/// The words in capitals of each line that `pointsd status` prints are in the table of the page.
 #[test]
 fn the_page_of_the_installation_has_every_problem_of_the_status() {
     let page = read("INSTALL.md");

@@ -1,4 +1,5 @@
-//! The files of `deploy/`: units, certificates, and the zenoh configurations under attack, over TLS on loopback.
+//! Tests of the files in `deploy/`: systemd units, documents, and the zenoh configurations with attacks over TLS on
+//! loopback.
 
 #![expect(
     clippy::unwrap_used,

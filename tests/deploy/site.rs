@@ -18,7 +18,7 @@ use super::rig;
 
 /// Time limit for an expected event on a busy computer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
-/// Wait for an event that must not happen, after it happened for another client.
+/// How long a test waits for an event that must not happen, after it happened for another client.
 pub(crate) const SILENCE: Duration = Duration::from_millis(500);
 
 pub(crate) const THROW_A: &str = "points/v1/north/21A/throw";
@@ -53,7 +53,7 @@ impl Authority {
         rig::ends(0, Command::new(script).arg(folder).args(names).env("DAYS", days));
     }
 
-    /// Folder of a certificate that expires at once.
+    /// Folder with a certificate that expires a second after it was made.
     pub(crate) fn expiring(&self, name: &str) -> PathBuf {
         let folder = self.0.path().join("expiring");
         fs::create_dir_all(&folder).unwrap();
@@ -147,7 +147,7 @@ pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
     session.declare_subscriber("points/v1/*/*/throw").await.unwrap()
 }
 
-/// Asks until something has happened that must happen, and of which no event tells.
+/// Polls until `happens` is true; for states of which no message informs.
 pub(crate) async fn until(what: &str, mut happens: impl AsyncFnMut() -> bool) {
     rig::until(PATIENCE, async || if happens().await { Ok(()) } else { Err(what) }).await;
 }
@@ -158,7 +158,7 @@ pub(crate) async fn next(subscriber: &Subscriber) -> (String, Vec<u8>) {
     (sample.key_expr().to_string(), sample.payload().to_bytes().into_owned())
 }
 
-/// The keys of all replies to a query; a rejected query ends at its time limit with none.
+/// The keys of all replies to a query; none if the rules reject the query, which then ends at its time limit.
 pub(crate) async fn ask(session: &Session, selector: &str, payload: Option<&str>) -> Vec<String> {
     let get = session.get(selector).timeout(Duration::from_secs(1));
     let replies = match payload {

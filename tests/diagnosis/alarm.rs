@@ -45,7 +45,8 @@ fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
 }
 
-/// The levels of the last throws look healthy just after a step, and say nothing about a direction without throws.
+/// Just after a step the levels of the last throws still look healthy. Throws of one direction show nothing about a
+/// fault of the other.
 #[test]
 fn a_constant_fault_is_not_cleared() {
     let settings = Settings { off_delay_throws: 3, ..Settings::default() };
@@ -126,7 +127,7 @@ fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
     assert_eq!((worse[0].severity, worse[0].raised_at, worse[0].event_no), (Severity::Critical, raised.raised_at, 3));
 }
 
-/// Ice after rain: an alarm about the fall must not hide the rise.
+/// Ice after rain: the alarm about the lower friction must not hide the higher friction.
 #[test]
 fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
     for (first, then) in [(-30.0, 30.0), (30.0, -30.0)] {
@@ -206,9 +207,9 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let back = act(&mut machine, &Command::MaintenanceEnd { by: by() }).unwrap();
     assert_eq!(states(&back), [AlarmState::ActiveUnacknowledged]);
     assert!(back[0].text.contains("before the maintenance"), "{}", back[0].text);
-    let told = Command::MaintenanceEnd { by: by() }.consequence(&back);
+    let text = Command::MaintenanceEnd { by: by() }.consequence(&back);
     let named = format!("Alarms from before: {} friction", raised.severity.as_str());
-    assert!(told.contains(&named), "{told}");
+    assert!(text.contains(&named), "{text}");
     let cleared = machine.events(60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
     assert_eq!(cleared[0].raised_at, raised.raised_at);
@@ -273,7 +274,7 @@ fn an_alarm_at_its_limit_does_not_chatter() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// With any jumps of the clock each occurrence of an alarm has its own identity, and its events count from 1.
+    /// Whatever jumps the clock makes, each occurrence of an alarm has its own identity, and its events count from 1.
     #[test]
     fn identities_are_unique_whatever_the_clock_does(seed in 0_u64..1000, jumps in prop::collection::vec(0_u8..4, 40)) {
         let mut machine = Machine::learned(seed, Nature::default());

@@ -91,7 +91,7 @@ fn a_large_deviation_that_fades_is_no_drift() {
             let lasting = machine.events(40, size);
             assert!(lasting.iter().any(|event| event.cause == cause), "{cause} {pct} %, seed {seed}: {lasting:?}");
         }
-        // The scatter itself may add to what is left: one alarm, with its end.
+        // Scatter in the same sense may add to the deviation: one alarm, with its end, is allowed.
         assert!(alarmed.len() <= 2, "{alarmed:?}");
     }
 }

@@ -45,7 +45,8 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
     }
 }
 
-/// Changes of gauges, as logarithms, and whether the throws give the ratios only.
+/// Logarithmic changes of gauges, the measures beside the coefficients; and whether the throws give only the ratios of
+/// the coefficients.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gauges {
     /// No-load speed; `None` for machines that do not show it.
@@ -54,7 +55,7 @@ struct Gauges {
     ratios_only: bool,
 }
 
-/// Alarm events of 20 machines in 60 throws after `shift` and these changes.
+/// Alarm events of each of 20 machines in 60 throws after these changes of coefficients and gauges.
 fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
     let settings = Settings::default();
     let of_machine = |seed: u64| {
@@ -100,7 +101,7 @@ fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f6
 
 #[test]
 fn dry_friction_that_lowers_b0_is_no_motor_fault_beside_an_unchanged_no_load_speed() {
-    // As estimated on machines with little inertia; a1/b0, the friction torque per ampere, rises by 65 %.
+    // This is the estimate on machines with little inertia: a1/b0, the friction per ampere, rises by 65 %.
     let dry = Vector3::new(-0.14, 0.36, 0.01);
     for (cause, change_pct) in named_beside_speed(dry, Some(0.0)) {
         assert_eq!(cause, Cause::Friction);
@@ -117,14 +118,14 @@ fn a_motor_is_named_whether_its_no_load_speed_changes_with_its_torque_or_not() {
     for speed in [0.0, 0.16] {
         let named = named_beside_speed(shift(Cause::Kt, -15.0), Some(speed));
         assert!(named.iter().all(|(_, pct)| (-18.0..-12.0).contains(pct)), "{named:?}");
-        // A baseline whose scatter seems to last leaves friction as possible for some throws more.
+        // One machine may need more throws: its scatter leaves friction as a second explanation for a while.
         let at_once = named.iter().filter(|(cause, _)| *cause == Cause::Kt).count();
         assert!(at_once + 1 >= named.len(), "{named:?}");
     }
 }
 
-/// Weaker magnets turn faster. A dry load has the same torque at every speed, so its equivalent viscous friction falls: in
-/// the ratios that is a stiffer machine, or a weaker motor with less friction.
+/// Weaker magnets turn faster. A dry load has the same torque at every speed, so its equivalent viscous friction falls.
+/// To the ratios this is a stiffer machine, or a weaker motor with less friction.
 #[test]
 fn weak_magnets_before_a_dry_load_are_the_motor_if_its_speed_shows_it() {
     let dry = Vector3::new(-0.16, -0.13, 0.0);
@@ -138,7 +139,7 @@ fn weak_magnets_before_a_dry_load_are_the_motor_if_its_speed_shows_it() {
     }
 }
 
-/// The features of a machine of ratios change before its part has a name.
+/// On a machine whose throws give only ratios, the features show a change before a part can be named.
 #[test]
 fn the_alarm_of_the_features_ends_when_a_part_is_named() {
     let gauges = Gauges { speed: Some(0.16), duration: -0.14, ratios_only: true };

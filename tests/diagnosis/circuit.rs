@@ -1,5 +1,5 @@
-//! The circuit of the motor: a changed resistance, a sensor of the supply voltage that lies, a supply that explains slower
-//! throws, and a lost torque with sound magnets.
+//! The circuit of the motor: a changed resistance, a wrong sensor of the supply voltage, a weak supply that explains
+//! slower throws, and a lost torque with sound magnets.
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
@@ -7,17 +7,17 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::drive::{Drive, State};
+use crate::{
+    drive::{Drive, State},
+    fleet::{causes, channels},
+};
 
 const SOUND: State = State::SOUND;
-/// A brake that hides the scale of the coefficients, so that the throws give the ratios only.
-const OF_RATIOS: State = State { brake_s: 0.02, ..SOUND };
+const OF_RATIOS: State = State::OF_RATIOS;
 
 /// A drive with a published voltage, after a healthy time without an event.
 fn learned(seed: u64, state: State) -> Drive {
-    let mut drive = Drive::new(91_000 + seed, true);
-    drive.stay_healthy(100, state);
-    drive
+    Drive::after_in(state, 100, 91_000 + seed, true)
 }
 
 /// The alarms that were raised, and those that ended.
@@ -64,7 +64,7 @@ fn play_a_late_brake_and_a_late_position_are_no_bad_contact() {
     }
 }
 
-/// A small drift beside it, which motor and current sensor explain equally well, does not mend the contact.
+/// A small drift at the same time, which motor and current sensor explain equally well, must not end the alarm.
 #[test]
 fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {
     for (seed, torque) in [(5, 1.0), (6, 0.98), (7, 1.02), (8, 0.97)] {
@@ -76,25 +76,20 @@ fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {
     }
 }
 
-/// Its error is near the least one that is named, and scatters around it.
+/// The error of the sensor is near the smallest error that is named, and scatters around it.
 #[test]
 fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
     let mut count = 0;
     for seed in 60..64 {
         for gain in [1.1, 0.9] {
-            let mut drive = learned(seed, SOUND);
-            let mut events = Vec::new();
-            for _ in 0..300 {
-                let observation = read_with(gain, drive.throw(SOUND));
-                events.extend(drive.observe(&observation).events);
-            }
+            let events = learned(seed, SOUND).events_with(300, SOUND, |throw| read_with(gain, throw));
             let named: Vec<_> = events.iter().map(|event| (event.channel, event.state)).collect();
             let raised = (Some(SensorChannel::Supply), AlarmState::ActiveUnacknowledged);
             assert!(named.is_empty() || named == [raised], "seed {seed}, {gain}: {events:#?}");
             count += named.len();
         }
     }
-    assert!(count > 0);
+    assert!(count > 0, "no life had an alarm: the test cannot fail");
 }
 
 /// The copper of the motor follows the air, and is warmer in busy hours.
@@ -117,7 +112,7 @@ fn a_motor_that_warms_and_cools_has_no_alarm() {
     }
 }
 
-/// With a temperature, a smaller change of the resistance is more than heat explains.
+/// With a published temperature the monitor knows the effect of heat on the resistance, so it sees smaller faults.
 #[test]
 fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
     for (is_published, expected) in [(true, 1), (false, 0)] {
@@ -139,66 +134,52 @@ fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
 #[test]
 fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
     for (seed, before) in [(60, SOUND), (61, SOUND), (62, OF_RATIOS), (63, OF_RATIOS)] {
-        let mut drive = learned(seed, before);
-        let mut events = Vec::new();
-        for _ in 0..100 {
-            let mut observation = drive.throw(State { ohms: 2.0, ..before });
-            if let Some(([b0, a1, a0], covariance)) = observation.estimate {
+        let events = learned(seed, before).events_with(100, State { ohms: 2.0, ..before }, |throw| {
+            if let Some(([b0, a1, a0], covariance)) = throw.estimate {
                 let weaker = Vector3::new(0.925, 1.0, 1.0);
                 let scale = Matrix3::from_diagonal(&weaker);
-                observation.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
+                throw.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
             }
-            events.extend(drive.observe(&observation).events);
-        }
-        let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
-        assert_eq!(causes, [Cause::Supply], "seed {seed}: {events:?}");
+        });
+        assert_eq!(causes(&events), [Cause::Supply], "seed {seed}: {events:?}");
     }
 }
 
-/// The resistance is computed from the toe. Where the toe moves otherwise than the motor it may be anything, and the inrush,
-/// which follows the gain of the current sensor, has not changed.
+/// The resistance is computed from the movement of the toe, so it is wrong where the toe does not follow the motor. A
+/// wrong gain of the current sensor would also change the inrush, which is as before.
 #[test]
 fn a_resistance_that_is_wrong_in_one_direction_accuses_no_current_sensor() {
     for seed in 64..68 {
-        let mut drive = learned(seed, OF_RATIOS);
-        let mut events = Vec::new();
-        for _ in 0..60 {
-            let mut observation = drive.throw(State { stiffness: 1.6, ..OF_RATIOS });
-            if observation.direction == Some(Direction::ReverseToNormal) {
-                observation.features.resistance_ohm = observation.features.resistance_ohm.map(|ohm| 0.7 * ohm);
+        let stiff = State { stiffness: 1.6, ..OF_RATIOS };
+        let events = learned(seed, OF_RATIOS).events_with(60, stiff, |throw| {
+            if throw.direction == Some(Direction::ReverseToNormal) {
+                throw.features.resistance_ohm = throw.features.resistance_ohm.map(|ohm| 0.7 * ohm);
             }
-            events.extend(drive.observe(&observation).events);
-        }
+        });
         assert!(events.iter().any(|event| event.cause == Cause::Stiffness), "seed {seed}: {events:?}");
         let of_circuit = [Cause::Sensor, Cause::Supply];
         assert!(events.iter().all(|event| !of_circuit.contains(&event.cause)), "seed {seed}: {events:?}");
     }
 }
 
-/// The throw as a logger with a wrong voltage sends it: resistance and back-EMF are computed from the voltage.
-fn read_with(gain: f64, mut observation: Observation) -> Observation {
-    let features = &mut observation.features;
+/// Changes a throw as a wrong gain of the voltage sensor does: resistance and back-EMF are computed from the voltage.
+fn read_with(gain: f64, throw: &mut Observation) {
+    let features = &mut throw.features;
     for value in [&mut features.supply_v, &mut features.resistance_ohm, &mut features.back_emf_v_s_per_rad] {
         *value = value.map(|value| gain * value);
     }
-    observation
 }
 
 #[test]
 fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
-    // The gain of the sensor, and the true voltage: one is stuck while the supply falls.
+    // The gain of the sensor, and the true voltage. The last sensor is stuck while the supply falls.
     for (at, (gain, volts)) in [(0.67, 1.0), (0.85, 1.0), (1.2, 1.0), (1.0 / 0.72, 0.72)].into_iter().enumerate() {
         for before in [SOUND, OF_RATIOS] {
             let mut drive = learned(30 + at as u64, before);
-            let mut events = Vec::new();
-            for _ in 0..60 {
-                let observation = read_with(gain, drive.throw(State { volts, ..before }));
-                events.extend(drive.observe(&observation).events);
-            }
+            let mut events = drive.events_with(60, State { volts, ..before }, |throw| read_with(gain, throw));
             let slower = [Cause::SlowThrow, Cause::Unattributed, Cause::Supply, Cause::NotMonitored];
             events.retain(|event| volts >= 1.0 || !slower.contains(&event.cause));
-            let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-            assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
+            assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
             let pct = events[0].change_pct.unwrap();
             assert!((pct - 100.0 * (gain - 1.0)).abs() < 5.0, "{gain}: {pct}");
             let [again, ended] = split(drive.events(60, before));
@@ -207,25 +188,20 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
     }
 }
 
-/// Feeds a throw of `state`, read with a wrong voltage. Those of one direction have no estimate, as with a load that varies
-/// along the stroke.
-fn feed_one_sided(drive: &mut Drive, gain: f64, state: State) -> Vec<AlarmEvent> {
-    let observation = read_with(gain, drive.throw(state));
-    let is_rejected = observation.direction == Some(Direction::ReverseToNormal);
-    let estimate = observation.estimate.filter(|_| !is_rejected);
-    drive.observe(&Observation { estimate, ..observation }).events
+/// The events of the next throws, read with this gain of the voltage sensor. The throws of one direction have no
+/// estimate, as with a load that varies along the stroke.
+fn events_one_sided(drive: &mut Drive, throws: usize, gain: f64, state: State) -> Vec<AlarmEvent> {
+    drive.events_with(throws, state, |throw| {
+        read_with(gain, throw);
+        throw.estimate = throw.estimate.filter(|_| throw.direction != Some(Direction::ReverseToNormal));
+    })
 }
 
-/// A drive with a published voltage of which one direction is rejected.
+/// A healthy drive with a published voltage and one rejected direction.
 fn one_sided(seed: u64) -> Drive {
     let mut drive = Drive::new(91_000 + seed, true);
-    for throw in 0..120 {
-        let events = feed_one_sided(&mut drive, 1.0, SOUND);
-        assert!(
-            events.iter().all(|event| event.cause == Cause::NotMonitored),
-            "seed {seed}, throw {throw}: {events:?}"
-        );
-    }
+    let events = events_one_sided(&mut drive, 120, 1.0, SOUND);
+    assert!(events.iter().all(|event| event.cause == Cause::NotMonitored), "seed {seed}: {events:?}");
     drive
 }
 
@@ -237,7 +213,7 @@ fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
             for gain in [1.0, 1.0 / volts] {
                 let mut drive = one_sided(seed);
                 let weak = State { volts, ..SOUND };
-                let events: Vec<_> = (0..100).flat_map(|_| feed_one_sided(&mut drive, gain, weak)).collect();
+                let events = events_one_sided(&mut drive, 100, gain, weak);
                 let blamed = events.iter().find(|event| {
                     Cause::PHYSICAL.contains(&event.cause)
                         || event.cause == Cause::Unattributed && event.change_pct.is_some()
@@ -248,7 +224,8 @@ fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
     }
 }
 
-/// The motor turns more slowly with less voltage, so the duration is no second alarm; a fault of a part beside it is one.
+/// The motor turns more slowly with less voltage, so the longer duration is no second alarm. A fault of a part at the
+/// same time is a second alarm.
 #[test]
 fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
     for (seed, has_toe_sensor, before) in
@@ -264,9 +241,8 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
             let mut drive = healthy();
             let weak = State { volts, ..before };
             let [raised, _] = split(drive.events(60, weak));
-            // Rough throws can scatter so much that the monitor says what it does not see.
-            let causes = raised.iter().map(|event| event.cause).filter(|cause| *cause != Cause::NotMonitored);
-            let causes: Vec<_> = causes.collect();
+            // Rough throws can scatter so much that the monitor states which faults it cannot see.
+            let causes = causes(raised.iter().filter(|event| event.cause != Cause::NotMonitored));
             assert_eq!(causes, [Cause::Supply], "seed {seed}, {volts}: {raised:?}");
         }
         let mut drive = healthy();
@@ -277,7 +253,7 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
     }
 }
 
-/// A gear that loses torque leaves the back-EMF of the motor; weak magnets do not.
+/// A gear that loses torque does not change the back-EMF of the motor; weak magnets do.
 #[test]
 fn a_lost_torque_with_sound_magnets_points_to_the_gear() {
     for (seed, before) in [(50, SOUND), (51, SOUND), (52, OF_RATIOS), (53, OF_RATIOS)] {

@@ -1,5 +1,5 @@
-//! Throws without scatter, covariances at the ends of their range, constant temperatures: a monitor judges all of them with
-//! finite numbers. A panic would end the daemon of every machine, and again after each restart.
+//! Throws without scatter, covariances at the ends of their range, constant temperatures: a monitor judges all of them
+//! with finite numbers. A panic would leave the throws of the machine without a diagnosis.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -16,7 +16,7 @@ use crate::fleet::{NOMINAL, Nature, in_parallel, normal};
 const LIVES: u64 = 400;
 const THROWS: u64 = 400;
 
-/// A machine whose measured values change only if their standard deviation here is not 0.
+/// A machine whose measured values may have no scatter at all.
 struct Degenerate {
     rng: ChaCha8Rng,
     /// Relative standard deviation of coefficients and features.
@@ -123,7 +123,7 @@ fn throws_without_scatter_are_judged_with_finite_numbers() {
                 assert!(sizes.all(f64::is_finite), "life {seed}, throw {throw_no}: {event:?}");
             }
             if throw_no % 50 == 0 {
-                // JSON has no number that is not finite: such a snapshot could not be read.
+                // JSON cannot hold a number that is not finite: the daemon could not read such a snapshot.
                 let snapshot = serde_json::to_string(&monitor).unwrap();
                 let again = MachineMonitor::from_snapshot(&snapshot)
                     .unwrap_or_else(|error| panic!("life {seed}: {error} {snapshot}"));

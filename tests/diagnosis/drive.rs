@@ -1,5 +1,5 @@
-//! A drive with faulty sensors: one inertia, viscous and dry friction, a spring and an armature, in steps of 50 us. Has
-//! no code in common with simulator, estimator or diagnosis.
+//! A simulated drive with faulty sensors: one inertia, viscous and dry friction, a spring and an armature, in steps of
+//! 50 us. It shares no code with the simulator, the estimator and the diagnosis.
 
 use std::f64::consts::TAU;
 
@@ -13,6 +13,9 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::fleet::normal;
+
+/// Changes the throw that a logger sends.
+pub(crate) type Logger = fn(Throw) -> Throw;
 
 const STEP_S: f64 = 5e-5;
 const STROKE_MM: f64 = 115.0;
@@ -67,6 +70,10 @@ impl State {
         play_mm: 0.0,
         late_s: 0.0,
     };
+
+    /// A brake that releases 20 ms late: it hides the scale of the coefficients, so that the throws give only their
+    /// ratios.
+    pub(crate) const OF_RATIOS: Self = Self { brake_s: 0.02, ..Self::SOUND };
 }
 
 /// A drive and its monitor.
@@ -74,36 +81,36 @@ pub(crate) struct Drive {
     rng: ChaCha8Rng,
     identifier: Identifier,
     pub(crate) monitor: MachineMonitor,
-    /// At the screw: torque and back-EMF per ampere and speed, inertia, viscous and dry friction, spring.
-    built: [f64; 6],
-    wander: [f64; 4],
+    /// At the screw: torque per ampere, back-EMF per speed, inertia, viscous and dry friction, spring.
+    parameters: [f64; 6],
+    /// Scatter of torque, friction, spring and voltage from throw to throw, in standard deviations.
+    scatter: [f64; 4],
     throws: u64,
     /// Whether the logger publishes the supply voltage.
     pub(crate) publishes_volts: bool,
     pub(crate) has_toe_sensor: bool,
     /// The stroke in the configuration \[mm\].
     pub(crate) stroke_mm: Option<f64>,
-    /// Time of the motor after the arrival of the toe \[s\].
+    /// Time for which the motor runs on after the arrival of the toe \[s\].
     pub(crate) push_s: f64,
     /// Sampling rate of the logger \[Hz\].
     pub(crate) rate_hz: f64,
-    /// Changes the throw that the logger sends.
-    pub(crate) logger: fn(Throw) -> Throw,
+    pub(crate) logger: Logger,
 }
 
 impl Drive {
     pub(crate) fn new(seed: u64, publishes_volts: bool) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut like = |value: f64| value * (0.05 * normal(&mut rng)).exp();
-        let built = [like(6.4), 6.4, like(0.031), like(0.10), like(1.5), like(0.05)];
-        let wander = [(); 4].map(|()| normal(&mut rng));
+        let parameters = [like(6.4), 6.4, like(0.031), like(0.10), like(1.5), like(0.05)];
+        let scatter = [(); 4].map(|()| normal(&mut rng));
         let monitor = MachineMonitor::new("21B");
         Self {
             rng,
             identifier: Identifier::default(),
             monitor,
-            built,
-            wander,
+            parameters,
+            scatter,
             throws: 0,
             publishes_volts,
             has_toe_sensor: true,
@@ -114,11 +121,27 @@ impl Drive {
         }
     }
 
+    /// A drive with a configured stroke, whose motor runs on for 35 ms after the arrival, after this number of sound
+    /// throws without an event.
+    #[track_caller]
+    pub(crate) fn with_stroke(throws: usize, seed: u64, publishes_volts: bool) -> Self {
+        let mut drive = Self::new(seed, publishes_volts);
+        (drive.stroke_mm, drive.push_s) = (Some(STROKE_MM), 0.035);
+        drive.stay_healthy(throws, State::SOUND);
+        drive
+    }
+
     /// A drive after this number of sound throws, none of which had an event.
     #[track_caller]
     pub(crate) fn after(throws: usize, seed: u64, publishes_volts: bool) -> Self {
+        Self::after_in(State::SOUND, throws, seed, publishes_volts)
+    }
+
+    /// A drive after this number of throws of `state`, none of which had an event.
+    #[track_caller]
+    pub(crate) fn after_in(state: State, throws: usize, seed: u64, publishes_volts: bool) -> Self {
         let mut drive = Self::new(seed, publishes_volts);
-        drive.stay_healthy(throws, State::SOUND);
+        drive.stay_healthy(throws, state);
         drive
     }
 
@@ -145,12 +168,27 @@ impl Drive {
 
     /// The events of the next throws.
     pub(crate) fn events(&mut self, throws: usize, state: State) -> Vec<AlarmEvent> {
-        (0..throws).flat_map(|_| self.feed(state).events).collect()
+        self.events_with(throws, state, |_| {})
+    }
+
+    /// The events of the next throws, each changed before the monitor gets it.
+    pub(crate) fn events_with(
+        &mut self,
+        throws: usize,
+        state: State,
+        change: impl Fn(&mut Observation),
+    ) -> Vec<AlarmEvent> {
+        let next = |_| {
+            let mut throw = self.throw(state);
+            change(&mut throw);
+            self.observe(&throw).events
+        };
+        (0..throws).flat_map(next).collect()
     }
 
     /// The next throw.
     pub(crate) fn throw(&mut self, state: State) -> Observation {
-        for value in &mut self.wander {
+        for value in &mut self.scatter {
             *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
         }
         let direction = self.next();
@@ -177,8 +215,8 @@ impl Drive {
 
     /// The trace and the supply voltage of a throw.
     fn record(&mut self, state: State, direction: Direction) -> (Trace, f64) {
-        let [torque, back_emf, inertia, viscous, dry, spring] = self.built;
-        let scattered = |at: usize, sd: f64| (sd * self.wander[at]).exp();
+        let [torque, back_emf, inertia, viscous, dry, spring] = self.parameters;
+        let scattered = |at: usize, sd: f64| (sd * self.scatter[at]).exp();
         let torque = torque * state.torque * scattered(0, 0.005);
         let back_emf = back_emf * state.back_emf;
         let friction = state.friction * scattered(1, 0.03);
@@ -229,6 +267,11 @@ impl Drive {
         }
         (Trace::new(self.rate_hz, recorded_a, recorded_mm).unwrap(), volts)
     }
+}
+
+/// The throw with changed positions.
+pub(crate) fn with_positions(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
+    with_trace(throw, |rate_hz, current, position| (rate_hz, current, position.into_iter().map(change).collect()))
 }
 
 /// The throw with another rate, current and position.

@@ -12,7 +12,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use crate::{
     drive::{Drive, State},
     field::{Machine, Scatter},
-    fleet::{in_parallel, normal},
+    fleet::{causes, in_parallel, normal},
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
@@ -67,7 +67,7 @@ fn an_alarm_of_features_stays_as_long_as_they_are_changed() {
     assert!(raised >= 6 && ended == 0, "{raised}, {ended}");
 }
 
-/// The alarm is raised at the first change that matters, and the change goes on.
+/// The alarm is raised at the first change that matters, and the change grows on.
 #[test]
 fn a_change_of_the_features_that_grows_is_reported_again() {
     let mut drive = current_only(1);
@@ -91,12 +91,13 @@ fn a_change_of_the_features_that_grows_is_reported_again() {
     assert!(largest(&events[events.len() - 1]) > 1.5 * largest(&events[0]), "{events:?}");
 }
 
-/// A year of 22 K up and down, at a throw a day or two a week, changes the running current by 0.6 % per K. A fault comes at once.
+/// The season changes the temperature by 22 K up and down, and the running current by 0.6 % per K. The machines throw
+/// once a day, or every four days. A fault is a step.
 #[test]
 fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() {
     let settings = Settings::default();
     let usual = Scatter { sd: [0.008, 0.02, 0.02], phi: 0.5, tail: None };
-    // Two throws a week learn their scatter in half a year, so it contains the season.
+    // A machine with a throw every four days learns its scatter for a year, so the scatter contains the season.
     for (is_published, days, fault) in [(true, 1, 1.45), (false, 1, 1.45), (false, 4, 2.2)] {
         for seed in 0..12 {
             let mut rng = ChaCha8Rng::seed_from_u64(59_500 + seed);
@@ -106,7 +107,7 @@ fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() 
             let mut caveats = 0;
             let mut life = |throw: u32, fault: f64| {
                 let day = days * throw;
-                // The baselines of the machines are of all seasons.
+                // Each machine begins its life in another month.
                 let year = std::f64::consts::TAU * (f64::from(day) / 365.0 + seed as f64 / 12.0);
                 let celsius = 10.0 + 22.0 * year.sin();
                 let current = fault * (-0.006 * (celsius - 10.0)).exp();
@@ -192,7 +193,7 @@ fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
     assert_eq!(machine.monitor.baseline(Direction::NormalToReverse), None, "the fault is the baseline");
 }
 
-/// A weak supply can make the throws unusable for the model, and is what should be named.
+/// A weak supply can make the throws unusable for the model. Then the supply must be named.
 #[test]
 fn a_weak_supply_of_rejected_throws_is_named() {
     let mut machine = Machine::new(57_100, Scatter::USUAL);
@@ -218,8 +219,7 @@ fn a_weak_supply_of_rejected_throws_is_named() {
 
 #[test]
 fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
-    // A brake that releases 20 ms late hides the scale of the coefficients in every throw.
-    let late = State { brake_s: 0.02, ..State::SOUND };
+    let late = State::OF_RATIOS;
     let faults = [
         (State { friction: 2.5, ..late }, Some(Cause::Friction)),
         (State { torque: 0.75, back_emf: 0.75, ..late }, Some(Cause::Kt)),
@@ -227,19 +227,18 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
     ];
     for (state, cause) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::new(58_000 + seed, false);
-            drive.stay_healthy(100, late);
+            let mut drive = Drive::after_in(late, 100, 58_000 + seed, false);
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
             let events = drive.events(24, state);
-            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
+            let causes = causes(&events);
             let is_right = |found: &Cause| Some(*found) == cause || *found == Cause::Unattributed && cause.is_some();
             assert!(causes.iter().all(is_right) && causes.is_empty() == cause.is_none(), "{cause:?}: {events:?}");
         }
     }
 }
 
-/// Observations of a machine without a toe sensor, from drawn features; the scatter is that of the logarithms of
+/// Observations of a machine without a toe sensor, with random features. `scatter` is that of the logarithms of
 /// duration, running current and charge.
 fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> Observation {
     let mut state = Vector3::zeros();
@@ -290,8 +289,7 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
     }
 }
 
-/// Complete throws of healthy machines without a toe sensor, from current to alarm: the raised alarms of `lives` machines
-/// with `life` throws each.
+/// Alarms that `lives` healthy machines without a toe sensor raise in `life` complete simulated throws each.
 fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: usize) -> Vec<String> {
     let live = |seed| {
         let mut drive = Drive::new(610_000 + seed, publishes_volts);
@@ -302,7 +300,8 @@ fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: usi
     in_parallel::<Vec<String>>(lives, live).concat()
 }
 
-/// At 25 Hz the inrush has one sample or none, and in one direction the spring drives: its current passes through zero.
+/// At 25 Hz the inrush has one sample or none. In one direction the spring drives the machine, so the current passes
+/// through zero.
 #[test]
 fn slow_recordings_show_the_start_of_the_motor() {
     let mut durations = [Vec::new(), Vec::new()];
@@ -326,8 +325,8 @@ fn slow_recordings_show_the_start_of_the_motor() {
     }
 }
 
-/// 100,000 simulated throws a row, of which the default budget has 0.7 false alarms; `POINTSD_LIVES` sets the machines with
-/// 1,000 throws each, 100 by default.
+/// 100,000 simulated throws a row, for which the default budget allows 0.7 false alarms. `POINTSD_LIVES` sets the
+/// number of machines with 1,000 throws each, 100 by default.
 #[test]
 #[ignore = "simulates 400,000 throws, in some minutes"]
 fn currents_of_healthy_machines_stay_within_the_budget() {

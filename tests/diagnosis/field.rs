@@ -1,6 +1,5 @@
-//! Machines in the field: a generator without the assumptions of the diagnosis. Its scatter may have heavy tails and
-//! strong serial correlation, its weather has days, seasons and wet periods, and its faults have different time
-//! courses.
+//! Machines in the field: a generator of throws without the assumptions of the diagnosis. The scatter may have heavy
+//! tails and strong serial correlation, and the temperature has days and seasons.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -82,7 +81,7 @@ impl Machine {
         self.observe(&throw)
     }
 
-    /// Gives the next throw to the monitor.
+    /// Gives the next throw, at a temperature, to the monitor.
     pub(crate) fn feed_at(&mut self, shift: Vector3<f64>, celsius: f64) -> Verdict {
         let throw = self.throw(shift, Some(celsius));
         self.observe(&throw)

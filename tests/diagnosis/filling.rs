@@ -11,8 +11,7 @@ use crate::{
     fleet::{Machine, Nature, shift},
 };
 
-/// A drive whose late brake leaves only the ratios of the coefficients.
-const OF_RATIOS: State = State { brake_s: 0.02, ..State::SOUND };
+const OF_RATIOS: State = State::OF_RATIOS;
 
 fn is_complete(machine: &Machine) -> bool {
     Direction::BOTH.into_iter().all(|way| machine.monitor.baseline(way).is_some_and(|record| record.complete))
@@ -48,13 +47,13 @@ fn healthy_machines_complete_their_baseline_without_an_alarm() {
 /// The first twelve throws of each direction are in unusual weather: all later throws differ significantly from them,
 /// by less than every limit.
 #[test]
-fn an_unlucky_first_dozen_does_not_end_the_learning() {
+fn unusual_weather_in_the_first_throws_does_not_end_the_learning() {
     let calm = Nature { scatter: [0.002, 0.005, 0.003], ..Nature::default() };
     for seed in 0..10 {
         let mut machine = Machine::new(7_100 + seed, calm);
         for (throws, weather) in [(24, shift(Cause::Friction, 13.0)), (276, Vector3::zeros())] {
             let events = machine.events(throws, weather);
-            // So different throws may hide a change of the friction, which is stated.
+            // Throws that differ so much may hide a change of the friction, and the monitor states this.
             assert!(events.iter().all(|event| event.cause == Cause::NotMonitored), "seed {seed}: {events:?}");
         }
         assert!(is_complete(&machine), "seed {seed}");
@@ -80,7 +79,8 @@ fn a_small_complete_baseline_names_every_cause() {
     }
 }
 
-/// The first dozen throws of each direction decide that only the ratios are compared, and are the baseline.
+/// From the first dozen throws of each direction the monitor decides to compare only the ratios, and learns the
+/// baseline.
 #[test]
 fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     let faults = [
@@ -90,8 +90,7 @@ fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     ];
     for (cause, pct, fault) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::new(61_000 + seed, seed.is_multiple_of(2));
-            drive.stay_healthy(36, OF_RATIOS);
+            let mut drive = Drive::after_in(OF_RATIOS, 36, 61_000 + seed, seed.is_multiple_of(2));
             let events = drive.events(60, fault);
             let named = events.iter().find(|event| event.cause == cause);
             let named = named.unwrap_or_else(|| panic!("{cause}, seed {seed}: {events:#?}"));

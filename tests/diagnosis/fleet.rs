@@ -12,7 +12,7 @@ use std::{
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, MachineMonitor, Observation, Settings, Verdict},
+    diagnose::{AlarmEvent, Cause, MachineMonitor, Observation, SensorChannel, Settings, Verdict},
     estimate::Features,
     throw::{Direction, ThrowRef},
 };
@@ -52,6 +52,16 @@ impl Nature {
 pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
     let (a, b): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+}
+
+/// Cause of each event.
+pub(crate) fn causes<'a>(events: impl IntoIterator<Item = &'a AlarmEvent>) -> Vec<Cause> {
+    events.into_iter().map(|event| event.cause).collect()
+}
+
+/// Cause and channel of each event.
+pub(crate) fn channels(events: &[AlarmEvent]) -> Vec<(Cause, Option<SensorChannel>)> {
+    events.iter().map(|event| (event.cause, event.channel)).collect()
 }
 
 /// Results of lives with the seeds from 0 on, on all processors; in any order.
@@ -104,7 +114,7 @@ impl Machine {
         Self::learned_with(seed, nature, Settings::default())
     }
 
-    /// The same with other settings.
+    /// [`Self::learned`] with other settings.
     pub(crate) fn learned_with(seed: u64, nature: Nature, settings: Settings) -> Self {
         let mut machine = Self::new(seed, nature);
         machine.settings = settings;

@@ -10,10 +10,10 @@ use pointsd::{
 
 use crate::{
     budget::free,
-    fleet::{Machine, Nature, shift},
+    fleet::{Machine, Nature, causes, shift},
 };
 
-/// Natures of healthy machines, and how many of their lives are blind for a critical change.
+/// The table has the scatter of healthy machines, and how many of 8 machines are blind for a critical change.
 #[test]
 fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
     let times = |factor: f64, phi: f64| {
@@ -77,8 +77,7 @@ fn a_second_fault_is_named_beside_the_first() {
                 assert!(before.iter().all(|event| event.cause == first), "{first}");
                 let fault = shift(first, size(first)) + shift(second, size(second));
                 let after = machine.events(60, fault);
-                let raised: Vec<_> =
-                    after.iter().filter(|event| event.event_no == 1).map(|event| event.cause).collect();
+                let raised = causes(after.iter().filter(|event| event.event_no == 1));
                 lives += 1;
                 right += usize::from(raised.first() == Some(&second));
                 unattributed += usize::from(raised.contains(&Cause::Unattributed));
@@ -99,9 +98,9 @@ fn a_second_fault_is_named_beside_the_first() {
     assert!(10 * named >= 9 * lives && wrong == 0);
 }
 
-/// The sizes of two faults, also of dry friction that leaks into the other coefficients, as the present drifts say them.
+/// The stated sizes of two faults, one of which may be dry friction that leaks into the other coefficients.
 #[test]
-fn the_sizes_of_two_faults_hold() {
+fn the_stated_sizes_of_two_faults_are_true() {
     let settings = Settings::default();
     let (mut said, mut held) = (0_u32, 0_u32);
     for first in Cause::PHYSICAL {
@@ -136,8 +135,8 @@ fn the_sizes_of_two_faults_hold() {
     assert!((90.0..=99.0).contains(&share), "{share:.1} % of {said} sizes hold");
 }
 
-/// A leak of the first friction fault and the motor together look like friction without a leak and stiffness; the level
-/// before the second fault shows the leak.
+/// Friction that leaks into the other coefficients, and a motor fault, together look like friction without a leak, and
+/// stiffness. Only the level before the second fault shows the leak.
 #[test]
 fn a_motor_fault_beside_friction_is_named_in_every_sign() {
     let mut named = 0;
@@ -154,7 +153,7 @@ fn a_motor_fault_beside_friction_is_named_in_every_sign() {
     assert!(named >= 39, "named in {named} of 40");
 }
 
-/// With a viscous model, a rise of dry friction increases all coefficients by up to 0.67 of it.
+/// With a viscous model, a rise of dry friction increases all coefficients by up to 0.67 of the rise.
 #[test]
 fn dry_friction_that_leaks_is_friction_of_its_true_size() {
     let mut held = 0;
@@ -279,8 +278,8 @@ fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
     }
 }
 
-/// The throw with its ratios only: any scale, noise of the ratios, and an error `shared` by all throws, which no mean of
-/// 24 throws reduces.
+/// The throw with its ratios only. Its covariance has an unknown scale, noise of the ratios, and an error `shared` by
+/// all throws, which the mean of 24 throws does not reduce.
 fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
     let (estimate, _) = throw.estimate.unwrap();
     let ratios = estimate.map(|value| value / estimate[0]);
@@ -306,7 +305,7 @@ fn some_rough(
     events.collect()
 }
 
-/// Rough throws do not show the inertia, so its size is that of the good ones; without these it is the last known size.
+/// Rough throws do not show the inertia. Its size comes from the good throws, and without these it stays as last known.
 #[test]
 fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones() {
     for (seed, of_ten) in [(1, 3), (2, 5), (3, 6), (4, 6), (5, 7)] {
@@ -354,25 +353,20 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
             let part = f64::from(seed) / 10.0 - 0.95;
             let shared = Vector3::new(0.0, -0.3, 1.0) * error_sd;
             let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
-            let events: Vec<AlarmEvent> = (0..20)
-                .flat_map(|_| {
-                    let rough = rough(machine.throw(fault), 24.0 * shared * shared.transpose());
-                    machine.observe(&rough).events
-                })
-                .collect();
-            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
-            assert!(!causes.is_empty() && causes.iter().all(|cause| *cause == Cause::Friction), "{part}: {events:?}");
+            let events = some_rough(&mut machine, 20, fault, 24.0 * shared * shared.transpose(), |_, _| true);
+            let is_friction = events.iter().all(|event| event.cause == Cause::Friction);
+            assert!(!events.is_empty() && is_friction, "{part}: {events:?}");
         }
     }
 }
 
-/// A fault that makes every throw rough has a name: the misfit of the model, which repeats in these throws, is an error of the
-/// machine, and not of chance in thousands of throws. A change that it may explain has no alarm.
+/// The misfit of the model repeats in these throws, so their mean does not reduce it. A change that the misfit may
+/// explain has no alarm; a larger one is named.
 #[test]
 fn a_fault_that_makes_every_throw_rough_is_named() {
     let misfit_sd = Vector3::new(0.0, 0.07, 0.08);
     let shared = 24.0 * Matrix3::from_diagonal(&misfit_sd.component_mul(&misfit_sd));
-    // Without healthy rough throws, here all of one direction, the machine has not shown how much the misfit changes the ratios.
+    // Rough throws of a healthy machine, here all of one direction, show how much the misfit changes the ratios.
     for (every_tenth, pct, is_found) in [(true, 26.0, true), (false, 45.0, true), (false, 12.0, false)] {
         for seed in 0..8 {
             let mut machine = Machine::learned(9_900 + seed, Nature::default());
@@ -380,7 +374,7 @@ fn a_fault_that_makes_every_throw_rough_is_named() {
             let healthy = some_rough(&mut machine, 120, Vector3::zeros(), shared, is_rough);
             assert_eq!(healthy, [], "{every_tenth}, seed {seed}: healthy");
             let events = some_rough(&mut machine, 80, shift(Cause::Stiffness, pct), shared, |_, _| true);
-            // While the misfit may change the ratios by as much as it states, they leave more than one explanation.
+            // If no healthy throw was rough, the stated misfit leaves more than one explanation for a while.
             let is_right = |event: &AlarmEvent| {
                 let is_named = event.cause == Cause::Stiffness;
                 is_named || !every_tenth && event.cause == Cause::Unattributed && event.text.contains("stiffness")

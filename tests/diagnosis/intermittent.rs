@@ -40,7 +40,7 @@ fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
 }
 
 #[test]
-fn of_a_large_fault_fewer_throws_are_enough() {
+fn a_large_intermittent_fault_needs_fewer_throws() {
     for (tail, least) in [(None, 20), (Some(3), 18)] {
         let found = |seed: &u64| {
             let mut machine = Machine::after(150, 62_000 + seed, Scatter { tail, ..Scatter::USUAL });
@@ -68,7 +68,7 @@ fn an_intermittent_fault_that_is_mended_clears() {
     assert_eq!(states, [AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged]);
 }
 
-/// Faulty throws also come two or three in a row, which is no drift of the machine.
+/// Two or three faulty throws in a row also happen, which are no drift of the machine.
 #[test]
 fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() {
     let settings = Settings::default();

@@ -1,22 +1,29 @@
-//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the speed.
+//! Machines whose motor works hard: the load takes a fifth of the voltage, so friction and a bad contact change the
+//! speed.
 
-use pointsd::{diagnose::Cause, throw::Direction};
+use pointsd::{
+    diagnose::{AlarmEvent, Cause},
+    throw::{Direction, ThrowRef},
+};
 
 use crate::{
     drive::{Drive, State},
     fleet::in_parallel,
 };
 
-/// Half of the friction is dry.
+/// A loaded motor without a fault. Half of the friction is dry.
 const LOADED: State = State { friction: 12.0, ..State::SOUND };
-/// A brake that hides the scale of the coefficients, so that the throws give the ratios only.
-const OF_RATIOS: State = State { brake_s: 0.02, ..LOADED };
+/// The same with a late brake, so that the throws give only the ratios of the coefficients.
+const OF_RATIOS: State = State { brake_s: State::OF_RATIOS.brake_s, ..LOADED };
 
 /// A loaded drive after a healthy time without an event.
 fn learned(seed: u64, publishes_volts: bool, state: State) -> Drive {
-    let mut drive = Drive::new(96_000 + seed, publishes_volts);
-    drive.stay_healthy(100, state);
-    drive
+    Drive::after_in(state, 100, 96_000 + seed, publishes_volts)
+}
+
+/// Cause, throw and text of each event.
+fn texts(events: &[AlarmEvent]) -> Vec<(Cause, Option<&ThrowRef>, &str)> {
+    events.iter().map(|event| (event.cause, event.last_throw.as_ref(), event.text.as_str())).collect()
 }
 
 /// Checks that nine of ten 95 % intervals of `cause` contain its true size, in the throws after a step to `state`.
@@ -37,7 +44,7 @@ fn assert_size(cause: Cause, before: State, state: State, truth_pct: f64) {
     assert!(10 * inside >= 9 * held.len(), "{cause} {truth_pct} %: {inside} of {}", held.len());
 }
 
-/// Friction slows the motor, and dry friction at a lower speed is more viscous friction in the model.
+/// Friction slows the motor, and the viscous model shows dry friction larger at a lower speed.
 #[test]
 fn the_size_of_friction_is_that_of_its_force_and_not_of_its_effect_on_the_speed() {
     for before in [LOADED, OF_RATIOS] {
@@ -47,7 +54,7 @@ fn the_size_of_friction_is_that_of_its_force_and_not_of_its_effect_on_the_speed(
     }
 }
 
-/// Dry friction takes its part of the torque of the inrush, so b0 falls by more than the torque.
+/// Dry friction takes a constant part of the torque of the inrush, so b0 falls by a larger share than the torque.
 #[test]
 fn the_size_of_a_motor_fault_is_that_of_its_torque_and_not_of_what_friction_leaves() {
     for factor in [0.88, 0.8] {
@@ -65,11 +72,9 @@ fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
             drive.events(80, State { ohms: 2.0, ..before })
         });
         for events in of_lives {
-            let said: Vec<_> =
-                events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
             let is_of_part = |cause: Cause| Cause::PHYSICAL.contains(&cause) || cause == Cause::Sensor;
-            assert!(events.iter().all(|event| !is_of_part(event.cause)), "{said:#?}");
-            assert!(events.iter().any(|event| event.cause == Cause::Supply), "{said:#?}");
+            assert!(events.iter().all(|event| !is_of_part(event.cause)), "{:#?}", texts(&events));
+            assert!(events.iter().any(|event| event.cause == Cause::Supply), "{:#?}", texts(&events));
         }
     }
 }
@@ -87,13 +92,12 @@ fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
         events
     });
     for events in of_lives {
-        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
-        assert!(events.iter().any(|event| event.cause == Cause::Friction), "{said:#?}");
-        assert!(events.iter().all(|event| event.cause != Cause::Stiffness), "{said:#?}");
+        assert!(events.iter().any(|event| event.cause == Cause::Friction), "{:#?}", texts(&events));
+        assert!(events.iter().all(|event| event.cause != Cause::Stiffness), "{:#?}", texts(&events));
     }
 }
 
-/// The windows contain throws from before and after the repair for a while, which together look like no single part.
+/// For a while the windows contain throws from before and after the repair. Together these look like no single part.
 #[test]
 fn a_repair_raises_no_alarm_about_the_throws_before_it() {
     let of_lives = in_parallel(12, |seed| {
@@ -105,7 +109,6 @@ fn a_repair_raises_no_alarm_about_the_throws_before_it() {
         drive.events(40, OF_RATIOS)
     });
     for events in of_lives {
-        let said: Vec<_> = events.iter().map(|event| (event.cause, event.last_throw.as_ref(), &event.text)).collect();
-        assert!(events.iter().all(|event| !event.state.is_active()), "{said:#?}");
+        assert!(events.iter().all(|event| !event.state.is_active()), "{:#?}", texts(&events));
     }
 }

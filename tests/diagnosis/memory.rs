@@ -9,15 +9,12 @@ use pointsd::{
 
 use crate::fleet::{Machine, Nature, normal};
 
-/// Largest memory of a monitor with full histories \[bytes\].
-const LIMIT: u64 = 7_000;
-/// Throws after which all histories are full: more than fill the blocks of the history since the baseline.
-const THROWS: u32 = 650;
-
-/// Throws of a machine whose baselines lack a few throws of 50 each.
-const LEARNING_THROWS: u32 = 90;
-/// Largest memory of its monitor \[bytes\].
-const LEARNING_LIMIT: u64 = 10_900;
+/// Throws that fill all histories of a monitor, also the blocks of the history since the baseline; and the largest memory
+/// of the monitor then \[bytes\].
+const FULL: (u32, u64) = (650, 7_000);
+/// Throws of a machine whose two baselines lack a few of their 50 throws, and the largest memory of its monitor \[bytes\].
+/// All machines of a new fleet learn at the same time.
+const LEARNING: (u32, u64) = (90, 10_900);
 
 /// A throw with every feature and a temperature.
 fn throw(machine: &mut Machine) -> Observation {
@@ -38,7 +35,7 @@ fn throw(machine: &mut Machine) -> Observation {
     Observation { features, temperature_c: near(12.0), ..observation }
 }
 
-/// Memory of the monitor that `make` returns, with what it refers to \[bytes\].
+/// Memory of the monitor that `make` returns, with all that it owns \[bytes\].
 fn memory(make: impl FnOnce() -> MachineMonitor) -> u64 {
     let mut monitor = None;
     let counted = measure(|| monitor = Some(Box::new(make())));
@@ -65,14 +62,9 @@ fn memory_after(throws: u32) -> [u64; 2] {
 }
 
 #[test]
-fn a_full_monitor_takes_little_memory_before_and_after_a_restart() {
-    let taken = memory_after(THROWS);
-    assert!(taken.iter().all(|bytes| *bytes <= LIMIT), "{taken:?} bytes");
-}
-
-/// All machines of a new fleet learn at the same time.
-#[test]
-fn a_monitor_that_learns_takes_little_memory_before_and_after_a_restart() {
-    let taken = memory_after(LEARNING_THROWS);
-    assert!(taken.iter().all(|bytes| *bytes <= LEARNING_LIMIT), "{taken:?} bytes");
+fn a_full_and_a_learning_monitor_take_little_memory_before_and_after_a_restart() {
+    for (throws, limit) in [FULL, LEARNING] {
+        let taken = memory_after(throws);
+        assert!(taken.iter().all(|bytes| *bytes <= limit), "after {throws} throws: {taken:?} bytes");
+    }
 }

@@ -12,8 +12,8 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State, with_trace},
-    fleet::{Machine, Nature, shift},
+    drive::{Drive, State, with_positions},
+    fleet::{Machine, Nature, channels, shift},
 };
 
 fn machine() -> Machine {
@@ -33,11 +33,12 @@ fn missing(throws: u64) -> Missing<'static> {
     Missing { throws, ..Missing::default() }
 }
 
-/// A warning that is raised, and its end.
+/// The event that raises a warning.
 fn raised(cause: Cause) -> (Cause, Severity, AlarmState) {
     (cause, Severity::Warning, AlarmState::ActiveUnacknowledged)
 }
 
+/// The event that ends a warning.
 fn ended(cause: Cause) -> (Cause, Severity, AlarmState) {
     (cause, Severity::Warning, AlarmState::ClearedUnacknowledged)
 }
@@ -62,28 +63,23 @@ fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
     assert_eq!(summary(&well), [(Cause::IncompleteThrow, Severity::Critical, ClearedUnacknowledged)]);
 }
 
-/// With a configured stroke a weak gain makes whole throws shorter than 95 % of it.
+/// With a weak gain of the position sensor complete throws seem shorter than 95 % of the configured stroke.
 #[test]
 fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_throw() {
     for publishes_volts in [true, false] {
-        let mut drive = Drive::new(71, publishes_volts);
-        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        assert_eq!(drive.events(120, State::SOUND), []);
+        let mut drive = Drive::with_stroke(120, 71, publishes_volts);
         let weak = State { position_gain: 0.94, ..State::SOUND };
         let events = drive.events(30, weak);
-        let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
-        assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
+        assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
     }
 }
 
-/// The toe ends at the same place as behind a weak gain: before an obstruction, where the motor stalls for longer than the
-/// detection needs, or because the supply of the motor is lost.
+/// The position ends as with a weak gain of its sensor, but for another reason: the motor stalls before an obstruction
+/// for longer than the detection of the end needs, or loses its supply.
 #[test]
 fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
     for push_s in [0.0, 0.15, 0.3, 1.0, 4.0] {
-        let mut drive = Drive::new(74, true);
-        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        assert_eq!(drive.events(40, State::SOUND), []);
+        let mut drive = Drive::with_stroke(40, 74, true);
         drive.push_s = push_s;
         let blocked = State { stroke: 0.94, ..State::SOUND };
         let events = drive.events(2, blocked);
@@ -107,7 +103,7 @@ fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let mut machine = machine();
     assert_eq!(summary(&feed(&mut machine, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
-    // One accepted throw among many rejected ones monitors nothing.
+    // One accepted throw among many rejected ones does not end the alarm.
     for _ in 0..5 {
         assert_eq!(feed(&mut machine, 1, |_| {}), []);
         assert_eq!(feed(&mut machine, 12, |o| o.estimate = None), []);
@@ -132,13 +128,13 @@ fn silence_is_noticed_and_a_jumping_clock_is_no_silence() {
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
 }
 
-/// Calls the monitor every ten seconds, as the daemon does.
+/// Lets minutes pass; calls `each` and the monitor every ten seconds, as the daemon does.
 fn pass(
     monitor: &mut MachineMonitor,
     now: &mut jiff::Timestamp,
     minutes: i64,
-    mut each: impl FnMut(&mut MachineMonitor, jiff::Timestamp) -> Option<pointsd::diagnose::AlarmEvent>,
-) -> Vec<pointsd::diagnose::AlarmEvent> {
+    mut each: impl FnMut(&mut MachineMonitor, jiff::Timestamp) -> Option<AlarmEvent>,
+) -> Vec<AlarmEvent> {
     let mut events = Vec::new();
     for _ in 0..6 * minutes {
         *now += SignedDuration::from_secs(10);
@@ -164,8 +160,8 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     }
     assert_eq!(pass(&mut machine.monitor, &mut now, 1, there), []);
     let (raised, ended) = (raised(Cause::NotMonitored), ended(Cause::NotMonitored));
-    // Half of the delay passes before the daemon stops. The hours of its absence, or of a clock jump, do not count, as
-    // loggers have to connect again. Then the alarm is raised once.
+    // Half of the delay passes before the daemon stops. The hours without a daemon, or of a clock jump, do not count,
+    // because loggers have to connect again. After the whole delay the alarm is raised once.
     assert_eq!(pass(&mut machine.monitor, &mut now, 6, away), []);
     machine.monitor = serde_json::from_str(&serde_json::to_string(&machine.monitor).unwrap()).unwrap();
     now += SignedDuration::from_hours(30);
@@ -199,7 +195,7 @@ fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
 }
 
 #[test]
-fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
+fn an_alarm_of_the_daemon_itself_rises_and_ends_after_its_problem() {
     let settings = Settings::default();
     let mut monitor = MachineMonitor::new("pointsd");
     let mut now: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
@@ -216,7 +212,8 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     // At its limit the alarm does not toggle.
     assert_eq!(pass(&mut monitor, &mut now, 9, well), []);
     assert_eq!(pass(&mut monitor, &mut now, 1, full), []);
-    // Another problem is a new event of the same alarm, also when it has the same severity. Other numbers are none.
+    // Another problem of the same severity is a new event of the same alarm. Another number in the text is no new
+    // event.
     let also = |throws: u32| {
         move |monitor: &mut MachineMonitor, now| {
             let text = format!("full; {throws} throws refused");
@@ -241,8 +238,8 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     assert_eq!(summary(&feed(&mut machine, 12, |_| {})), [ended(Cause::DataLoss)]);
 }
 
-/// Throws that were received before a gap was known may stand before it, and are no sign of its end. An alarm does not end
-/// before it was raised, although the throws are older than the news about the gap.
+/// Throws that were received before the gap was known may be older than the gap, so they do not end its alarm. The end
+/// of an alarm is not dated before its start, also if the throws that end it are older.
 #[test]
 fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     let settings = Settings::default();
@@ -255,7 +252,7 @@ fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     let events = feed(&mut machine, 1, at(1));
     assert_eq!(summary(&events), [ended(Cause::DataLoss)]);
     assert_eq!((events[0].event_at, raised[0].raised_at), (known_at, known_at));
-    // The clock of this computer was a year ahead.
+    // The clock of the daemon's computer was ahead by months.
     let lost = machine.monitor.gap(missing(1), known_at, &settings);
     assert_eq!(lost.len(), 1);
     let right = known_at - SignedDuration::from_hours(24 * 300);
@@ -282,7 +279,7 @@ fn a_growing_loss_is_reported_at_each_power_of_two() {
     }
 }
 
-/// One message with an absurd number makes a gap of up to 2^63 throws, whose number says nothing.
+/// One message with an absurd throw number makes a gap of up to 2^63 throws, which is no number of lost throws.
 #[test]
 fn a_jump_of_the_throw_number_is_no_number_of_lost_throws() {
     let settings = Settings::default();
@@ -311,7 +308,7 @@ fn refused_messages_are_named_as_the_reason_of_a_gap() {
 }
 
 #[test]
-fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
+fn impossible_estimates_cause_no_panic_and_are_not_learned() {
     let settings = Settings::default();
     let mut machine = Machine::new(22, Nature::default());
     for at in 0..3 {
@@ -409,7 +406,7 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     assert!(fresh.open_alarms().is_empty());
 }
 
-/// Points move to and fro: what happens in one direction only has no consecutive throws.
+/// Points move to and fro, so a fault of one direction never shows in two consecutive throws.
 #[test]
 fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     let there = |o: &Observation| o.direction == Some(Direction::NormalToReverse);
@@ -432,7 +429,7 @@ fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     assert_eq!(severities, [(Cause::IncompleteThrow, Severity::Warning), (Cause::IncompleteThrow, Severity::Critical)]);
 }
 
-/// The present size of a drift is not that of throws of long ago.
+/// The present size of a drift must not come from old throws.
 #[test]
 fn without_evaluated_throws_the_present_size_is_unknown() {
     let mut machine = machine();
@@ -455,7 +452,7 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let events = feed(&mut machine, 25, without);
     assert_eq!(events[0].channel, Some(SensorChannel::Position));
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
-    // The sensor was taken away for good.
+    // The sensor was removed for good.
     let at = machine.throw(Vector3::zeros()).started_at;
     let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "no toe sensor any more".to_owned() };
     machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
@@ -464,7 +461,7 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     assert_ne!(machine.monitor.state(), MachineState::NotMonitored);
 }
 
-/// There is one alarm about sensors, so a second faulty sensor is a new event of it.
+/// All sensors share one alarm, so a second faulty sensor is a new event of this alarm.
 #[test]
 fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
     let mut machine = machine();
@@ -473,27 +470,27 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
         hot(o);
         (o.faulty, o.estimate) = (Some(SensorChannel::Position), None);
     };
-    let channels = |events: &[AlarmEvent]| -> Vec<_> {
+    let sensors = |events: &[AlarmEvent]| -> Vec<_> {
         let sensor = events.iter().filter(|event| event.cause == Cause::Sensor);
         sensor.map(|event| (event.channel, event.state)).collect()
     };
     let (unseen, over) = (AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged);
     let events = feed(&mut machine, 20, hot);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), unseen)]);
     let ack = Command::Ack { cause: Cause::Sensor, by: "mia".to_owned() };
     machine.monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
     // One event, although both sensors are faulty in each throw.
     let events = feed(&mut machine, 10, both);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Position), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Position), unseen)]);
     assert!(events[0].text.contains("position sensor"), "{}", events[0].text);
     // The position sensor is mended, and the other is still faulty.
     let events = feed(&mut machine, 20, hot);
-    assert_eq!(channels(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
     let events = feed(&mut machine, 20, |_| {});
-    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), over)]);
+    assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
-/// Rules forget their last throws at the end of a maintenance, and their alarms end with it.
+/// At the end of a maintenance the rules forget the last throws, so the alarms that come from them must end too.
 #[test]
 fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
     let mut machine = machine();
@@ -513,12 +510,12 @@ fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
 }
 
 #[test]
-fn a_position_in_another_unit_is_asked_for_and_no_throw_is_refused() {
+fn a_position_in_another_unit_is_a_caveat_and_no_throw_is_refused() {
     let mut drive = Drive::after(40, 72, true);
     let asks = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("in centimetres (115 mm)"));
     assert!(!asks(&drive), "{:?}", drive.monitor.caveats());
     drive = Drive::new(72, true);
-    drive.logger = |throw| with_trace(throw, |rate_hz, a, mm| (rate_hz, a, mm.iter().map(|mm| 0.1 * mm).collect()));
+    drive.logger = |throw| with_positions(throw, |mm| 0.1 * mm);
     drive.stay_healthy(40, State::SOUND);
     assert!(asks(&drive), "{:?}", drive.monitor.caveats());
     for (travel_mm, unit) in [(11.4, "centimetres"), (4.5, "inches")] {

@@ -2,37 +2,42 @@
 
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 
-use crate::drive::{Drive, State};
+use crate::{
+    drive::{Drive, State},
+    fleet::causes,
+};
 
 /// Throws after the second fault.
 const AFTER: u32 = 160;
 
-/// A fault of a part: its cause, and the state of a machine that has a part of it.
+/// A fault: its cause, and the state of a machine with a share of it, 0 to 1.
 #[derive(Clone, Copy)]
 struct Fault {
     cause: Cause,
-    of: fn(State, f64) -> State,
+    state: fn(State, f64) -> State,
 }
 
-/// The torque alone, as of worn brushes, and the magnets, which change the back-EMF too.
-const TORQUE: Fault = Fault { cause: Cause::Kt, of: |state, part| State { torque: 1.0 - 0.15 * part, ..state } };
+/// The torque alone, as with worn brushes.
+const TORQUE: Fault = Fault { cause: Cause::Kt, state: |state, share| State { torque: 1.0 - 0.15 * share, ..state } };
+/// Weak magnets change torque and back-EMF.
 const MAGNETS: Fault = Fault {
     cause: Cause::Kt,
-    of: |state, part| State { torque: 1.0 - 0.15 * part, back_emf: 1.0 - 0.15 * part, ..state },
+    state: |state, share| State { torque: 1.0 - 0.15 * share, back_emf: 1.0 - 0.15 * share, ..state },
 };
 const FRICTION: Fault =
-    Fault { cause: Cause::Friction, of: |state, part| State { friction: 1.0 + 0.4 * part, ..state } };
+    Fault { cause: Cause::Friction, state: |state, share| State { friction: 1.0 + 0.4 * share, ..state } };
 const STIFFNESS: Fault =
-    Fault { cause: Cause::Stiffness, of: |state, part| State { stiffness: 1.0 + 0.25 * part, ..state } };
+    Fault { cause: Cause::Stiffness, state: |state, share| State { stiffness: 1.0 + 0.25 * share, ..state } };
 
-/// The judgement of a life.
+/// Numbers of lives.
 #[derive(Debug, Default)]
 struct Judgement {
     lives: u32,
-    /// The first and the second fault named alone by an active alarm at the end, or in the text of one.
+    /// At the end an active alarm names the first fault, as its cause or in its text.
     first: u32,
+    /// At the end an active alarm names the second fault.
     second: u32,
-    /// A text that says that no cause explains the change, or sends to the sensors.
+    /// A text says that no cause explains the change, or that the sensors must be checked first.
     lost: u32,
     /// The first fault was named, and its alarm ended although the fault exists.
     dropped: u32,
@@ -51,13 +56,14 @@ impl Judgement {
     }
 }
 
+/// A life in which the second fault begins `gap` throws after the first, and each fault grows over `ramp` throws.
 fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<AlarmEvent>, Drive) {
     let mut drive = Drive::after(120, seed, seed.is_multiple_of(2));
-    let part = |since: u32| if ramp == 0 { 1.0 } else { (f64::from(since + 1) / f64::from(ramp)).min(1.0) };
+    let share = |since: u32| if ramp == 0 { 1.0 } else { (f64::from(since + 1) / f64::from(ramp)).min(1.0) };
     let mut events = Vec::new();
     for throw in 0..gap + ramp + AFTER {
-        let state = (first.of)(State::SOUND, part(throw));
-        let state = if throw < gap { state } else { (second.of)(state, part(throw - gap)) };
+        let state = (first.state)(State::SOUND, share(throw));
+        let state = if throw < gap { state } else { (second.state)(state, share(throw - gap)) };
         events.extend(drive.feed(state).events);
     }
     (events, drive)
@@ -92,8 +98,8 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
     judgement
 }
 
-/// Forty lives of each pair in both orders, half of them with a published voltage; `is_clear`: whether the coefficients and
-/// gauges can tell the two with this gap and ramp.
+/// Judges forty lives of a pair in both orders, half of them with a published voltage. `is_clear` says for which gap
+/// and ramp the data can distinguish the two faults.
 fn forty_lives(pair: [Fault; 2], is_clear: fn(gap: u32, ramp: u32) -> bool) {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |value| value.parse().unwrap());
     let (from, lives) = (number("SEED", 5_000), number("LIVES", 40));
@@ -142,7 +148,7 @@ fn a_lost_torque_and_friction_one_after_the_other_keep_their_names() {
 
 #[test]
 fn two_faults_keep_their_names() {
-    // After 200 throws, ten days, the risen friction may be the season's, but not the motor's change.
+    // After 200 throws, which are ten days, the season may explain the risen friction, but not the change of the motor.
     let pairs =
         [([MAGNETS, FRICTION], 0), ([MAGNETS, FRICTION], 40), ([FRICTION, MAGNETS], 40), ([FRICTION, MAGNETS], 200)];
     for (pair, gap) in pairs {
@@ -155,12 +161,11 @@ fn two_faults_keep_their_names() {
 /// The ratios of both faults together are nearly those of a motor that lost a quarter.
 #[test]
 fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of_ratios() {
-    let before = State { brake_s: 0.02, ..State::SOUND };
+    let before = State::OF_RATIOS;
     let both = State { friction: 1.4, stiffness: 1.3, ..before };
     let [dry, stiff] = [State { friction: 1.4, ..before }, State { stiffness: 1.3, ..before }];
     for (seed, first) in [(0, dry), (1, dry), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::new(97_000 + seed, true);
-        drive.stay_healthy(140, before);
+        let mut drive = Drive::after_in(before, 140, 97_000 + seed, true);
         drive.events(60, first);
         let events = drive.events(100, both);
         let [AlarmEvent { cause, change_pct: Some(pct), change_pct_sd: Some(sd), .. }] = &events[..] else {
@@ -168,21 +173,21 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
         };
         let (second, size) = if first.friction > 1.0 { (Cause::Stiffness, 30.0) } else { (Cause::Friction, 40.0) };
         assert!(*cause == second && (pct - size).abs() < 2.0 * sd, "{events:#?}");
-        let mut open: Vec<Cause> = drive.monitor.open_alarms().iter().map(|event| event.cause).collect();
+        let mut open = causes(&drive.monitor.open_alarms());
         open.sort_unstable();
         assert_eq!(open, [Cause::Friction, Cause::Stiffness]);
     }
 }
 
-/// A weak magnet and a stiff rail are nearly a weaker magnet to the ratios, and the back-EMF says how weak it is.
+/// In the ratios a weak magnet and a stiff rail together look nearly like a weaker magnet. The back-EMF shows how weak
+/// the magnet is.
 #[test]
 fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ratios() {
-    let before = State { brake_s: 0.02, ..State::SOUND };
+    let before = State::OF_RATIOS;
     let both = State { torque: 0.85, back_emf: 0.85, stiffness: 1.3, ..before };
     let [weak, stiff] = [State { stiffness: 1.0, ..both }, State { torque: 1.0, back_emf: 1.0, ..both }];
     for (seed, first) in [(0, weak), (1, weak), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::new(98_000 + seed, true);
-        drive.stay_healthy(140, before);
+        let mut drive = Drive::after_in(before, 140, 98_000 + seed, true);
         drive.events(60, first);
         let events = drive.events(160, both);
         let is_part = |event: &&AlarmEvent| Cause::PHYSICAL.contains(&event.cause);
@@ -193,7 +198,7 @@ fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ra
             events.iter().find(|event| event.cause == second).unwrap_or_else(|| panic!("{first:?}: {events:#?}"));
         let (pct, sd) = raised.change_pct.zip(raised.change_pct_sd).unwrap();
         assert!((pct - size).abs() < 2.5 * sd, "{raised:?}");
-        let open: Vec<Cause> = drive.monitor.open_alarms().iter().filter(is_part).map(|event| event.cause).collect();
+        let open = causes(drive.monitor.open_alarms().iter().filter(is_part));
         assert!(open.len() == 2 && open.contains(&Cause::Kt) && open.contains(&Cause::Stiffness), "{open:?}");
     }
 }

@@ -1,6 +1,6 @@
-//! A drive that pulls a rail which bends: three masses with Coulomb friction under each, behind an elastic toe drive. The far
-//! masses stick until the rail has bent, so the friction grows along the stroke. Has no code in common with simulator, estimator
-//! or diagnosis.
+//! A simulated drive that pulls a rail which bends: three masses with Coulomb friction under each, behind an elastic
+//! toe drive. The far masses stick until the rail has bent, so the friction grows along the stroke. It shares no code
+//! with the simulator, the estimator and the diagnosis.
 
 use std::f64::consts::TAU;
 
@@ -43,7 +43,7 @@ const MAKES: [Make; 3] = [
     Make { stall_a: 22.0, lead_mm: 15.0, stroke_mm: 140.0, duration_s: 5.0, load: 0.16, bends_mm: 4.0, wound_mm: 0.8 },
 ];
 
-/// A change of the machine: factors on the torque, and on the friction by that of the slide chairs.
+/// Factors on the torque of the motor, and on the whole friction; the slide chairs cause the change of the friction.
 #[derive(Debug, Clone, Copy)]
 struct State {
     torque: f64,
@@ -55,7 +55,8 @@ const SOUND: State = State { torque: 1.0, friction: 1.0 };
 struct Machine {
     make: Make,
     rng: ChaCha8Rng,
-    wander: [f64; 3],
+    /// Scatter of torque, friction and spring from throw to throw, in standard deviations.
+    scatter: [f64; 3],
     identifier: Identifier,
     monitor: MachineMonitor,
     throws: u64,
@@ -79,7 +80,7 @@ impl Machine {
     }
 
     fn throw(&mut self, state: State) -> Throw {
-        for value in &mut self.wander {
+        for value in &mut self.scatter {
             *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
         }
         let direction = Direction::BOTH[usize::from(self.throws % 2 == 1)];
@@ -113,7 +114,7 @@ impl Machine {
         let stall = constant * stall_a;
         // A third of the load is viscous, a half dry, and a sixth a spring.
         let sds: [f64; 3] = [0.005, 0.03, 0.01];
-        let scatter: [f64; 3] = std::array::from_fn(|at| (sds[at] * self.wander[at]).exp());
+        let scatter: [f64; 3] = std::array::from_fn(|at| (sds[at] * self.scatter[at]).exp());
         let viscous = load * stall / 3.0 / speed * scatter[1];
         let dry = 0.45 * load * stall * scatter[1];
         let chairs = load * stall * (0.05 + 0.83 * (state.friction - 1.0)) * scatter[1];
@@ -166,17 +167,17 @@ impl Machine {
 fn lives(state: State) -> Vec<Vec<Cause>> {
     in_parallel(9, |seed| {
         let mut rng = ChaCha8Rng::seed_from_u64(8_300 + seed);
-        let wander = [(); 3].map(|()| normal(&mut rng));
+        let scatter = [(); 3].map(|()| normal(&mut rng));
         let make = MAKES[usize::try_from(seed % 3).unwrap()];
         let (identifier, monitor) = (Identifier::default(), MachineMonitor::new("21B"));
-        let mut machine = Machine { make, rng, wander, identifier, monitor, throws: 0 };
+        let mut machine = Machine { make, rng, scatter, identifier, monitor, throws: 0 };
         assert_eq!(machine.named(110, SOUND), [], "{make:?}");
         machine.named(48, state)
     })
 }
 
-/// The friction that grows along the stroke is no stiffer spring, and the ratios that both change no weaker motor: the motor
-/// starts as before.
+/// Friction that grows along the stroke looks like a stiffer spring, and the changed ratios like a weaker motor. But
+/// the motor starts as before.
 #[test]
 fn dry_slide_chairs_of_a_rail_that_bends_are_friction() {
     for friction in [1.4, 1.8, 2.5] {
@@ -186,7 +187,7 @@ fn dry_slide_chairs_of_a_rail_that_bends_are_friction() {
 }
 
 #[test]
-fn a_lost_torque_of_a_drive_with_such_a_rail_is_the_motor() {
+fn a_lost_torque_of_a_drive_with_a_rail_that_bends_is_named_motor() {
     let named = lives(State { torque: 0.85, ..SOUND });
     assert!(named.iter().all(|named| *named == [Cause::Kt]), "{named:?}");
 }

@@ -16,7 +16,8 @@ const LIVES: u64 = 4;
 /// Throws for which a machine is followed after its ramp has ended.
 const AFTER_THE_END: u32 = 100;
 
-/// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws, straight or accelerating.
+/// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws: straight with a `power` of 1,
+/// accelerating with 2.
 fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
     top * (f64::from(throw) / f64::from(throws)).min(1.0).powi(power)
 }
@@ -76,7 +77,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
     assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");
 }
 
-/// Half of the friction of these drives is dry, which a viscous model shows larger as the drive becomes slower.
+/// Half of the friction of these drives is dry. A viscous model shows dry friction larger when the drive is slower.
 #[test]
 fn the_size_of_a_friction_of_a_multiple_of_nominal_holds() {
     for (factor, throws) in [(2.5, 1), (2.5, 60), (4.0, 1), (4.0, 60)] {
@@ -161,7 +162,7 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
             let fault = if sides[machine.side()] { shift(cause, size) } else { Vector3::zeros() };
             let verdict = machine.feed(fault);
             let active = |event: &&AlarmEvent| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged;
-            // The first place is for events, the others for the throws after the first.
+            // Place 0 is for events, place n for the n-th throw after the first event.
             let event = verdict.events.iter().find(active).map(|event| {
                 alarmed.get_or_insert(throw);
                 (0, event.change_pct.unwrap(), event.change_pct_sd.unwrap())
@@ -228,7 +229,7 @@ fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
     }
 }
 
-/// The throws of a machine may depend strongly on those before. Its limits are high, but a large step exceeds them.
+/// With strong serial correlation the limits are high, but a large step exceeds them.
 #[test]
 fn a_machine_whose_throws_wander_shows_a_large_step() {
     const LIVES: u64 = 40;

@@ -1,19 +1,16 @@
-//! Loggers that change their recordings, and recordings that show less than before, of a machine that is sound.
+//! Sound machines whose loggers change the recordings, or whose recordings show less than before.
 
 use pointsd::{
     diagnose::{AlarmEvent, Cause, MachineState, SensorChannel},
     throw::{Direction, Throw},
 };
 
-use crate::drive::{Drive, State, with_trace};
+use crate::drive::{Drive, Logger, State, with_positions, with_trace};
 
 /// The machine is sound in all of these throws.
 #[test]
 fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() {
-    type Logger = fn(Throw) -> Throw;
-    let mirrored: Logger = |throw| {
-        with_trace(throw, |rate, current, position| (rate, current, position.iter().map(|x| 115.0 - x).collect()))
-    };
+    let mirrored: Logger = |throw| with_positions(throw, |mm| 115.0 - mm);
     let in_khz: Logger = |throw| with_trace(throw, |rate, current, position| (rate / 1000.0, current, position));
     let stuck: Logger = |throw| {
         with_trace(throw, |rate, current, mut position| {
@@ -31,8 +28,7 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
             (rate, current, position)
         })
     };
-    let without_position: Logger =
-        |throw| with_trace(throw, |rate, current, position| (rate, current, vec![f64::NAN; position.len()]));
+    let without_position: Logger = |throw| with_positions(throw, |_| f64::NAN);
     let position = Some(SensorChannel::Position);
     let cases = [
         ("mirrored", mirrored, Some(position), "unlike before"),
@@ -42,9 +38,7 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
         ("without a position", without_position, Some(position), "no longer sends a toe position"),
     ];
     for (name, logger, channel, words) in cases {
-        let mut drive = Drive::new(75, true);
-        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
-        assert_eq!(drive.events(120, State::SOUND), [], "{name}");
+        let mut drive = Drive::with_stroke(120, 75, true);
         drive.logger = logger;
         let events = drive.events(24, State::SOUND);
         let is_about_recordings = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::NotMonitored);
@@ -63,12 +57,13 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
 #[test]
 fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
     let mut drive = Drive::new(76, true);
-    let swapped: fn(Throw) -> Throw = |throw| {
+    let swapped: Logger = |throw| {
         let other = |direction: Direction| Direction::BOTH.into_iter().find(|other| *other != direction);
         Throw { direction: throw.direction.and_then(other), ..throw }
     };
-    for (logger, throws) in [(None, 120), (Some(swapped), 1), (None, 10), (Some(swapped), 60)] {
-        drive.logger = logger.unwrap_or(|throw| throw);
+    let plain = drive.logger;
+    for (logger, throws) in [(plain, 120), (swapped, 1), (plain, 10), (swapped, 60)] {
+        drive.logger = logger;
         let events = drive.events(throws, State::SOUND);
         assert_eq!(events, []);
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
@@ -83,8 +78,7 @@ fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
 
 #[test]
 fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
-    let mut drive = Drive::new(72, true);
-    (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+    let mut drive = Drive::with_stroke(0, 72, true);
     let short = State { stroke: 0.91, ..State::SOUND };
     let events = drive.events(60, short);
     assert_eq!(events, []);
@@ -96,7 +90,7 @@ fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
     assert_eq!(drive.monitor.state(), MachineState::Healthy);
 }
 
-/// A machine without a toe sensor that had coefficients, and whose throws give none any more.
+/// The coefficients of a machine without a toe sensor come from the current and the published voltage.
 #[test]
 fn lost_coefficients_of_a_machine_without_a_toe_sensor_are_a_caveat() {
     let mut drive = Drive::new(73, true);

@@ -78,7 +78,7 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
     let motor: Vec<_> = alarms.iter().filter(|alarm| alarm["cause"] == "kt").collect();
     assert!(!motor.is_empty() && motor.iter().all(|alarm| alarm["difference"] == "gone"), "{changed}");
 
-    // A limit that the scatter of a healthy machine hides: no alarm of that cause can come, which is a difference.
+    // The scatter of a healthy machine hides a change at this limit: the alarm that says so is a difference.
     let strict = configuration(
         folder.path(),
         "strict.toml",

@@ -1,5 +1,5 @@
-//! Faults of one direction, and offsets of the current sensor, of a drive outside the model; a neutral position that is not the
-//! configured one.
+//! Faults of one direction, and offsets of the current sensor, on a drive that the model does not describe completely;
+//! and a neutral position that is not the configured one.
 
 use jiff::Timestamp;
 use pointsd::{
@@ -16,7 +16,8 @@ fn learned(seed: u64) -> Drive {
     Drive::after(120, seed, seed.is_multiple_of(2))
 }
 
-/// Number of lives in which an event of the friction alarm says the direction, and in which it is said exactly once.
+/// Number of lives in which the friction alarm states its direction at the end, and in which at most one event updates
+/// it.
 fn directions(seeds: std::ops::Range<u64>) -> [u32; 2] {
     let (mut said, mut once) = (0, 0);
     for seed in seeds {
@@ -88,7 +89,7 @@ fn an_offset_of_the_current_is_an_alarm_of_its_sensor_in_forty_lives() {
     offsets(from..from + 40);
 }
 
-/// The zero of a Hall sensor follows its temperature, which swings within a day and from season to season.
+/// The zero of a Hall sensor follows its temperature, which changes within a day and from season to season.
 #[test]
 fn the_zero_of_a_hall_sensor_may_drift() {
     for seed in 6_300..6_303 {
@@ -103,7 +104,7 @@ fn the_zero_of_a_hall_sensor_may_drift() {
 }
 
 #[test]
-fn a_current_at_rest_since_the_first_throw_is_no_alarm_and_is_said() {
+fn a_current_at_rest_since_the_first_throw_is_a_caveat_and_no_alarm() {
     let mut drive = Drive::new(6_310, true);
     let state = State { current_offset_a: 1.0, ..State::SOUND };
     drive.stay_healthy(120, state);
@@ -111,9 +112,9 @@ fn a_current_at_rest_since_the_first_throw_is_no_alarm_and_is_said() {
     assert!(caveats.len() == 1 && caveats[0].contains("+1.0 A"), "{caveats:?}");
 }
 
-/// A simulated machine with a step of a part after 110 throws, whose rails are unstressed at `neutral_mm`, identified with
-/// `configured_mm`: the causes of its alarms, its drifts and caveats after 150 throws, and how far a1 of its last healthy throws is from
-/// the baseline \[parts\].
+/// Simulates a machine whose rails are unstressed at `neutral_mm`, with a fault of a part after 110 throws, and
+/// identifies the throws with `configured_mm`. Returns the causes of its alarms, its drifts and caveats after 150
+/// throws, and the largest deviation of a1 of its last healthy throws from the baseline, as a share of a1.
 fn unstressed_at(
     [neutral_mm, configured_mm]: [f64; 2],
     part: Part,
@@ -150,7 +151,7 @@ fn said_mm(caveats: &[String]) -> f64 {
 }
 
 #[test]
-fn a_neutral_position_that_is_not_configured_misleads_nobody() {
+fn a_neutral_position_that_is_not_configured_changes_neither_cause_nor_size() {
     for neutral_mm in [30.0, 57.5, 75.0] {
         for (part, cause, pct) in [
             (Part::Friction, Cause::Friction, 40.0),

@@ -22,15 +22,15 @@ impl Site {
         Self { machines: (0..count).map(machine).collect(), events: Vec::new(), now: Timestamp::UNIX_EPOCH }
     }
 
-    /// One throw of every machine with `weather`, whose effect differs a little between machines, plus `own`.
+    /// One throw of every machine. The effect of `weather` differs between machines; `own` is a change of one machine.
     fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
         for at in 0..self.machines.len() {
-            let feels = 0.7 + 0.15 * (at % 5) as f64;
-            let throw = self.machines[at].throw(feels * weather + own(at), None);
+            let exposure = 0.7 + 0.15 * (at % 5) as f64;
+            let throw = self.machines[at].throw(exposure * weather + own(at), None);
             let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
             let common = MachineMonitor::common(others.map(|(_, other)| &other.monitor), throw.started_at);
             self.now = throw.started_at;
-            // A restart has no effect.
+            // The monitor continues from its snapshot, as after a restart.
             let monitor = &mut self.machines[at].monitor;
             *monitor = MachineMonitor::from_snapshot(&serde_json::to_string(monitor).unwrap()).unwrap();
             let events = monitor.observe_beside(&throw, &common, &Settings::default()).events;
@@ -44,7 +44,7 @@ fn wet(throw: u64) -> Vector3<f64> {
 }
 
 #[test]
-fn wet_spells_alarm_no_machine_of_five_and_a_fault_of_one_is_named() {
+fn wet_spells_raise_no_alarm_on_a_site_of_five_and_a_fault_is_named() {
     let (mut weather_alarms, mut alone) = (0, 0);
     for seed in 0..8 {
         for machines in [1, 5] {
@@ -69,7 +69,7 @@ fn wet_spells_alarm_no_machine_of_five_and_a_fault_of_one_is_named() {
     assert_eq!(weather_alarms, 0);
 }
 
-/// Machines feel the cold differently, so some of them pass each bound of a common change before the others.
+/// The cold changes the machines differently, so some of them exceed each limit of a common change before the others.
 #[test]
 fn a_season_of_a_site_is_no_intermittent_fault_of_a_machine() {
     for seed in 0..4 {
@@ -84,7 +84,7 @@ fn a_season_of_a_site_is_no_intermittent_fault_of_a_machine() {
 }
 
 #[test]
-fn faults_of_two_in_five_excuse_nobody_and_accuse_nobody() {
+fn faults_of_two_machines_in_five_are_not_taken_for_weather() {
     for seed in 0..6 {
         let mut site = Site::new(71_000 + 10 * seed, 5);
         for _ in 0..120 {
@@ -119,13 +119,13 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     }
     assert!(site.events.is_empty(), "{:?}", site.events);
     let states = |monitor: &MachineMonitor| monitor.caveats().iter().any(|caveat| caveat.contains("common to most"));
-    // Those that threw before the common change was known do not say it yet.
+    // Machines that threw before the common change was known do not state it yet.
     assert!(wetted.iter().any(states), "{:?}", wetted.iter().map(MachineMonitor::caveats).collect::<Vec<_>>());
     assert!(!site.machines.iter().any(|machine| states(&machine.monitor)), "the rails are dry again");
     let said: Vec<_> = events.iter().map(|event| (event.cause, event.state.as_str())).collect();
     assert_eq!(said, [(Cause::Friction, "active_unacknowledged"), (Cause::Friction, "cleared_unacknowledged")]);
     assert!(events[0].text.contains("All machines of north: friction down"), "{}", events[0].text);
-    // At night no machine throws, and the weather stays.
+    // At night no machine throws: the alarm about the weather does not end.
     let raised = events[0].event_at;
     let mut wet = MachineMonitor::new("All machines of north");
     let monitors = || wetted.iter();

@@ -1,5 +1,4 @@
-//! Snapshots of earlier programs. Of version 1: a demo after its alarms, one of them acknowledged, one shelved, and one machine in
-//! maintenance without an end.
+//! Snapshots that earlier versions of the program wrote are read.
 
 use jiff::SignedDuration;
 use pointsd::{
@@ -7,9 +6,9 @@ use pointsd::{
     throw::Direction,
 };
 
-/// Of a program that stored the owner of an alarm as a flag of its rule: the alarm of the features is active beside that of
-/// the supply.
+/// Version 2, when each rule had a flag for its own alarm. Two alarms are active: of the features and of the supply.
 const WITH_FLAGS: &str = include_str!("snapshots/version-2.json");
+/// Version 1: three machines of a demo. Their alarms are acknowledged, shelved, and in a maintenance without an end.
 const SNAPSHOTS: &str = include_str!("snapshots/version-1.ndjson");
 
 fn monitors() -> [MachineMonitor; 3] {
@@ -18,7 +17,7 @@ fn monitors() -> [MachineMonitor; 3] {
 }
 
 #[test]
-fn a_snapshot_of_version_1_is_taken_over_with_baselines_alarms_and_their_states() {
+fn a_snapshot_of_version_1_is_read_with_baselines_alarms_and_their_states() {
     let settings = Settings::default();
     let by = || "B. Fitter".to_owned();
     let [mut acknowledged, mut shelved, mut maintained] = monitors();

@@ -1,4 +1,4 @@
-//! A changed start of the movement, beside a running machine that is healthy: a late brake, play, a late position.
+//! A changed start of the movement of a machine that then runs as before: a late brake, play, a late position.
 
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -70,18 +70,17 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
     }
 }
 
-/// The resistance of a winding that is 50 K warmer, and of a bad contact: the inrush is lower, and the toe moves later.
+/// With a winding that is 50 K warmer, or a bad contact, the inrush is lower and the toe moves later.
 #[test]
 fn a_lower_inrush_is_no_changed_start() {
-    let late = State { brake_s: 0.02, ..State::SOUND };
+    let late = State::OF_RATIOS;
     for (ohms, seed) in [(1.2, 33_000), (1.2, 33_001), (1.3, 33_000), (1.3, 33_001)] {
-        let mut drive = Drive::new(seed, false);
-        drive.stay_healthy(140, late);
+        let mut drive = Drive::after_in(late, 140, seed, false);
         drive.stay_healthy(80, State { ohms, ..late });
     }
 }
 
-/// Noise of 0.5 mm scatters the delay by 5 to 15 ms, around another mean.
+/// Noise of 0.5 mm scatters the measured delay by 5 to 15 ms, and changes its mean.
 #[test]
 fn a_noisy_position_sensor_is_no_changed_start() {
     for (seed, position_noise_mm) in (40..46).zip([0.3, 0.4, 0.5].into_iter().cycle()) {
@@ -106,7 +105,7 @@ fn a_start_that_always_scatters_is_normal() {
     }
 }
 
-/// A late brake, and later a fault of a part: the part has a name, and explains the start from then on.
+/// The brake is late, and later a part has a fault. When the part is named, it explains the start too.
 #[test]
 fn the_alarm_about_the_start_ends_when_a_part_is_named() {
     for (seed, fault, cause) in [
@@ -114,8 +113,7 @@ fn the_alarm_about_the_start_ends_when_a_part_is_named() {
         (41, State { torque: 0.7, back_emf: 0.7, ..State::SOUND }, Cause::Kt),
     ] {
         let mut drive = learned(seed);
-        let late = State { brake_s: 0.02, ..State::SOUND };
-        let before = drive.events(40, late);
+        let before = drive.events(40, State::OF_RATIOS);
         assert!(before.len() == 1 && is_about_the_start(&before[0]), "{before:?}");
         let (mut drifts, mut events) = (Vec::new(), Vec::new());
         for _ in 0..60 {

@@ -1,4 +1,5 @@
-//! Temperature: its effect is learned permanently, and the alarm text says what it can hide.
+//! Temperature, rain and dew: the monitor goes on learning the effect of the temperature, weather is no fault, and the
+//! faults that weather can hide are stated.
 
 use std::f64::consts::TAU;
 
@@ -14,8 +15,8 @@ use crate::{
     fleet::{normal, shift},
 };
 
-/// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in summer, then the fault. Returns the
-/// verdicts after the onset, and the events before it.
+/// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in
+/// summer, then the fault. Returns the verdicts after the onset of the fault, and the events before it.
 fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
     let mut machine = Machine::new(seed, Scatter::USUAL);
@@ -52,8 +53,8 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
     }
 }
 
-/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, the causes of the drift alarms
-/// with the state of each event, and the last verdict.
+/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, the causes of the drift
+/// alarms with the state of each event, and the last verdict.
 fn winter_to_summer(seed: u64, pct: f64) -> (Machine, Vec<(Cause, AlarmState)>, Verdict) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (150, 600), day_k: 2.0 };
     let mut machine = Machine::new(seed, Scatter::USUAL);
@@ -101,8 +102,9 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
     assert!(alarmed <= 1 && blind <= 1, "{alarmed} of 7 lives had an alarm, {blind} stay blind");
 }
 
-/// A limit for chance in thousands of throws, multiplied with the doubt about the one slope of a machine, would make all of these
-/// blind, 5 K above their baseline.
+/// The effect of the temperature on a machine has one slope, whose uncertainty is not one of thousands of throws. A
+/// monitor that multiplied it with its limit for chance would be blind on all of these machines, 5 K above their
+/// baseline.
 #[test]
 fn a_warm_week_after_the_baseline_hides_no_fault() {
     const LIVES: u64 = 20;
@@ -123,7 +125,7 @@ fn a_warm_week_after_the_baseline_hides_no_fault() {
 #[test]
 fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
     for seed in 0..10 {
-        // Thirty throws after a spring without throws its effect is not learned yet.
+        // Thirty throws after a spring without throws the effect of the temperature is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
         let blind = after[0].blind.unwrap();
         let at = blind.temperature.unwrap();
@@ -151,8 +153,8 @@ fn a_failed_temperature_sensor_hides_nothing() {
     }
 }
 
-/// A logger that sends another unit from throw 120 on, as Fahrenheit, until it is corrected, and one that is as it should be
-/// after three wrong readings.
+/// One logger sends degrees Fahrenheit from throw 120 on, until it is corrected. The readings of another logger are
+/// right after three wrong ones.
 #[test]
 fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
@@ -181,8 +183,8 @@ fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     assert_eq!(last, Some(ClearedUnacknowledged));
 }
 
-/// The first alarms about a machine without a temperature, by the throw after its baseline; `shift_at` gives the changes
-/// of the logarithms.
+/// The raised alarms of a machine without a published temperature, each with its throw after the baseline. `shift_at`
+/// gives the changes of the logarithms.
 fn alarms(seed: u64, throws: u64, shift_at: impl Fn(u64) -> Vector3<f64>) -> Vec<(u64, Cause)> {
     let mut machine = Machine::new(seed, Scatter::USUAL);
     machine.stay_healthy(130);
@@ -203,7 +205,7 @@ fn rain_raises_no_alarm_and_a_lasting_fall_of_friction_does() {
             if throw % 170 < 30 { shift(Cause::Friction, pct) } else { Vector3::zeros() }
         };
         assert_eq!(alarms(44_000 + seed, 850, rain), [], "seed {seed}");
-        // The mean of a short window differs by some per cent from this, and more than 25 % is no rain.
+        // A fall of more than 25 % cannot be rain. This fall is smaller by more than the scatter of a short window.
         let lasting = alarms(44_100 + seed, 120, |_| shift(Cause::Friction, -19.0));
         assert!(matches!(lasting[..], [(60..90, Cause::Friction)]), "seed {seed}: {lasting:?}");
         let large = alarms(44_200 + seed, 20, |_| shift(Cause::Friction, -45.0));
@@ -220,7 +222,7 @@ fn a_warm_season_raises_no_alarm_and_a_fault_in_it_does() {
         let fault = |throw: u64| warmth(throw) + if throw < 1_000 { Vector3::zeros() } else { shift(Cause::Kt, -15.0) };
         let found = alarms(45_100 + seed, 1_060, fault);
         assert!(matches!(found[..], [(1_000.., Cause::Kt | Cause::Unattributed), ..]), "seed {seed}: {found:?}");
-        // Wear in spite of the warmth is faster than it.
+        // Wear that raises the friction faster than the warmth lowers it.
         let wear = alarms(45_200 + seed, 400, |throw| warmth(throw) + shift(Cause::Friction, 0.15 * throw as f64));
         assert_eq!(wear.first().map(|(_, cause)| *cause), Some(Cause::Friction), "seed {seed}: {wear:?}");
     }
@@ -249,10 +251,10 @@ fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
     }
 }
 
-/// Rain while the baseline fills is no part of the scatter, so later wear shows as on other machines.
+/// Rain while the baseline fills must not increase the scatter of the baseline, so that later wear shows.
 #[test]
 fn rain_in_the_baseline_does_not_hide_later_wear() {
-    // Loss of friction \[%\]; throws of drying; distance of a second spell.
+    // Change of the friction \[%\]; throws in which the rails dry; distance of a second wet spell in throws.
     for (pct, drying, second) in [(-20.0, 0, None), (-12.0, 0, None), (-20.0, 8, None), (-18.0, 3, Some(24))] {
         let (mut named, mut lives) = (0, 0);
         for seed in 0..40_u64 {
@@ -281,8 +283,8 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
     }
 }
 
-/// Rain with which a baseline begins looks like a fault when the rails are dry: the alarm says so, and one long after the
-/// baseline does not.
+/// If a baseline begins in rain, dry rails later look like a fault. An alarm soon after the baseline says so, and an
+/// alarm long after it does not.
 #[test]
 fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
     // Throws and change of the friction \[%\], one after the other.
@@ -301,7 +303,8 @@ fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
     }
 }
 
-/// Throws of a day and of the night before it; the first throws of a day are stiff by about `pct` and a third of it.
+/// Change of the friction in a throw: the first throw of a day is stiff by about `pct` percent, the second by a third
+/// of it. Sets the time since the last throw too: a night before the first throw, else half an hour.
 fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3<f64> {
     let usual = SignedDuration::from_mins(30);
     let of_day = throw % u64::from(per_day.unsigned_abs());
@@ -310,7 +313,7 @@ fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3
     shift(Cause::Friction, pct) * part * (1.0 + 0.3 * normal(&mut machine.rng)).max(0.0)
 }
 
-/// Rust and dew of a night make the first throws of a day stiff, in the baseline as later.
+/// Rust and dew of a night make the first throws of a day stiff, in the baseline and later.
 #[test]
 fn a_stiff_first_throw_of_each_day_is_no_fault_and_hides_none() {
     for (per_day, pct) in [(2, 50.0), (6, 30.0), (11, 30.0), (20, 50.0)] {
@@ -374,7 +377,8 @@ fn table_of_grease() {
     }
 }
 
-/// Machines that wander have no wet spells: with one taken out of each baseline they would have false alarms.
+/// Stated over true scatter of the friction in baselines with serial correlation but without rain. A monitor that left
+/// out the throws of supposed rain from each baseline would state too little scatter, and raise false alarms.
 #[test]
 #[ignore = "prints a table, in some minutes"]
 fn table_of_spells_in_wandering_baselines() {

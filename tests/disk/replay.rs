@@ -1,8 +1,9 @@
 //! The disk after a power cut, reconstructed from the log of the shim.
 //!
 //! Model: synced data are on the disk. A write or truncation without a sync is on the disk completely, partly (any of
-//! its sectors of 512 bytes) or not at all. Name changes happen in order, as in a journalling file system: after a cut
-//! the first changes exist, at least up to the last sync of the folder and the creation of each synced file.
+//! its sectors of 512 bytes) or not at all. Name changes (a file is created, removed, renamed or linked) happen in
+//! order, as in a journalling file system: after a cut the first of them exist, at least up to the last sync of the
+//! folder and up to the creation of each synced file.
 
 #![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
 
@@ -31,7 +32,7 @@ impl Record {
         self.kind == b'A'
     }
 
-    fn is_of_log(&self) -> bool {
+    fn is_of_wal(&self) -> bool {
         self.path.ends_with("-wal")
     }
 }
@@ -41,13 +42,13 @@ impl Record {
 pub(crate) fn without_commit_syncs(records: Vec<Record>) -> Vec<Record> {
     const HEADER: usize = 32;
     let files: Vec<usize> = (0..records.len()).filter(|&at| !records[at].is_acknowledgement()).collect();
-    let mut weaker: Vec<bool> = vec![false; records.len()];
+    let mut is_dropped: Vec<bool> = vec![false; records.len()];
     for around in files.windows(3) {
         let [before, sync, after] = [0, 1, 2].map(|at| &records[around[at]]);
-        let is_commit = sync.kind == b'S' && sync.is_of_log() && before.is_of_log() && after.is_of_log();
-        weaker[around[1]] = is_commit && before.data.len() != HEADER;
+        let is_commit = sync.kind == b'S' && sync.is_of_wal() && before.is_of_wal() && after.is_of_wal();
+        is_dropped[around[1]] = is_commit && before.data.len() != HEADER;
     }
-    records.into_iter().zip(weaker).filter(|(_, dropped)| !dropped).map(|(record, _)| record).collect()
+    records.into_iter().zip(is_dropped).filter(|(_, dropped)| !dropped).map(|(record, _)| record).collect()
 }
 
 /// Reads the log of the shim up to its end or an incomplete record.
@@ -86,7 +87,7 @@ impl Change {
         }
     }
 
-    /// Writes random sectors of the change.
+    /// Applies random sectors of a write, and no truncation.
     fn apply_torn(&self, content: &mut Vec<u8>, rng: &mut impl Rng) {
         match self {
             Self::Write(at, data) => {
@@ -110,12 +111,12 @@ fn write_at(content: &mut Vec<u8>, at: usize, data: &[u8]) {
 struct Content {
     synced: Vec<u8>,
     pending: Vec<Change>,
-    /// The name change that created it.
+    /// Number of name changes up to the creation of this file.
     created: usize,
 }
 
 #[derive(Clone)]
-enum Naming {
+enum NameChange {
     Create(String, usize),
     Unlink(String),
     Rename(String, String),
@@ -128,23 +129,23 @@ pub(crate) struct Disk {
     contents: Vec<Content>,
     /// The names from the view of the process.
     live: BTreeMap<String, usize>,
-    namings: Vec<Naming>,
-    namings_synced: usize,
+    name_changes: Vec<NameChange>,
+    name_changes_synced: usize,
     /// The acknowledgements so far, one in a line.
     pub(crate) acknowledged: String,
 }
 
 impl Disk {
-    pub(crate) fn follow(&mut self, record: &Record) {
+    fn apply(&mut self, record: &Record) {
         match record.kind {
             b'A' => self.acknowledged += std::str::from_utf8(&record.data).unwrap(),
-            b'D' => self.namings_synced = self.namings.len(),
+            b'D' => self.name_changes_synced = self.name_changes.len(),
             b'W' => self.change(record, Change::Write(at(record), record.data.clone())),
             b'T' => self.change(record, Change::Truncate(at(record))),
             b'S' => self.sync(record),
             b'U' => {
                 self.live.remove(&record.path);
-                self.namings.push(Naming::Unlink(record.path.clone()));
+                self.name_changes.push(NameChange::Unlink(record.path.clone()));
             }
             b'R' => {
                 let to = String::from_utf8(record.data.clone()).unwrap();
@@ -153,13 +154,13 @@ impl Disk {
                 } else {
                     self.live.remove(&to);
                 }
-                self.namings.push(Naming::Rename(record.path.clone(), to));
+                self.name_changes.push(NameChange::Rename(record.path.clone(), to));
             }
             b'L' => {
                 let target = String::from_utf8(record.data.clone()).unwrap();
-                self.namings.push(Naming::Symlink(target, record.path.clone()));
+                self.name_changes.push(NameChange::Symlink(target, record.path.clone()));
             }
-            other => panic!("{other}"),
+            other => panic!("unknown kind of record: {other}"),
         }
     }
 
@@ -168,8 +169,8 @@ impl Disk {
             return file;
         }
         let file = self.contents.len();
-        self.namings.push(Naming::Create(path.to_owned(), file));
-        self.contents.push(Content { created: self.namings.len(), ..Content::default() });
+        self.name_changes.push(NameChange::Create(path.to_owned(), file));
+        self.contents.push(Content { created: self.name_changes.len(), ..Content::default() });
         self.live.insert(path.to_owned(), file);
         file
     }
@@ -185,31 +186,31 @@ impl Disk {
         for change in content.pending.drain(..) {
             change.apply(&mut content.synced);
         }
-        self.namings_synced = self.namings_synced.max(content.created);
+        self.name_changes_synced = self.name_changes_synced.max(content.created);
     }
 
-    /// Writes a possible state of the disk after a cut into `folder`; the paths of the log were in `was`.
-    pub(crate) fn after_cut(&self, was: &Path, folder: &Path, rng: &mut impl Rng) {
-        let last = rng.random_range(self.namings_synced..=self.namings.len());
-        let place = |path: &str| folder.join(Path::new(path).strip_prefix(was).unwrap());
+    /// Writes a possible state of the disk after a cut into `folder`; the log has paths below `original`.
+    fn after_cut(&self, original: &Path, folder: &Path, rng: &mut impl Rng) {
+        let last = rng.random_range(self.name_changes_synced..=self.name_changes.len());
+        let place = |path: &str| folder.join(Path::new(path).strip_prefix(original).unwrap());
         let severity = rng.random_range(0..3);
-        for naming in &self.namings[..last] {
-            match naming {
-                Naming::Create(path, file) => {
+        for change in &self.name_changes[..last] {
+            match change {
+                NameChange::Create(path, file) => {
                     fs::write(place(path), self.contents[*file].torn(severity, rng)).unwrap();
                 }
-                Naming::Unlink(path) => {
+                NameChange::Unlink(path) => {
                     let _ = fs::remove_file(place(path));
                 }
-                Naming::Rename(from, to) => fs::rename(place(from), place(to)).unwrap(),
-                Naming::Symlink(target, path) => symlink(target, place(path)).unwrap(),
+                NameChange::Rename(from, to) => fs::rename(place(from), place(to)).unwrap(),
+                NameChange::Symlink(target, path) => symlink(target, place(path)).unwrap(),
             }
         }
     }
 }
 
 impl Content {
-    /// Severity 0: synced data only; 1: all changes, with the last one torn; 2: any of the changes.
+    /// Content after a cut. Severity 0: synced data only; 1: all changes, the last one partly; 2: any of the changes.
     fn torn(&self, severity: u32, rng: &mut impl Rng) -> Vec<u8> {
         let mut content = self.synced.clone();
         for (index, change) in self.pending.iter().enumerate() {
@@ -232,11 +233,11 @@ fn at(record: &Record) -> usize {
     usize::try_from(record.offset).unwrap()
 }
 
-/// Cuts the power at `cuts` random points of the log of a run that left the files in `was`. `check` gets the disk at each
-/// cut, and a folder with its files.
+/// Cuts the power at `cuts` random points of the log of a run whose files were in `original`. `check` gets the disk at
+/// each cut, and a folder with its files.
 pub(crate) async fn cut_at_random(
     records: &[Record],
-    was: &Path,
+    original: &Path,
     cuts: usize,
     seed: u64,
     mut check: impl AsyncFnMut(&Disk, &Path),
@@ -245,12 +246,12 @@ pub(crate) async fn cut_at_random(
     let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
     points.sort_unstable();
     let mut disk = Disk::default();
-    let mut followed = 0;
+    let mut applied = 0;
     for point in points {
-        records[followed..point].iter().for_each(|record| disk.follow(record));
-        followed = point;
+        records[applied..point].iter().for_each(|record| disk.apply(record));
+        applied = point;
         let folder = tempfile::tempdir().unwrap();
-        disk.after_cut(was, folder.path(), &mut rng);
+        disk.after_cut(original, folder.path(), &mut rng);
         check(&disk, folder.path()).await;
     }
 }

@@ -1,4 +1,5 @@
-//! Builds the libraries that the tests preload into a process, among them the shim for its database files.
+//! Builds the libraries that the tests preload into a process. One of them is the shim, which logs the writes to the
+//! database files, or makes them fail.
 
 use std::{
     path::{Path, PathBuf},

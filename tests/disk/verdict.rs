@@ -1,7 +1,7 @@
 //! Compares a database after a failure with the acknowledgements before it.
 //!
 //! Each acknowledgement is a line: `stored` or `judged` with machine, boot id and number of a throw; `raised` or
-//! `received` with alarm id and number of an alarm event. A subscriber has received the latter.
+//! `received` with alarm id and number of an alarm event. `received` means that a subscriber has the event.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -19,7 +19,7 @@ use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 /// Defects of the databases after failures.
 #[derive(Debug, Default)]
 pub(crate) struct Verdict {
-    /// Missing acknowledged throws and alarm events, and alarm events that would never be published.
+    /// Acknowledged throws and alarm events that are missing, and alarm events that would never be published.
     pub(crate) lost: usize,
     pub(crate) duplicated: usize,
     pub(crate) unreadable: usize,
@@ -47,8 +47,8 @@ fn key(machine: &MachineId, throw: &ThrowRef) -> Key {
     (machine.machine.to_string(), throw.boot_id.clone(), throw.throw_no)
 }
 
-/// Opens the database in `folder` in the same way as the daemon, and compares it with the acknowledgements. `sent` is the
-/// trace that a throw had.
+/// Opens the database in `folder` in the same way as the daemon, and compares it with the acknowledgements. `sent`
+/// returns the trace that was published for a throw.
 pub(crate) async fn inspect(
     folder: &Path,
     acknowledged: &str,
@@ -103,13 +103,13 @@ pub(crate) async fn inspect(
             verdict.lose(line.to_owned());
         }
     }
-    let about: BTreeSet<_> = messages.iter().map(message).collect();
-    verdict.duplicated += messages.len() - about.len();
-    for event in events.iter().filter(|event| !received.contains(event) && !about.contains(event)) {
+    let pending: BTreeSet<_> = messages.iter().map(message).collect();
+    verdict.duplicated += messages.len() - pending.len();
+    for event in events.iter().filter(|event| !received.contains(event) && !pending.contains(event)) {
         verdict.lose(format!("{event:?} would never be published"));
     }
-    for event in about.difference(&events) {
-        verdict.lose(format!("{event:?} has a message only"));
+    for event in pending.difference(&events) {
+        verdict.lose(format!("{event:?} waits to be published, and is not stored"));
     }
     opened.store.close().await.unwrap();
 }

@@ -7,32 +7,33 @@ use pointsd::{
     throw::{Throw, Trace},
     wire::{self, Encoding},
 };
-use zenoh::{Wait, qos::CongestionControl};
+use zenoh::Wait;
 
 use crate::{
     gauge::{peak_mib, status},
     logger::{Logger, Plan, throw},
-    rig::{Rig, stub},
+    rig::{Rig, Sender, stub},
 };
 
-/// Machines, and throws of each: together more than the memory budget of the daemon.
 const MACHINES: usize = 3;
+/// Throws of each machine: together they are larger than [`BUDGET`].
 const THROWS: u64 = 1_600;
-const ROOM: usize = 128 << 20;
-/// Largest memory of the daemon while it reads them, less than their size \[MiB\]: 87 on a quiet computer, 112 beside
-/// compilers on both cores.
+/// Memory that the daemon has for received messages \[bytes\].
+const BUDGET: usize = 128 << 20;
+/// Limit of the daemon's memory while it reads the backlogs, below their size \[MiB\]. Measured: 87 on a quiet
+/// computer, 112 with compilers on both cores.
 const MEMORY_MIB: f64 = 130.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_starts_with_full_backlogs_stores_every_throw() {
     let of_one = (1..=THROWS).map(|throw_no| wire::encode_throw(Encoding::Cbor, &throw("b1", throw_no)).len());
     let bytes = MACHINES * of_one.sum::<usize>();
-    assert!(bytes > ROOM, "{bytes} bytes in the backlogs");
+    assert!(bytes > BUDGET, "{bytes} bytes in the backlogs");
     let rig = Rig::new().same_port();
     let daemon = rig.start();
     let plan = Plan { throws: THROWS, machines: MACHINES, kept: 2_000, pace: Duration::ZERO, ..Plan::default() };
     let logger = Logger::start(&daemon.endpoint, plan).await;
-    // Then all publishers are connected to the daemon.
+    // Each machine has sent a throw, so all publishers are connected to the daemon.
     daemon.until_status("a throw of the last machine", |now| now["received"].as_u64() >= Some(MACHINES as u64)).await;
     daemon.kill();
     for file in fs::read_dir(rig.database().parent().unwrap()).unwrap() {
@@ -72,7 +73,7 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
         }
     }
     let all = THROWS - 1 + THROWS / 200;
-    // Throws above the share of one sender were dropped and are gaps.
+    // The daemon drops throws above the share of one sender, and counts them.
     let accounted = move |now: &serde_json::Value| {
         let count = |name: &str| now[name].as_u64().unwrap();
         count("stored") + count("dropped") == all && count("judged") == count("stored")
@@ -106,8 +107,7 @@ async fn a_daemon_that_is_started_twenty_times_receives_no_throw_twice() {
     }
     let silent = logger.stop();
     let last = silent.published;
-    rig.until_sql(&format!("SELECT 1 FROM (SELECT count(*) AS n FROM throw) WHERE n = {}", last * MACHINES as u64))
-        .await;
+    rig.until_number("SELECT count(*) FROM throw", last * MACHINES as u64).await;
     duplicates += daemon.status()["duplicates"].as_u64().unwrap();
     println!("{STARTS} starts, {last} throws of each of {MACHINES} machines: {duplicates} came twice");
     assert!(duplicates <= PAGE * MACHINES as u64, "{duplicates} throws came twice");
@@ -116,12 +116,13 @@ async fn a_daemon_that_is_started_twenty_times_receives_no_throw_twice() {
 /// Loggers with endless backlogs, known throws, foreign names, or messages that are no throws harm only themselves.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn loggers_with_false_replies_harm_only_themselves() {
+    const LIES: [&str; 4] = ["endless", "known", "other", "noise"];
     const REPLIES: u64 = 3_000;
     const MEMORY_MIB: f64 = 150.0;
     let (rig, daemon) = Rig::running_with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");
     let session = daemon.client().await;
     let throw_of = |throw_no| wire::encode_throw(Encoding::Cbor, &stub("b1", throw_no));
-    for lie in ["endless", "known", "other", "noise"] {
+    for lie in LIES {
         let key = format!("points/v1/bad/{lie}/throw");
         let queryable = session.declare_queryable(key.clone()).callback(move |query| {
             std::thread::spawn(move || {
@@ -139,16 +140,13 @@ async fn loggers_with_false_replies_harm_only_themselves() {
             });
         });
         queryable.background().await.unwrap();
-        let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Block).await.unwrap();
-        for throw_no in [1, 5] {
-            publisher.put(throw_of(throw_no)).await.unwrap();
-        }
+        Sender::of(&session, &key).await.send([1, 5].map(|throw_no| stub("b1", throw_no))).await;
     }
     // A correct logger has a gap, which its backlog fills.
     let plan = Plan { throws: 40, machine: "m", machines: 1, ..Plan::default() };
     let honest = Logger::start(&daemon.endpoint, plan).await;
-    rig.until_sql("SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = 'north') WHERE n = 40").await;
-    for lie in ["endless", "known", "other", "noise"] {
+    rig.until_number("SELECT count(*) FROM health_history WHERE site = 'north'", 40).await;
+    for lie in LIES {
         let known = format!("SELECT 1 FROM health_history WHERE machine = '{lie}' AND throw_no = 5");
         rig.until_sql(&known).await;
     }

@@ -1,4 +1,4 @@
-//! A TCP relay that can be cut: then it holds all data back, as a link with lost packets does.
+//! A TCP relay that can be cut. While it is cut it holds all data back, as a link that loses every packet.
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -10,7 +10,7 @@ use tokio::{
 pub(crate) struct Cable {
     /// Endpoint for clients.
     pub(crate) endpoint: String,
-    whole: watch::Sender<bool>,
+    connected: watch::Sender<bool>,
 }
 
 impl Cable {
@@ -19,26 +19,26 @@ impl Cable {
         let far = endpoint.trim_start_matches("tcp/").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
-        let (whole, state) = watch::channel(true);
+        let (connected, state) = watch::channel(true);
         tokio::spawn(async move {
             while let Ok((near, _)) = listener.accept().await {
                 tokio::spawn(pass(near, far.clone(), state.clone()));
             }
         });
-        Self { endpoint, whole }
+        Self { endpoint, connected }
     }
 
     pub(crate) fn cut(&self) {
-        self.whole.send_replace(false);
+        self.connected.send_replace(false);
     }
 
     pub(crate) fn mend(&self) {
-        self.whole.send_replace(true);
+        self.connected.send_replace(true);
     }
 }
 
 async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<bool>) {
-    if state.wait_for(|whole| *whole).await.is_err() {
+    if state.wait_for(|connected| *connected).await.is_err() {
         return;
     }
     // The server may be restarting: the relay closes the link, and the client tries again.
@@ -47,8 +47,8 @@ async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<bool>) {
     tokio::join!(one_way(near_in, far_out, state.clone()), one_way(far_in, near_out, state));
 }
 
-/// Copies until an end closes or the relay is dropped. Data read during a cut arrive after it, as TCP repeats lost
-/// packets.
+/// Copies until an end closes or the relay is dropped. Data that were read during a cut arrive after it: TCP repeats
+/// lost packets.
 async fn one_way(
     mut from: tokio::net::tcp::OwnedReadHalf,
     mut to: tokio::net::tcp::OwnedWriteHalf,
@@ -58,8 +58,8 @@ async fn one_way(
     loop {
         let count = from.read(&mut buffer).await.unwrap_or(0);
         // A cut also holds back the close of an end.
-        let gone = state.wait_for(|whole| *whole).await.is_err();
-        if gone || count == 0 || to.write_all(&buffer[..count]).await.is_err() {
+        let is_dropped = state.wait_for(|connected| *connected).await.is_err();
+        if is_dropped || count == 0 || to.write_all(&buffer[..count]).await.is_err() {
             return;
         }
     }

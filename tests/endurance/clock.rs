@@ -54,15 +54,14 @@ async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_retention() {
     assert!(!alarm_events(&steady).is_empty());
     assert_eq!(alarm_events(&jumped), alarm_events(&steady), "the same alarms, in the same order");
 
-    let received = jumped.sql("SELECT max(received_at_us) - min(received_at_us) AS us FROM throw")[0]["us"].clone();
-    let ten_years = 3600 * 24 * 3650 * 1_000_000_u64;
-    assert!(received.as_u64() > Some(ten_years), "the daemon's clock did not jump");
+    let received_us = jumped.number("SELECT max(received_at_us) - min(received_at_us) FROM throw");
+    assert!(received_us > 3600 * 24 * 3650 * 1_000_000, "the daemon's clock did not jump by ten years");
     let order = jumped.sql(
         "SELECT boot_id, throw_no FROM throw JOIN boot USING (boot_row) WHERE throw.machine_row = 1 ORDER BY throw_row",
     );
     let order: Vec<_> = order.iter().map(|row| (row["boot_id"].as_str().unwrap(), row["throw_no"].as_u64())).collect();
     assert!(order.is_sorted(), "{order:?}");
     assert_eq!(order.len() as u64, 5 * THROWS);
-    assert_eq!(jumped.sql("SELECT count(*) AS n FROM trace")[0]["n"], 10 * THROWS, "a trace was deleted");
+    assert_eq!(jumped.number("SELECT count(*) FROM trace"), 10 * THROWS, "a trace was deleted");
     assert!(jumped.sql("SELECT * FROM data_gaps").is_empty());
 }

@@ -38,10 +38,10 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
 }
 
 /// Checks the disk after a power cut at `cuts` points of the log.
-async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
+async fn cut(records: &[Record], original: &Path, cuts: usize, seed: u64) -> Verdict {
     let mut verdict = Verdict::default();
     let check = async |disk: &Disk, folder: &Path| inspect(folder, &disk.acknowledged, &mut verdict).await;
-    cut_at_random(records, was, cuts, seed, check).await;
+    cut_at_random(records, original, cuts, seed, check).await;
     verdict
 }
 
@@ -57,7 +57,7 @@ async fn power_cuts_lose_nothing_that_the_daemon_had_published() {
     println!("{cuts} cuts: {lost} lost, {duplicated} duplicated, {unreadable} unreadable");
     assert_eq!((*lost, *duplicated, *unreadable, *given_up), (0, 0, 0, 0), "{:#?}", &notes[..notes.len().min(20)]);
 
-    // The same run without a sync at each commit.
+    // The log of the same run, without the sync at each commit: now the test must find losses.
     let weaker = without_commit_syncs(records);
     let Verdict { lost, unreadable, notes, .. } = cut(&weaker, folder.path(), cuts, 2).await;
     println!("{cuts} cuts with synchronous = NORMAL: {lost} lost, {unreadable} unreadable");

@@ -19,7 +19,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
     verdict::inspect(folder, acknowledged, |id| published(&id.boot_id, id.throw_no), verdict).await;
 }
 
-/// The trace of a throw, with the resolution of its message.
+/// The trace of a throw as it was published: CBOR carries 32-bit floats.
 fn published(boot_id: &str, throw_no: u64) -> Trace {
     let message = wire::encode_throw(Encoding::Cbor, &logger::throw(boot_id, throw_no));
     wire::decode_throw(Encoding::Cbor, &message).unwrap().trace
@@ -41,12 +41,12 @@ pub(crate) type Published = BTreeMap<(String, String), u64>;
 /// Stored and missing throw numbers of each machine and boot id.
 #[derive(Default)]
 pub(crate) struct Known {
-    pub(crate) stored: BTreeMap<(String, String), Vec<u64>>,
-    pub(crate) missing: BTreeMap<(String, String), Vec<u64>>,
+    stored: BTreeMap<(String, String), Vec<u64>>,
+    missing: BTreeMap<(String, String), Vec<u64>>,
 }
 
 impl Known {
-    pub(crate) async fn of(rig: &Rig, reader: &Reader) -> Self {
+    async fn of(rig: &Rig, reader: &Reader) -> Self {
         let mut known = Self::default();
         for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
             let who = (stored.machine.machine.to_string(), stored.id.boot_id);
@@ -59,17 +59,37 @@ impl Known {
     }
 
     /// All numbers of a machine and boot id, in order.
-    pub(crate) fn all(&self, who: &(String, String)) -> Vec<u64> {
+    fn all(&self, who: &(String, String)) -> Vec<u64> {
         let parts = [self.stored.get(who), self.missing.get(who)];
         let mut all: Vec<u64> = parts.into_iter().flatten().flatten().copied().collect();
         all.sort_unstable();
         all
     }
+
+    /// Prints the counts. Checks that each published throw is stored once, or missing once. No throw may be missing of
+    /// the machines `m…`, whose loggers have a long backlog; the machine `f1` has a backlog of one throw.
+    pub(crate) fn check(&self, published: &Published, what: &str) {
+        let count = |numbers: &BTreeMap<(String, String), Vec<u64>>, prefix: char| -> usize {
+            let chosen = numbers.iter().filter(|((machine, _), _)| machine.starts_with(prefix));
+            chosen.map(|(_, numbers)| numbers.len()).sum()
+        };
+        println!(
+            "{what}: {} throws stored, {} missing; of the machine with a backlog of one throw {} stored, {} missing",
+            count(&self.stored, 'm'),
+            count(&self.missing, 'm'),
+            count(&self.stored, 'f'),
+            count(&self.missing, 'f')
+        );
+        for (who, last) in published {
+            assert_eq!(self.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
+        }
+        assert_eq!(count(&self.missing, 'm'), 0, "throws in the backlogs were not stored: {:?}", self.missing);
+    }
 }
 
-/// Waits until all published throws are stored or missing, judged, and published with their events. `published` has the
-/// last number of each machine and boot id. That number alone shows nothing: it may have arrived live while an earlier one
-/// is still being fetched from the backlog.
+/// Waits until each published throw is stored or missing, every stored throw is judged, and all events are published.
+/// `published` has the last number of each machine and boot id. It is not enough that this throw is stored: it may have
+/// arrived live while the daemon still reads earlier throws from the backlog.
 pub(crate) async fn settled(rig: &Rig, reader: &Reader, published: &Published) -> Known {
     until(5 * PATIENCE, async || {
         let known = Known::of(rig, reader).await;

@@ -1,7 +1,7 @@
 //! A disk that fails during operation: the nth write or sync, once or permanently.
 //!
-//! The daemon continues, or reports the fault, or ends with an exit code other than 0. It loses no acknowledged data:
-//! the database is checked after a `kill -9`. A temporary fault needs no restart, except during the start.
+//! The daemon continues, or reports the fault, or ends with an exit code other than 0. It loses no acknowledged data,
+//! which the test checks in the database after a `kill -9`. Only during the start may a temporary fault need a restart.
 
 use std::{
     path::Path,
@@ -31,11 +31,11 @@ const AT_ONCE: usize = 4;
 
 /// Outcome of a run with a fault.
 #[derive(Debug, PartialEq, Eq, Clone, Copy)]
-enum Fate {
+enum Outcome {
     /// The witness received all published throws.
-    WentOn,
-    /// The daemon reported the fault, and was killed.
-    Complained,
+    Continued,
+    /// The daemon reported the fault in its log, and the test killed it.
+    Reported,
     /// The daemon ended with an exit code other than 0, and the witness received everything from the next one.
     Restarted,
 }
@@ -49,7 +49,7 @@ fn plan() -> Plan {
 }
 
 /// Runs a daemon with a fault; an error is a defect of the daemon.
-async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
+async fn run(library: &Path, fault: &str) -> Result<Outcome, String> {
     let mut rig = Rig::with(QUICK_ALARMS).same_port();
     rig.set("LD_PRELOAD", library);
     rig.set("SHIM_MATCH", rig.database());
@@ -62,19 +62,19 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     let witness = Witness::listen(&daemon.endpoint, None).await;
     let logger = Logger::start(&daemon.endpoint, plan()).await;
     let deadline = Instant::now() + PATIENCE;
-    let fate = loop {
+    let outcome = loop {
         if is_all(&witness.received()) {
-            break Fate::WentOn;
+            break Outcome::Continued;
         }
         if let Some(status) = daemon.ended() {
             if status.success() {
                 return Err(format!("exit code 0 in spite of the fault: {:?}", daemon.log()));
             }
-            break Fate::Restarted;
+            break Outcome::Restarted;
         }
         if daemon.log().iter().any(|line| line.contains("ERROR")) && fault.ends_with("forever") {
             tokio::time::sleep(AFTERMATH).await;
-            break Fate::Complained;
+            break Outcome::Reported;
         }
         if Instant::now() > deadline {
             return Err(format!("{} received: {:?}", witness.received().health.len(), daemon.log()));
@@ -88,24 +88,24 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     if verdict.lost + verdict.duplicated + verdict.unreadable > 0 {
         return Err(format!("{verdict:?}"));
     }
-    if fate == Fate::Restarted {
+    if outcome == Outcome::Restarted {
         rig.set("SHIM_FAIL", "");
         let daemon = rig.start();
         witness.until("everything after the restart", is_all).await;
         daemon.kill();
     }
     drop(logger);
-    Ok(fate)
+    Ok(outcome)
 }
 
 /// Starts the daemon again without the fault; the witness must receive everything.
-async fn restarted(mut rig: Rig) -> Result<Fate, String> {
+async fn restarted(mut rig: Rig) -> Result<Outcome, String> {
     rig.set("SHIM_FAIL", "");
     let daemon = rig.start();
     let witness = Witness::listen(&daemon.endpoint, None).await;
     let _logger = Logger::start(&daemon.endpoint, plan()).await;
     witness.until("everything after the restart", is_all).await;
-    Ok(Fate::Restarted)
+    Ok(Outcome::Restarted)
 }
 
 /// The faults of the run, each at one write or sync.
@@ -129,23 +129,23 @@ fn faults() -> Vec<String> {
 fn a_failing_write_or_sync_drops_nothing_silently() {
     let Some(library) = shim::library() else { return };
     let runtime = Runtime::new().unwrap();
-    let (faults, fates) = (Mutex::new(faults()), Mutex::new(Vec::new()));
+    let (faults, outcomes) = (Mutex::new(faults()), Mutex::new(Vec::new()));
     let work = || {
         while let Some(fault) = { faults.lock().unwrap().pop() } {
-            let fate = runtime.block_on(run(library, &fault));
-            fates.lock().unwrap().push(fate.map_err(|why| format!("{fault}: {why}")));
+            let outcome = runtime.block_on(run(library, &fault));
+            outcomes.lock().unwrap().push(outcome.map_err(|defect| format!("{fault}: {defect}")));
         }
     };
     thread::scope(|scope| (0..AT_ONCE).for_each(|_| drop(scope.spawn(work))));
-    let fates = fates.into_inner().unwrap();
-    let wrong: Vec<&String> = fates.iter().filter_map(|fate| fate.as_ref().err()).collect();
-    let count = |fate| fates.iter().filter(|one| one.as_ref() == Ok(&fate)).count();
+    let outcomes = outcomes.into_inner().unwrap();
+    let wrong: Vec<&String> = outcomes.iter().filter_map(|outcome| outcome.as_ref().err()).collect();
+    let count = |outcome| outcomes.iter().filter(|one| one.as_ref() == Ok(&outcome)).count();
     println!(
-        "{} faults: {} went on, {} complained, {} ended and went on after a restart; {} wrong",
-        fates.len(),
-        count(Fate::WentOn),
-        count(Fate::Complained),
-        count(Fate::Restarted),
+        "{} faults: {} daemons continued, {} reported, {} ended and continued after a restart; {} wrong",
+        outcomes.len(),
+        count(Outcome::Continued),
+        count(Outcome::Reported),
+        count(Outcome::Restarted),
         wrong.len()
     );
     assert!(wrong.is_empty(), "{wrong:#?}");

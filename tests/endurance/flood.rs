@@ -27,7 +27,7 @@ use crate::{
 const THROW_BYTES: u64 = 24_000;
 /// Growth of the database by the flood between two rounds of housekeeping \[MiB\].
 const ROUND_MIB: u64 = 16;
-/// The other machines.
+/// Machines of the other loggers.
 const OTHERS: [&str; 3] = ["m1", "m2", "m3"];
 /// Throws of each of them before the flood.
 const BEFORE: u64 = 30;
@@ -58,10 +58,10 @@ async fn flood(daemon: &Daemon, stop: Arc<AtomicBool>) -> thread::JoinHandle<u64
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_logger_at_full_speed_harms_no_other() {
-    let lasts = Duration::from_secs(size("POINTSD_FLOOD_SECONDS", 5) as u64);
+    let length = Duration::from_secs(size("POINTSD_FLOOD_SECONDS", 5) as u64);
     // Limits with an equal share for each machine: retention must delete throws of the flood beyond its share.
     let machines = OTHERS.len() as u64 + 1;
-    let most = BEFORE + u64::try_from(lasts.as_millis() / PACE.as_millis()).unwrap();
+    let most = BEFORE + u64::try_from(length.as_millis() / PACE.as_millis()).unwrap();
     let (throws, bound_mib) = (machines * most, ((machines * most * THROW_BYTES) >> 20).max(16));
     let rig = Rig::with(QUICK_ALARMS).store(&format!(
         "max_throws = {throws}\nmax_traces = {throws}\nmax_size_mib = {bound_mib}\nballast_mib = 0\nlow_disk_mib = 0\n"
@@ -104,15 +104,15 @@ async fn one_logger_at_full_speed_harms_no_other() {
 
     let stop = Arc::new(AtomicBool::new(false));
     let mad = flood(&daemon, Arc::clone(&stop)).await;
-    let (begin, mut number, mut largest, mut looked) = (Instant::now(), BEFORE, 0, Instant::now());
-    while begin.elapsed() < lasts {
+    let (begin, mut number, mut largest, mut measured_at) = (Instant::now(), BEFORE, 0, Instant::now());
+    while begin.elapsed() < length {
         number += 1;
         send(number).await;
-        if looked.elapsed() > Duration::from_secs(2) {
-            let question = "SELECT (page_count - freelist_count) * page_size AS bytes \
-                            FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
-            largest = largest.max(rig.sql(question)[0]["bytes"].as_u64().unwrap() >> 20);
-            looked = Instant::now();
+        if measured_at.elapsed() > Duration::from_secs(2) {
+            let bytes = "SELECT (page_count - freelist_count) * page_size \
+                         FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
+            largest = largest.max(rig.number(bytes) >> 20);
+            measured_at = Instant::now();
         }
         tokio::time::sleep(PACE).await;
     }
@@ -124,7 +124,7 @@ async fn one_logger_at_full_speed_harms_no_other() {
     let at = |percent: usize| waits[(waits.len() - 1) * percent / 100];
     let status = daemon.status();
     println!(
-        "{flooded} throws in {lasts:?} from one logger, of which {} were judged; the others' {}: median {:?}, 99 % {:?}, \
+        "{flooded} throws in {length:?} from one logger, of which {} were judged; the others' {}: median {:?}, 99 % {:?}, \
          longest {:?}; the database at most {largest} of {bound_mib} MiB; {status}",
         judged.load(Relaxed),
         waits.len(),
@@ -133,7 +133,7 @@ async fn one_logger_at_full_speed_harms_no_other() {
         at(100)
     );
     // Without optimisation the time depends on the machine; the others must not wait for the end of the flood.
-    assert!(at(99) < if cfg!(debug_assertions) { lasts } else { P99 }, "the others wait");
+    assert!(at(99) < if cfg!(debug_assertions) { length } else { P99 }, "the others wait");
     assert!(largest <= bound_mib + ROUND_MIB, "{largest} MiB");
     let kept = "SELECT machine, count(*) AS throws, count(trace.throw_row) AS traces, count(estimate.throw_row) AS judged \
                 FROM throw JOIN machine USING (machine_row) LEFT JOIN trace USING (throw_row) \
@@ -145,7 +145,8 @@ async fn one_logger_at_full_speed_harms_no_other() {
     }
 }
 
-/// The daemon drops messages of a flood in which each has another key. Queries of all these loggers would fill its memory.
+/// Each message of the flood has another key. The daemon drops some of them, and must not ask all these loggers for the
+/// missing throws: the replies would fill its memory.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn unknown_loggers_are_not_queried_in_a_flood() {
     const MESSAGES: u64 = 200_000;

@@ -15,7 +15,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_full_disk_is_an_alarm_even_where_nothing_is_left_to_commit_it() {
+async fn a_full_disk_without_ballast_raises_an_alarm_too() {
     fill_and_free(0).await;
 }
 
@@ -30,7 +30,7 @@ async fn fill_and_free(ballast_mib: u64) {
     witness.until("a healthy start", |received| received.health.len() == 20).await;
 
     disk.fill();
-    // The ballast, if any, is removed, and its space is enough for the alarm.
+    // The daemon removes its ballast, if any, whose space is enough to commit the alarm.
     let about_disk = |(alarm_id, _): &(String, u32)| alarm_id.starts_with("fleet.pointsd.data_loss.");
     witness.until("an alarm about the disk", |received| received.events.iter().any(about_disk)).await;
     // Now no write can succeed.
@@ -40,8 +40,9 @@ async fn fill_and_free(ballast_mib: u64) {
     let published = witness.received().health.len();
     let (_, line) = daemon.operate(&["status"]);
     assert!(line.contains("DISK FULL"), "{line}");
-    assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("storing throws failed")));
-    let count = daemon.log().iter().filter(|line| line.contains("write transaction failed")).count();
+    let log = daemon.log();
+    assert!(log.iter().any(|line| line.contains("ERROR") && line.contains("storing throws failed")), "{log:?}");
+    let count = log.iter().filter(|line| line.contains("write transaction failed")).count();
     assert!(count <= 3, "the same log line {count} times");
     // The daemon still runs and answers while throws arrive.
     let received = daemon.status()["received"].as_u64().unwrap();

@@ -35,7 +35,7 @@ pub(crate) fn peak_mib(process: u32) -> f64 {
 }
 
 fn figure(process: u32, key: &str) -> u32 {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
+    let status = fs::read_to_string(format!("/proc/{process}/status")).expect("the process runs");
     let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
     line.split_whitespace().next().unwrap().parse().unwrap()
 }
@@ -51,15 +51,16 @@ pub(crate) struct Heap {
 
 impl Heap {
     /// Reads the report of a process; `None` before the file exists.
-    pub(crate) fn told_to(file: &Path) -> Option<Self> {
+    pub(crate) fn read(file: &Path) -> Option<Self> {
         let text = fs::read_to_string(file).ok()?;
         let mut mib = text.split_whitespace().map_while(|bytes| Some(bytes.parse::<f64>().ok()? / f64::from(1 << 20)));
         Some(Self { live_mib: mib.next()?, free_mib: mib.next()? })
     }
 }
 
-/// Size of the database file, or of that with a suffix \[MiB\]; 0 if it does not exist. The database may be behind a link.
-pub(crate) fn mib(database: &Path, suffix: &str) -> f64 {
+/// Size of the file whose name is that of the database and a suffix \[MiB\]; 0 if it does not exist. The database may
+/// be a symbolic link.
+pub(crate) fn file_mib(database: &Path, suffix: &str) -> f64 {
     let mut file = fs::canonicalize(database).unwrap().into_os_string();
     file.push(suffix);
     fs::metadata(file).map_or(0.0, |file| file.len() as f64 / f64::from(1 << 20))

@@ -34,7 +34,7 @@ pub(crate) const QUICK_ALARMS: &str =
 
 /// Throws of a phase of a machine; healthy and worn phases alternate.
 const PHASE: u64 = 24;
-/// Period of the throws that cannot be evaluated.
+/// Every seventh throw cannot be evaluated.
 const UNREADABLE: u64 = 7;
 
 /// Settings of a logger.

@@ -31,8 +31,8 @@ const ROUND: usize = 2_000;
 /// MiB for the longest traces; the messages of this test reach none of them.
 const MEMORY_MIB: f64 = 400.0;
 /// Configured limit of the quarantine \[messages\].
-const QUARANTINE: i64 = 500;
-/// Without the log line for each rejected message, of which there may be a million.
+const QUARANTINE: u64 = 500;
+/// Log level without the line for each rejected message, of which there may be a million.
 const QUIET: &str = "info,zenoh=warn,pointsd::daemon::receive=error,pointsd::store=error";
 /// Configured limit of the machines.
 const MACHINES: usize = 2_000;
@@ -67,7 +67,7 @@ impl Poison {
                 (name, cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", self.number as u64)))
             }
             9 => (self.key(), cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", 1))),
-            // The same boot id with other content each time.
+            // The same boot and numbers, with different content each time.
             10 => {
                 let mut again = stub("boot", 1 + self.number as u64 % 3);
                 again.temperature_c = Some(self.rng.random_range(-40.0..60.0));
@@ -205,7 +205,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         }
     };
     let seconds = start.elapsed().as_secs_f64();
-    assert!(daemon.is_running(), "it has ended: {:?}", daemon.log());
+    assert!(daemon.is_running(), "the daemon has ended: {:?}", daemon.log());
     let most = peak_mib(daemon.id());
 
     let mut stored: BTreeMap<u64, usize> = BTreeMap::new();
@@ -219,7 +219,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             *stored.entry(row.id.throw_no).or_default() += 1;
         }
     }
-    let quarantined = rig.sql("SELECT count(*) AS n FROM quarantined_messages")[0]["n"].as_i64().unwrap();
+    let quarantined = rig.number("SELECT count(*) FROM quarantined_messages");
     println!(
         "{messages} messages in {seconds:.0} s, {published} good throws, {} of them stored; at most {most:.0} MiB; \
          {quarantined} kept in quarantine of {} that went there; {end:?}",
@@ -238,7 +238,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
 async fn links_that_come_and_go_leave_no_memory_behind() {
     const LINKS: u64 = 200;
     const SOCKETS: usize = 2_000;
-    /// Memory of the first links and memory kept by the allocator \[MiB\].
+    /// Allowed growth \[MiB\]: memory of the first links, and memory that the allocator keeps.
     const GROWTH_MIB: f64 = 24.0;
     let (rig, daemon) = Rig::running();
     let before = Usage::of(daemon.id()).rss_mib;
@@ -254,7 +254,7 @@ async fn links_that_come_and_go_leave_no_memory_behind() {
         if number % 2 == 0 {
             let mut noise = [0; 100];
             rng.fill_bytes(&mut noise);
-            // It may be closed already.
+            // The daemon may have closed the connection already.
             let _ = socket.write_all(&noise).await;
         }
     }

@@ -22,7 +22,7 @@ use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use zenoh::{Session, pubsub::Publisher};
 
 use crate::{
-    gauge::{mib, peak_mib, status},
+    gauge::{file_mib, peak_mib, status},
     rig::{self, PATIENCE, Program, Rig, matched, size, throws},
 };
 
@@ -35,14 +35,14 @@ const GROUP_MIB: f64 = 8.0;
 const MEMORY_MIB: f64 = 64.0;
 /// Throws published before the test waits for the daemon.
 const AHEAD: u64 = 1_000;
-/// Factor between the rates of a run on a busy computer.
+/// Largest factor between the rates of two equal runs on a busy computer.
 const NOISE: f64 = 3.0;
 
 /// Environment variable for the process of the subscriber that hangs: endpoint of the daemon.
 const HANGING_AT: &str = "POINTSD_HANGING_AT";
-/// Line of this process when it has subscribed.
+/// Line that this process prints when it has subscribed.
 const LISTENS: &str = "listens";
-/// Line of this process at its first message.
+/// Line that this process prints at its first message.
 const RECEIVES: &str = "receives";
 
 /// A subscriber to all messages that stays in its first callback. It has its own process, because the sessions of a
@@ -81,18 +81,18 @@ async fn hang() {
     };
     let _subscriber = session.declare_subscriber("points/v1/**").callback(hangs).await.unwrap();
     println!("{LISTENS}");
-    // Until it is killed, at the latest after the longest test.
+    // The test kills this process, at the latest after the longest run.
     tokio::time::sleep(20 * PATIENCE).await;
     std::process::exit(1);
 }
 
-/// Samples the size of the log until `stop` is set; returns the largest \[MiB\].
+/// Samples the size of the write-ahead log until `stop` is set; returns the largest \[MiB\].
 fn watch_log(rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<f64> {
     let database = rig.database();
     thread::spawn(move || {
         let mut most = 0.0_f64;
         while !stop.load(Relaxed) {
-            most = most.max(mib(&database, "-wal"));
+            most = most.max(file_mib(&database, "-wal"));
             thread::sleep(Duration::from_millis(10));
         }
         most
@@ -111,7 +111,7 @@ impl Source<'_> {
     async fn rates(&mut self, count: u64) -> [f64; 2] {
         let start = Instant::now();
         for number in 0..count {
-            // Never more than the queue of the daemon holds, which drops and counts the rest.
+            // Never publish more than the queue of the daemon holds: the daemon would drop the rest.
             if number % AHEAD == AHEAD - 1 {
                 self.until(|now| now.stored, start).await;
             }
@@ -126,14 +126,14 @@ impl Source<'_> {
         [stored, start.elapsed()].map(|time| count as f64 / time.as_secs_f64())
     }
 
-    /// Waits until the daemon has handled all published throws.
-    async fn until(&self, far: impl Fn(&StatusReport) -> u64, start: Instant) {
+    /// Waits until a counter of the status has reached the number of published throws.
+    async fn until(&self, counter: impl Fn(&StatusReport) -> u64, start: Instant) {
         loop {
             let now = status(self.session).await;
             assert!(start.elapsed() < 10 * PATIENCE, "{} published: {now:?}", self.published);
             if let Some(now) = now {
                 assert_eq!(now.dropped, 0, "{now:?}");
-                if far(&now) >= self.published {
+                if counter(&now) >= self.published {
                     return;
                 }
             }

@@ -4,10 +4,10 @@
 //! sometimes cut, parts wear, the logger restarts after half the time, and retention has small limits.
 //! `POINTSD_SOAK_SECONDS` sets the length; the folder `POINTSD_SOAK_OUT` gets the samples as `soak.csv` and `soak.svg`.
 //!
-//! Growth is judged after ten minutes. A long run starts with many long cuts, each followed by the whole backlog of the
-//! loggers, so that queues and buffers have reached their largest size before. The allocated memory, reported by the
-//! allocator, shows a leak earlier than the resident memory. It is judged as a share of the whole, after the monitors
-//! have all throws that they keep, because the first alarm of a machine also increases it.
+//! Growth is judged after ten minutes. A long run starts with many long cuts. After each cut the whole backlog of the
+//! loggers arrives, so that queues and buffers reach their largest size in these ten minutes. The allocated memory, as
+//! the allocator reports it, shows a leak earlier than the resident memory. Its growth is judged as a share of the
+//! resident memory, and only after the monitors have all throws that they keep: until then it grows without a leak.
 
 use std::{
     fs,
@@ -26,13 +26,14 @@ use zenoh::Session;
 
 use crate::{
     cable::Cable,
-    gauge::{Heap, Usage, mib, status},
+    gauge::{Heap, Usage, file_mib, status},
     rig::{Daemon, PATIENCE, Program, Rig, pointsim, send_signal, size},
     shim,
 };
 
 const MACHINES: u32 = 20;
 const THROWS_A_DAY: f64 = 200.0;
+/// Load of the test as a multiple of the load of a cabinet.
 const TIMES: f64 = 50.0;
 /// Throws a second: 2.3.
 const RATE: f64 = MACHINES as f64 * THROWS_A_DAY * TIMES / 86_400.0;
@@ -40,9 +41,9 @@ const RATE: f64 = MACHINES as f64 * THROWS_A_DAY * TIMES / 86_400.0;
 const KEPT: u32 = 1_000;
 /// Throws of each machine in the backlog, which is full after seven minutes.
 const BACKLOG: u32 = 50;
-/// Backlogs, allocator and database reach their full size in this time of a long run.
+/// Time in which backlogs, allocator and database reach their full size in a long run \[s\].
 const WARM_UP_S: f64 = 600.0;
-/// Period and length of the cuts in this time: eight cuts.
+/// Period and length of the eight cuts in this time.
 const WARM_UP_CUT: (Duration, Duration) = (Duration::from_secs(75), Duration::from_secs(25));
 /// Most throws that a monitor keeps: a baseline and the longest window of each direction.
 const KEPT_BY_MONITOR: u32 = 2 * (50 + 24);
@@ -115,7 +116,7 @@ impl Plan {
         self.length.as_secs_f64() > 2.0 * WARM_UP_S
     }
 
-    /// In every period of an hour's run the link is cut for 5 s, or for 25 s, after which zenoh closes it.
+    /// In a run of an hour the periods have a cut of 5 s or 25 s in turn. Zenoh closes a link after the longer one.
     fn link_is_up(&self, at: Duration) -> bool {
         if self.is_long() && at.as_secs_f64() < WARM_UP_S {
             let (period, down) = (WARM_UP_CUT.0.as_millis(), WARM_UP_CUT.1.as_millis());
@@ -203,11 +204,11 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
         }
     }
     published += logger.stop();
-    // A throw after a missing one waits up to a minute for the logger, which has stopped.
+    // A throw after a missing one is judged after a minute: the daemon waits for the backlog of the stopped logger.
     let all_stored = async { while status(&session).await.is_none_or(|status| status.judged < published) {} };
     let in_time = tokio::time::timeout(2 * PATIENCE, all_stored).await;
     let end = status(&session).await.unwrap();
-    let missing = rig.sql("SELECT coalesce(sum(missing_throws), 0) AS n FROM data_gaps")[0]["n"].clone();
+    let missing = rig.number("SELECT coalesce(sum(missing_throws), 0) FROM data_gaps");
     drop(alarms);
     daemon.terminate();
     recording.draw();
@@ -216,7 +217,7 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     assert_eq!((end.stored, end.judged, end.dropped, end.lost, end.quarantined), (published, published, 0, 0, 0));
     assert!(received.load(Relaxed) >= end.alarm_events, "alarm events were not received");
     let expected = RATE * plan.length.as_secs_f64();
-    assert!(published as f64 > 0.8 * expected, "{published} of {expected:.0} throws: the load was not there");
+    assert!(published as f64 > 0.8 * expected, "{published} of {expected:.0} throws: the load was too small");
     recording.judge();
 }
 
@@ -238,9 +239,9 @@ async fn sample(rig: &Rig, daemon: &Daemon, session: &Session, at: Duration, lin
     Some(Sample {
         at_s: at.as_secs_f64(),
         usage: Usage::of(daemon.id()),
-        heap: Heap::told_to(&heap_file(rig)),
-        database_mib: mib(&rig.database(), ""),
-        log_mib: mib(&rig.database(), "-wal"),
+        heap: Heap::read(&heap_file(rig)),
+        database_mib: file_mib(&rig.database(), ""),
+        log_mib: file_mib(&rig.database(), "-wal"),
         waiting: report.received.saturating_sub(handled),
         unjudged: report.stored.saturating_sub(report.judged),
         stored: report.stored,
@@ -321,7 +322,7 @@ impl Recording {
         println!("{} samples: {}", self.samples.len(), path.display());
     }
 
-    /// Growth per hour by least squares, as a share of the mean of the `whole` \[%\].
+    /// Growth of a quantity per hour by least squares, as a share of the mean of another quantity, `whole` \[%\].
     fn growth_pct(samples: &[Sample], of: Figure, whole: Figure) -> f64 {
         let count = samples.len() as f64;
         let mean = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).sum::<f64>() / count;

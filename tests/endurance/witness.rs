@@ -51,21 +51,21 @@ pub(crate) struct Witness {
 }
 
 impl Witness {
-    /// Subscribes to health and alarms. Adds an acknowledgement for each message to `log`, the shim's log of the
-    /// daemon.
+    /// Subscribes to health and alarms. Appends an acknowledgement for each message to `log`, the log that the shim
+    /// writes for the daemon.
     pub(crate) async fn listen(endpoint: &str, log: Option<&Path>) -> Self {
         let session = rig::client_of(endpoint).await;
         let received = Arc::<Mutex<Received>>::default();
         let log = log.map(|path| Arc::new(OpenOptions::new().create(true).append(true).open(path).unwrap()));
-        let (health, noted) = (Arc::clone(&received), log.clone());
+        let (health, log_of_health) = (Arc::clone(&received), log.clone());
         let on_health = move |sample: Sample| {
             let message: Health = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
             let (machine, throw) = (message.machine.machine.to_string(), message.throw);
-            note(noted.as_deref(), &throw_line(&machine, &throw.boot_id, throw.throw_no));
+            acknowledge(log_of_health.as_deref(), &throw_line(&machine, &throw.boot_id, throw.throw_no));
             health.lock().unwrap().health.insert((machine, throw.boot_id, throw.throw_no));
         };
         session.declare_subscriber("points/v1/**/health").callback(on_health).background().await.unwrap();
-        let on_alarm = Arc::new(alarm_taker(Arc::clone(&received), log));
+        let on_alarm = Arc::new(alarm_recorder(Arc::clone(&received), log));
         let live = Arc::clone(&on_alarm);
         session
             .declare_subscriber("points/v1/**/alarm")
@@ -73,7 +73,7 @@ impl Witness {
             .background()
             .await
             .unwrap();
-        // Queries a daemon that connects again for the missed events.
+        // When a daemon connects again, asks it for the events that were missed.
         let asking = session.clone();
         let on_daemon = move |token: Sample| {
             if token.kind() == SampleKind::Put {
@@ -85,11 +85,11 @@ impl Witness {
         Self { received, _session: session }
     }
 
-    /// Subscribes to alarms with a plain zenoh subscriber.
+    /// Subscribes to alarms only, and never asks a daemon for missed events.
     pub(crate) async fn listen_plainly(endpoint: &str) -> Self {
         let session = rig::patient_client_of(endpoint).await;
         let received = Arc::<Mutex<Received>>::default();
-        let on_alarm = alarm_taker(Arc::clone(&received), None);
+        let on_alarm = alarm_recorder(Arc::clone(&received), None);
         session.declare_subscriber("points/v1/**/alarm").callback(on_alarm).background().await.unwrap();
         Self { received, _session: session }
     }
@@ -99,25 +99,23 @@ impl Witness {
     }
 
     /// Waits until the received messages fulfil a condition.
-    pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Received) -> bool) {
+    pub(crate) async fn until(&self, what: &str, is_met: impl Fn(&Received) -> bool) {
         rig::until(rig::PATIENCE, async || {
             let received = self.received();
-            let (throws, events) = (received.health.len(), &received.events);
-            let is_heard = is_heard(&received);
-            if is_heard {
-                Ok(())
-            } else {
-                Err(format!("not received: {what}; received: {throws} throws and {events:?}"))
+            if is_met(&received) {
+                return Ok(());
             }
+            let (throws, events) = (received.health.len(), &received.events);
+            Err(format!("not received: {what}; received: {throws} throws and {events:?}"))
         })
         .await;
     }
 }
 
-fn alarm_taker(received: Arc<Mutex<Received>>, log: Option<Arc<File>>) -> impl Fn(Sample) + Send + Sync + 'static {
+fn alarm_recorder(received: Arc<Mutex<Received>>, log: Option<Arc<File>>) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let message: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-        note(log.as_deref(), &event_line(&message.alarm_id, message.event_no));
+        acknowledge(log.as_deref(), &event_line(&message.alarm_id, message.event_no));
         let mut received = received.lock().unwrap();
         received.messages += 1;
         let event = (message.alarm_id.clone(), message.event_no);
@@ -135,7 +133,7 @@ fn ask(session: &Session, on_alarm: Arc<impl Fn(Sample) + Send + Sync + 'static>
 }
 
 /// Appends an acknowledgement to the shim's log, in one write.
-fn note(log: Option<&File>, line: &str) {
+fn acknowledge(log: Option<&File>, line: &str) {
     let Some(mut log) = log else { return };
     let size = u32::try_from(line.len()).unwrap();
     let mut record = vec![b'A'];

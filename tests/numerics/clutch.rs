@@ -40,7 +40,8 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 "the controller gives up"
             );
             let (toe_mm, current_a) = (motion.toe_mm[motion.cut_off], motion.current_a[motion.cut_off]);
-            // The obstacle yields by half a millimetre under the force of the clutch, and of the rails where they help.
+            // The obstacle yields by half a millimetre under the force of the clutch and, where they help, of the
+            // rails.
             assert!((toe_mm - at_mm).abs() < 0.6, "{direction}, obstacle at {at_mm} mm: the toe is at {toe_mm} mm");
             assert!(
                 (current_a / expected_a - 1.0).abs() < 0.005,
@@ -108,7 +109,7 @@ fn stiff_rails_are_more_than_the_clutch_can_bend() {
 }
 
 #[test]
-fn conditions_that_cannot_be_are_refused_by_name() {
+fn impossible_conditions_are_refused_by_name() {
     let plain = Conditions::default();
     for (conditions, name) in [
         (Conditions { obstruction_mm: Some(-1.0), ..plain }, "obstruction_mm"),
@@ -157,7 +158,8 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
         let refused = identify(&Sensors::default(), at_mm).unwrap_err();
         assert!(refused.is_incomplete(), "{at_mm} mm: {refused}");
     }
-    // The motor of a machine may run on against its clutch at the end of the stroke, and the sensor's scale be wrong.
+    // No obstruction: the motor may run on against its clutch at the end of the stroke, and the sensor may have a wrong
+    // gain.
     for gain_pct in [0.0, -1.5, 1.5] {
         let position = Sensor { gain_pct, ..Sensor::default() };
         let found = identify(&Sensors { position, ..Sensors::default() }, 114.3);
@@ -165,7 +167,7 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
     }
 }
 
-/// A throw that ends early is incomplete also close to the end of the stroke, however the motor ends.
+/// The throws end close to the end of the stroke, at 86 to 94 % of it.
 #[test]
 fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
@@ -180,7 +182,7 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
                 Direction::NormalToReverse => 1.15 * at_pct,
                 Direction::ReverseToNormal => 115.0 - 1.15 * at_pct,
             };
-            // An obstruction: the motor slips its clutch until the controller gives up, or a protection ends it before.
+            // An obstruction: the clutch slips until the controller gives up, or until a protection cuts the motor off.
             let blocked = Conditions { obstruction_mm: Some(far_mm), ..free };
             let whole_s = identify(direction, &free).features.duration_s.unwrap();
             for cut_off_after_s in [None, Some(whole_s + 0.2), Some(whole_s + 1.0)] {
@@ -188,7 +190,7 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
                 let refused = found.outcome.unwrap_err();
                 assert!(refused.is_incomplete(), "{direction}, {at_pct} %, {cut_off_after_s:?}: {refused}");
             }
-            // The motor loses its supply in the movement.
+            // The motor loses its supply during the movement.
             for late_s in [-0.06, -0.03, 0.0] {
                 let lost = Conditions { cut_off_after_s: Some(whole_s * at_pct / 100.0 + late_s), ..free };
                 let found = identify(direction, &lost);
@@ -204,7 +206,8 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     }
 }
 
-/// The code of a converter whose step is larger than the noise flickers in one place and stands still in another.
+/// If the step of the converter is larger than the noise, its output changes at some positions and stands still at
+/// others.
 #[test]
 fn an_obstruction_before_a_quiet_converter_is_no_stuck_sensor() {
     for noise in [0.002, 0.005, 0.01, 0.02, 0.03] {

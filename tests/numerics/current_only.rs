@@ -6,20 +6,45 @@ use pointsd::throw::{Direction, Throw, Trace};
 
 use super::identify::simulated;
 
-/// A throw recorded with a current sensor only, at 110 V; the logger sends `position` as each toe position.
+/// The current of a simulated throw.
+fn current(machine: &Parameters, direction: Direction, rate_hz: f64) -> Vec<f64> {
+    let sensors = Sensors { sample_rate_hz: rate_hz, ..Sensors::default() };
+    simulated(machine, &sensors, direction, 4).trace.current_a().to_vec()
+}
+
+/// Identifies a throw from its current. The logger sends `position` as each toe position.
 fn identify(
-    machine: &Parameters,
+    current: Vec<f64>,
     direction: Direction,
     rate_hz: f64,
     position: f64,
     supply_v: Option<f64>,
 ) -> Identification {
-    let sensors = Sensors { sample_rate_hz: rate_hz, ..Sensors::default() };
-    let current = simulated(machine, &sensors, direction, 4).trace.current_a().to_vec();
-    let nothing = vec![position; current.len()];
-    let trace = Trace::new(rate_hz, current, nothing).unwrap();
+    let positions = vec![position; current.len()];
+    let trace = Trace::new(rate_hz, current, positions).unwrap();
     let throw = Throw { direction: Some(direction), supply_v, ..Throw::recorded(trace) };
     Identifier::default().identify(&throw, &Settings { stroke_mm: Some(115.0), ..Settings::default() })
+}
+
+/// Checks the change of b0, a1, a0 \[%\], within `limit_pct`, by a change of each part \[%\].
+#[track_caller]
+fn assert_changes(
+    direction: Direction,
+    coefficients: impl Fn(&Parameters) -> [f64; 3],
+    limit_pct: f64,
+    faults: &[(Part, f64, [f64; 3])],
+) {
+    let machine = Parameters::default();
+    let new = coefficients(&machine);
+    for (part, size_pct, expected) in faults {
+        let mut condition = Condition::default();
+        condition.worsen(*part, *size_pct);
+        let worn = coefficients(&machine.in_condition(&condition).unwrap());
+        for at in 0..3 {
+            let change = 100.0 * (worn[at] / new[at] - 1.0);
+            assert!((change - expected[at]).abs() < limit_pct, "{direction}, {part:?}: coefficient {at} by {change} %");
+        }
+    }
 }
 
 #[test]
@@ -27,29 +52,22 @@ fn with_the_voltage_every_part_shows_in_the_current_alone() {
     let machine = Parameters::default();
     for direction in Direction::BOTH {
         let coefficients = |machine: &Parameters| {
-            let estimate = identify(machine, direction, 1000.0, f64::NAN, Some(110.0)).outcome.unwrap();
+            let current = current(machine, direction, 1000.0);
+            let estimate = identify(current, direction, 1000.0, f64::NAN, Some(110.0)).outcome.unwrap();
             assert_eq!(estimate.grade, Grade::CurrentOnly);
             estimate.coefficients()
         };
-        let new = coefficients(&machine);
         let known = machine.coefficients().unwrap();
-        for (found, known) in new.iter().zip([known.b0, known.a1, known.a0]) {
+        for (found, known) in coefficients(&machine).iter().zip([known.b0, known.a1, known.a0]) {
             assert!((found / known - 1.0).abs() < 0.04, "{direction}: {found} for {known}");
         }
-        for (part, size_pct, expected) in [
+        let faults = [
             (Part::Kt, -10.0, [-10.0, -2.0, 0.0]),
             (Part::Friction, 30.0, [3.0, 34.0, 4.0]),
             (Part::Stiffness, 15.0, [0.0, 0.0, 15.0]),
             (Part::Inertia, 10.0, [-9.1; 3]),
-        ] {
-            let mut condition = Condition::default();
-            condition.worsen(part, size_pct);
-            let worn = coefficients(&machine.in_condition(&condition).unwrap());
-            for at in 0..3 {
-                let change = 100.0 * (worn[at] / new[at] - 1.0);
-                assert!((change - expected[at]).abs() < 2.0, "{direction}, {part:?}: coefficient {at} by {change} %");
-            }
-        }
+        ];
+        assert_changes(direction, coefficients, 2.0, &faults);
     }
 }
 
@@ -64,7 +82,8 @@ fn without_the_voltage_or_at_a_low_rate_there_are_features() {
     ] {
         // A logger without a toe sensor sends nothing, nulls or zeros.
         for position in [f64::NAN, 0.0] {
-            let found = identify(&machine, Direction::NormalToReverse, rate_hz, position, supply_v);
+            let current = current(&machine, Direction::NormalToReverse, rate_hz);
+            let found = identify(current, Direction::NormalToReverse, rate_hz, position, supply_v);
             assert_eq!(found.quality(), "current_only", "{rate_hz} Hz");
             assert!(found.detail().unwrap().contains(why), "{:?}", found.detail());
             assert_eq!(found.direction, Some(Direction::NormalToReverse));
@@ -97,7 +116,8 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
     }
 }
 
-/// The current of a motor that stalls at the end of the stroke for 35 ms, and is turned back by the drive after its cut-off.
+/// Changes the current to that of a motor that stalls at the end of the stroke for 35 ms, and that the drive turns back
+/// after the cut-off.
 fn with_stall(machine: &Parameters, current: &mut Vec<f64>, rate_hz: f64) {
     let peak = current.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
     let cut_off = current.iter().rposition(|i| i.abs() > 0.15).unwrap() - 8;
@@ -115,33 +135,20 @@ fn with_stall(machine: &Parameters, current: &mut Vec<f64>, rate_hz: f64) {
     );
 }
 
-/// The voltage ends with the cut-off, and the current of the drive that turns the motor back does not count.
+/// After the cut-off there is no voltage, so the current while the drive turns the motor back must not count.
 #[test]
 fn a_stall_at_the_end_of_the_stroke_neither_hides_nor_changes_a_fault() {
-    let machine = Parameters::default();
     for direction in Direction::BOTH {
         let coefficients = |machine: &Parameters| {
-            let mut current = simulated(machine, &Sensors::default(), direction, 4).trace.current_a().to_vec();
+            let mut current = current(machine, direction, 1000.0);
             with_stall(machine, &mut current, 1000.0);
-            let nothing = vec![f64::NAN; current.len()];
-            let trace = Trace::new(1000.0, current, nothing).unwrap();
-            let throw = Throw { direction: Some(direction), supply_v: Some(110.0), ..Throw::recorded(trace) };
-            let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
-            Identifier::default().identify(&throw, &settings).outcome.unwrap().coefficients()
+            identify(current, direction, 1000.0, f64::NAN, Some(110.0)).outcome.unwrap().coefficients()
         };
-        let new = coefficients(&machine);
-        for (part, size_pct, expected) in [
+        let faults = [
             (Part::Kt, -15.0, [-15.0, -3.0, 0.0]),
             (Part::Inertia, 20.0, [-16.7; 3]),
             (Part::Stiffness, 30.0, [0.0, 0.0, 30.0]),
-        ] {
-            let mut condition = Condition::default();
-            condition.worsen(part, size_pct);
-            let worn = coefficients(&machine.in_condition(&condition).unwrap());
-            for at in 0..3 {
-                let change = 100.0 * (worn[at] / new[at] - 1.0);
-                assert!((change - expected[at]).abs() < 3.0, "{direction}, {part:?}: coefficient {at} by {change} %");
-            }
-        }
+        ];
+        assert_changes(direction, coefficients, 3.0, &faults);
     }
 }

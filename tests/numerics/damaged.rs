@@ -1,4 +1,4 @@
-//! Damaged traces: each is rejected with its reason.
+//! Damaged traces: each is rejected with its reason, or its damage does no harm.
 
 use pointsd::estimate::{Channel, Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
@@ -138,7 +138,7 @@ pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static 
     }
 }
 
-/// Description, accepted results joined by `|`, and the damage to a healthy trace.
+/// Description, expected qualities joined by `|`, and the damage to a healthy trace.
 type Damage = (&'static str, &'static str, fn(&mut Channels));
 
 const TABLE: &[Damage] = &[
@@ -259,7 +259,7 @@ impl Channels {
 }
 
 #[test]
-fn every_damaged_trace_is_refused_with_its_reason() {
+fn every_damaged_trace_has_its_quality_or_its_reason() {
     let settings = settings_of(&Parameters::default());
     let mut wrong = Vec::new();
     for (what, code, damage) in TABLE {
@@ -343,7 +343,7 @@ fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
                 let expected = if noise_mm > 0.5 { Some((false, Some(Channel::Position))) } else { None };
                 assert_eq!(channel, expected, "{what}: {:?}", free.outcome);
                 assert_eq!(free.features.duration_s.is_some(), channel.is_none(), "{what}: {:?}", free.features);
-                // Noise of a fifth of the way hides what the toe did.
+                // Noise of a tenth of the stroke hides the movement of the toe.
                 let stopped = identify(Some(60.0)).outcome.unwrap_err();
                 let hidden = noise_mm > 10.0 && stopped.faulty_channel() == Some(Channel::Position);
                 assert!(stopped.is_incomplete() || hidden, "{what}: {stopped}");

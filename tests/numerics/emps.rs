@@ -31,7 +31,7 @@ fn mass_friction_and_offset_of_a_real_drive_come_out_as_published() {
     let Some((force, position)) = recorded() else { return };
     let velocity: Vec<f64> =
         (1..position.len() - 1).map(|k| (position[k + 1] - position[k - 1]) / (2.0 * INTERVAL_S)).collect();
-    // The sign of the mean velocity over 20 ms, because single differences alternate around zero by the encoder's step.
+    // The sign of the mean velocity over 20 ms: single differences alternate around zero by the step of the encoder.
     let sign: Vec<f64> = (0..velocity.len())
         .map(|k| {
             let mean = velocity[k.saturating_sub(10)..(k + 11).min(velocity.len())].iter().sum::<f64>();

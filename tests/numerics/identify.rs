@@ -1,11 +1,11 @@
-//! One simulated throw through the whole estimator, which must return the simulated coefficients.
+//! The whole estimator on simulated throws: it must return the simulated coefficients.
 
 use pointsd::estimate::{Identification, Identifier, Settings};
 use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A throw of a machine as recorded by these sensors; the seed is that of their noise.
+/// A throw of a machine as these sensors record it; `seed` is that of their noise.
 pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     simulated_in(&Conditions::default(), machine, sensors, direction, seed)
 }

@@ -1,4 +1,4 @@
-//! `pointsd identify` as a user runs it: an error is one sentence with its reason and its place.
+//! `pointsd identify` on recordings of users: an error is one sentence that names the reason and the place.
 
 use std::fmt::Write as _;
 use std::process::{Command, Output};
@@ -23,7 +23,11 @@ fn identify(text: &str) -> Output {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("throw.csv");
     std::fs::write(&file, text).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_pointsd")).arg("identify").arg(&file).arg("--json").output().unwrap()
+    pointsd(&["identify", file.to_str().unwrap(), "--json"])
+}
+
+fn pointsd(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pointsd")).args(arguments).output().unwrap()
 }
 
 #[test]
@@ -45,7 +49,7 @@ fn a_healthy_recording_is_accepted_in_every_common_csv_format() {
     }
 }
 
-/// The user of a file knows options and columns, and no fields of a message.
+/// The user of a file knows options and columns, but not the fields of a message.
 #[test]
 fn a_reason_names_options_and_columns() {
     let without_position: String =
@@ -114,12 +118,11 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
             assert!(sentence.contains(word), "{word:?} is not in: {sentence}");
         }
     }
-    let absent = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv"]).output().unwrap();
-    assert_eq!(absent.status.code(), Some(66));
-    let endless = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/dev/zero"]).output().unwrap();
-    assert_eq!(endless.status.code(), Some(66));
+    let absent = pointsd(&["identify", "/nowhere.csv"]);
+    assert_eq!(absent.status.code(), Some(66), "{absent:?}");
+    let endless = pointsd(&["identify", "/dev/zero"]);
+    assert_eq!(endless.status.code(), Some(66), "{endless:?}");
     assert!(String::from_utf8_lossy(&endless.stderr).contains("more than 512 MiB"), "{endless:?}");
-    let wrong =
-        Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv", "--lead-mm", "0"]).output();
-    assert_eq!(wrong.unwrap().status.code(), Some(64));
+    let wrong = pointsd(&["identify", "/nowhere.csv", "--lead-mm", "0"]);
+    assert_eq!(wrong.status.code(), Some(64), "{wrong:?}");
 }

@@ -1,4 +1,4 @@
-//! The statements and the numbers of the page on the limits of the method, checked with its runs.
+//! The statements and the numbers on the page about the limits of the method, checked with the runs that made them.
 
 use pointsd::evaluate::limits::{Finding, Row, Runs, run};
 
@@ -11,7 +11,7 @@ fn find<'a>(findings: &'a [Finding], name: &str) -> &'a [Row] {
 }
 
 #[test]
-fn the_page_holds() {
+fn the_page_about_the_limits_is_true() {
     let findings = run(Runs { throws: 8, seed: 3 }).unwrap();
     let row = |finding: &str, label: &str| {
         find(&findings, finding).iter().find(|row| row.label == label).unwrap_or_else(|| panic!("{finding}: {label}"))
@@ -40,7 +40,7 @@ fn the_page_holds() {
     assert!(largest(row("neutral", "57.5, 57.5, R to N")) < 1.0);
     assert!(largest(row("neutral", "0, 57.5, N to R")) > 50.0);
     assert_eq!(findings.len(), 13);
-    // Results without noise do not depend on the seed, so the page has the same numbers.
+    // Results without noise do not depend on the seed, so the page must have the same numbers.
     let page = include_str!("../../src/evaluate/limits/limits.md");
     for row in findings.iter().flat_map(|finding| &finding.rows).filter(|row| !row.noisy) {
         let errors = row.worst_pct().map_or([""; 3].map(str::to_owned), |worst| worst.map(|pct| format!("{pct:+.2}")));

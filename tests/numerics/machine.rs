@@ -24,7 +24,7 @@ fn the_default_machine_is_a_credible_one() {
         assert!((peak - 13.0).abs() < 1.0, "{peak} A");
         let running = &motion.current_a[5000..motion.cut_off];
         let mean = running.iter().sum::<f64>() / running.len() as f64;
-        // About 1 A against the spring of the rails, less with it.
+        // About 1 A against the spring of the rails, less when the spring helps.
         let expected = if direction == Direction::NormalToReverse { 0.7..1.3 } else { 0.2..0.7 };
         assert!(expected.contains(&mean), "{direction}: {mean} A running");
         let beyond = motion.toe_mm.iter().fold(0.0_f64, |most, &mm| most.max(-mm).max(mm - machine.stroke_mm));
@@ -169,7 +169,7 @@ fn converters_of_12_and_16_bits_round_to_their_step() {
 }
 
 #[test]
-fn a_machine_that_cannot_be_is_refused_by_name() {
+fn an_impossible_machine_is_refused_by_name() {
     let plain = Parameters::default();
     for (machine, name) in [
         (Parameters { clutch_n: 0.0, ..plain.clone() }, "clutch_n"),

@@ -1,5 +1,5 @@
-//! A supply from rectified mains: its ripple is as recorded on a real machine, and does not disturb the estimator if it
-//! is sampled.
+//! A supply from rectified mains: the ripple of the current is as recorded on a real machine, and does not disturb the
+//! estimator if the sampling rate resolves it.
 
 use std::f64::consts::PI;
 
@@ -57,7 +57,8 @@ fn the_ripple_does_no_harm_where_it_is_sampled() {
     }
 }
 
-/// At 250 Hz the rise of the current is not resolved, so a throw shows ratios; the ripple does not fold to a constant current.
+/// At 250 Hz the rise of the current is not resolved, so a throw shows only ratios. The ripple is not aliased to a
+/// constant current.
 #[test]
 fn the_ripple_does_not_bias_the_ratios_at_250_hz() {
     let ratios = |supply: Waveform, rate_hz, direction, supply_phase_rad| {

@@ -43,7 +43,7 @@ fn refined_estimates_scatter_half_as_much_without_bias_as_their_covariance_state
         }
     }
     let throws = 2.0 * THROWS as f64;
-    // The interval of a ratio is mostly that of dry friction, which the prefilter does not change.
+    // Most of the interval of a ratio covers dry friction, which the prefilter does not change.
     assert!(of_ratio[1] < 1.5 * of_ratio[0], "sd of a1/b0: {:?} %", of_ratio.map(|sum| 100.0 * sum / throws));
     for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
         let [plain, refined] = [0, 1].map(|which| {

@@ -5,11 +5,13 @@ use pointsd::simulate::{Conditions, Parameters, Sensor, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A recorded throw; the first and the last sample with the motor on.
+/// A recorded throw.
 struct Recorded {
     current: Vec<f64>,
     position: Vec<f64>,
+    /// Sample at which the motor is switched on.
     on: usize,
+    /// Sample at which the motor is switched off.
     off: usize,
 }
 
@@ -26,7 +28,7 @@ impl Recorded {
         Self { current, position, on, off: on + sample(motion.cut_off as f64 * motion.step_s) }
     }
 
-    /// With this current before and after the movement.
+    /// Adds a current before and after the movement.
     fn at_rest(mut self, before_a: f64, after_a: f64) -> Self {
         for (k, i) in self.current.iter_mut().enumerate() {
             *i += if k <= self.on { before_a } else { 0.0 } + if k > self.off { after_a } else { 0.0 };
@@ -98,7 +100,7 @@ fn the_interval_covers_a_current_that_flows_at_rest_only() {
                     let found = recorded().at_rest(rest_a, rest_a).identify(&settings).outcome.unwrap();
                     assert_eq!(found.ratios_only, late > 0, "{what}");
                     covers(&found, &plain, &what);
-                    // Such a current is equal in every throw.
+                    // Such a current is equal in every throw, so it does not hide a drift.
                     let [is, was] = [&found, &plain].map(|e| e.drift_covariance()[(1, 1)].sqrt() / e.a1);
                     assert!(is < 1.3 * was, "{what}: {is}, {was}");
                 }

@@ -1,5 +1,6 @@
-//! Throws that differ from the model in their start or course, from a machine without common code with estimator and
-//! simulator: a motor and a toe as two masses, in steps of 10 us, with effects of real drives and loggers.
+//! Throws whose start or course differs from the model. They come from a simulated machine that shares no code with the
+//! estimator and the simulator: motor and toe as two masses, in steps of 10 us, with effects of real drives and
+//! loggers.
 
 use std::f64::consts::TAU;
 
@@ -31,34 +32,40 @@ const STIFFNESS: f64 = 0.049;
 const DRY_PER_MU: f64 = 9.0;
 /// Stiffness \[N m/rad\] and damping \[N m s\] of a stiff toe drive, at the screw.
 const STIFF: (f64, f64) = (6000.0, 3.0);
-/// The same of a toe drive of 5e6 N/m.
+/// Stiffness and damping of a soft toe drive, 5e6 N/m, at the screw.
 const SOFT: (f64, f64) = (12.7, 0.25);
 
 #[derive(Clone, Copy, Default)]
 struct Drive {
-    /// Play between drive and toe, and between toe and sensor \[mm\].
+    /// Play between drive and toe \[mm\].
     lost_mm: f64,
+    /// Play between toe and sensor \[mm\].
     play_mm: f64,
-    /// Torque of the brake at the screw \[N m\], and its release after the start of the motor \[s\].
+    /// Torque of the brake at the screw \[N m\].
     brake_nm: f64,
+    /// Release of the brake after the start of the motor \[s\].
     brake_s: f64,
-    /// Random load as a share of the friction, and its time constant \[s\], 0 for 50 ms.
+    /// Random load as a share of the friction.
     wander: f64,
+    /// Time constant of the random load \[s\], 0 for 50 ms.
     wander_s: f64,
-    /// Jitter of the sampling times \[s\], and noise of the current in addition to 20 mA \[A\].
+    /// Jitter of the sampling times \[s\].
     jitter_s: f64,
+    /// Noise of the current in addition to 20 mA \[A\].
     noise_a: f64,
     /// Set value of a current-controlled drive \[A\]; `None` for a constant voltage.
     controlled_a: Option<f64>,
-    /// Low-pass of the position \[Hz\] and delay of the position behind the current \[s\].
+    /// Low-pass of the position \[Hz\], 0 without one.
     lag_hz: f64,
+    /// Delay of the position behind the current \[s\].
     skew_s: f64,
     /// Hum of the mains on the current, amplitude \[A\].
     hum_a: f64,
-    /// Index after the motor's start of the first lost sample.
+    /// First of five lost samples, counted from the motor's start.
     lost_samples: Option<usize>,
-    /// Friction coefficient of the slide chairs (Coulomb), and whether the toe drive is soft.
+    /// Coulomb friction coefficient of the slide chairs.
     mu: f64,
+    /// Whether the toe drive is soft.
     soft: bool,
     /// Where the rails are unstressed \[mm\].
     neutral_mm: f64,
@@ -169,8 +176,8 @@ impl Drive {
 }
 
 impl Drive {
-    /// The true coefficients b0, a1, a0: dry friction counts as the viscous friction with the same torque at the mean speed
-    /// of the movement.
+    /// The true coefficients b0, a1, a0: dry friction counts as the viscous friction with the same torque at the mean
+    /// speed of the movement.
     fn truth(self) -> [f64; 3] {
         let (_, toe) = self.throw(&mut ChaCha8Rng::seed_from_u64(0));
         let reach = |share: f64| toe.iter().position(|mm| *mm > share * 114.5).unwrap();
@@ -212,7 +219,7 @@ fn an_unusable_start_leaves_the_ratios() {
     }
 }
 
-/// A position of 12 bits over 300 mm, whose steps hide its noise, does not change until the machine has unlocked.
+/// A position of 12 bits over 300 mm, whose steps hide the noise, does not change until the machine has unlocked.
 #[test]
 fn a_toe_that_waits_for_the_unlocking_is_not_a_stuck_sensor() {
     for unlocking_s in [0.0, 0.15, 0.2, 0.3] {
@@ -370,7 +377,7 @@ fn table_of_conditions() {
     }
 }
 
-/// The misfit of Coulomb friction to the viscous model is in the interval, with a stiff and with a soft toe drive.
+/// The viscous model does not fit Coulomb friction. The intervals cover this, with a stiff and with a soft toe drive.
 #[test]
 fn the_intervals_cover_coulomb_friction() {
     let cases = [
@@ -400,7 +407,8 @@ fn the_intervals_cover_coulomb_friction() {
     }
 }
 
-/// The load varies within 10 ms to half a second, so little that the throw is good or so much that only its ratios are known.
+/// The load varies within 10 ms to half a second: in some cases so little that the throw is good, in others so much
+/// that only its ratios are known.
 #[test]
 fn the_intervals_of_ratios_cover_a_load_that_varies() {
     let mut counts = [[0; 2]; 2];
@@ -494,9 +502,9 @@ fn dry_slide_chairs_are_friction_whatever_the_grade() {
     }
 }
 
-/// The error of the ratios by very dry chairs is equal in every throw, so a mean of 24 throws has it too.
+/// Very dry chairs make the same error of the ratios in every throw, so the mean of 24 throws has this error too.
 #[test]
-fn the_mean_of_rough_throws_is_as_uncertain_as_it_errs() {
+fn the_stated_uncertainty_of_the_mean_of_rough_throws_covers_its_error() {
     for (model, slide_friction, direction) in [
         (RailModel::Beam, 0.5, Direction::NormalToReverse),
         (RailModel::Beam, 0.7, Direction::NormalToReverse),
@@ -522,7 +530,7 @@ fn the_mean_of_rough_throws_is_as_uncertain_as_it_errs() {
     }
 }
 
-/// Delay \[ms\] and acceleration of the start of a drive, means over some throws.
+/// Delay \[ms\] and acceleration per ampere of the start of a drive: means over some throws.
 fn start(drive: Drive) -> (f64, f64) {
     let throws = 6;
     let of = |seed| drive.identify(seed).features;

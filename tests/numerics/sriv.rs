@@ -55,7 +55,7 @@ pub(crate) fn second_order(
     (input, output)
 }
 
-/// Our parameters in the order of the peer: `a_1` … `a_N`, then the numerator.
+/// Largest relative difference between our parameters and those of the peer, the crate `dsmc`.
 fn compare<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, hold: Hold, lambda: f64) -> f64 {
     let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
     (sriv.start_per_s, sriv.tolerance) = (lambda, 1e-10);
@@ -72,8 +72,10 @@ fn compare<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, hold: H
     };
     let theirs = peer(u, y, h, N, P - N - 1, &Initialization::StateVariableFilter(lambda), &options).unwrap();
     assert!(theirs.converged && ours.termination == Termination::Converged);
-    let turned: Vec<f64> = ours.parameters[P - N..].iter().chain(&ours.parameters[..P - N]).copied().collect();
-    turned.iter().zip(theirs.parameter.iter()).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
+    // The peer has `a_1` … `a_N`, then the numerator.
+    let in_order_of_peer: Vec<f64> =
+        ours.parameters[P - N..].iter().chain(&ours.parameters[..P - N]).copied().collect();
+    in_order_of_peer.iter().zip(theirs.parameter.iter()).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
 }
 
 #[test]
@@ -94,8 +96,8 @@ fn agrees_with_an_independent_implementation_to_1e_6() {
     }
 }
 
-/// The end is that of an iteration to the last digit. Where the noise is strong, a step is only about half as long as the
-/// one before it, so the steps that would follow are together longer than the last one.
+/// The result is near that of an iteration to the last digit. With strong noise each step is only about half as long as
+/// the step before, so the steps that would follow are together longer than the last one.
 #[test]
 fn the_iteration_ends_near_its_limit() {
     fn distance<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, lambda: f64, tolerance: f64) -> f64 {
@@ -182,7 +184,7 @@ impl RaoGarnier {
 }
 
 #[test]
-fn the_literatures_benchmark_comes_out_as_published() {
+fn the_benchmark_of_the_literature_gives_the_published_results() {
     const RUNS: usize = 200;
     let published_sd = [42.4, 73.5, 0.062, 1.10, 3.9, 8.0];
     let benchmark = RaoGarnier::new();
@@ -208,7 +210,7 @@ fn the_literatures_benchmark_comes_out_as_published() {
 }
 
 #[test]
-fn a_constant_load_is_a_column_like_any_other() {
+fn a_constant_load_is_identified_as_another_input() {
     // y'' + 3 y' + 25 y = 40 u + 7 from rest: the solution without the load, plus the response to it.
     let (h, len) = (5e-3, 3000);
     let (u, mut y) = second_order(40.0, 3.0, 25.0, len, h, 0.0, 9);

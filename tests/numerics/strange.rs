@@ -1,12 +1,12 @@
-//! Short and strange traces, as no machine makes them: the estimator rejects them, and never panics.
+//! Short and strange traces that no machine makes: the estimator never panics, and its numbers are finite.
 
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A channel that is `rest`, and from `from` on for `length` samples a pulse, a ramp or a random walk of this height; it
-/// ends at its height or returns to exactly `rest`.
+/// A channel at rest that then makes a pulse, a ramp, an inrush or a random walk of this height. It ends there, or
+/// returns to exactly its value at rest.
 fn channel(rng: &mut ChaCha8Rng, len: usize, height: f64) -> Vec<f64> {
     let rest = [0.0, 0.0, 0.15, 57.5, -3.0][rng.random_range(0..5)];
     let from = if rng.random() { rng.random_range(0..=len) } else { rng.random_range(0..=len.min(20)) };
@@ -31,8 +31,8 @@ fn channel(rng: &mut ChaCha8Rng, len: usize, height: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Few samples, a motor without movement, a movement without motor, a toe that returns to its start, currents from the
-/// first sample on, single wrong values, at any rate and with any settings.
+/// A random throw and random settings: few samples, a motor without movement, a movement without motor, a toe that
+/// returns to its start, currents from the first sample on, single wrong values, any rate.
 fn strange(seed: u64) -> (Throw, Settings) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let longest = [4, 40, 400, 3000, 3000][rng.random_range(0..5)];
@@ -95,7 +95,7 @@ fn no_strange_trace_stops_the_estimator() {
     println!("{qualities:?}");
 }
 
-/// A window of one sample: the toe moves out and returns to exactly its start after the motor.
+/// The toe moves only after the motor is off, and returns to about its start: the estimator has a window of one sample.
 #[test]
 fn a_toe_that_returns_to_its_start_moved_backwards() {
     for (quiet, returned_mm) in [(4, 0.0), (4, 0.5), (200, 0.0), (200, -0.5)] {

@@ -3,13 +3,17 @@
 use pointsd::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, run};
 use pointsd::simulate::RailModel;
 
+/// Models of the rails, and seeds.
+const RUNS: [(RailModel, u64); 4] =
+    [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)];
+
 fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
     run(&Study { rails, seed, ..Study::default() }).unwrap()
 }
 
 #[test]
 fn every_row_is_as_expected() {
-    for (rails, seed) in [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)] {
+    for (rails, seed) in RUNS {
         for result in results(rails, seed) {
             for test in &result.tests[1..] {
                 let expected = test.expected.unwrap();
@@ -29,7 +33,7 @@ fn every_row_is_as_expected() {
 
 #[test]
 fn the_correlations_name_inertia_and_nothing_else() {
-    for (rails, seed) in [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)] {
+    for (rails, seed) in RUNS {
         for result in results(rails, seed) {
             assert_eq!(result.verdict(), result.case.cause, "{rails:?}, seed {seed}: {:?}", result.correlation);
             let beyond_scatter = result.correlation_beyond_scatter;

@@ -1,5 +1,5 @@
-//! Alarms about the monitoring itself: a missing logger, throws that never arrive, a damaged database. Each exists
-//! once, also after a restart.
+//! Alarms about the monitoring itself: a missing logger, throws that never arrive, a damaged database. Each problem has
+//! one alarm, also after a restart.
 
 use std::{os::unix::net::UnixDatagram, process::Stdio};
 
@@ -9,11 +9,10 @@ use pointsd::{
 };
 
 use crate::{
-    http::KEY,
+    http::{ALIVE, KEY},
     rig::{PATIENCE, Program, Rig, listen, next, pointsd, stub, throws},
 };
 
-const ALIVE: &str = "points/v1/north/21B/alive";
 /// Configuration with an alarm 1.2 s after a logger is gone.
 const HASTY: &str = "[diagnosis]\nlogger_gone_minutes = 0.02\n";
 
@@ -26,7 +25,7 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
     let token = logger.session.liveliness().declare_token(ALIVE).await.unwrap();
     logger.send([stub("boot", 1)]).await;
     rig.judged(1).await;
-    // The snapshot with the logger is stored, so it outlives a kill.
+    // The presence of the logger is in the stored snapshot, so it outlives a kill.
     rig.until_sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"logger\":\"there\"%'").await;
 
     drop(token);
@@ -131,8 +130,8 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
     assert_eq!(states, ["active_unacknowledged", "active_acknowledged"]);
 }
 
-/// Otherwise a logger with this name could clear the daemon's own alarms, whose machine the database contains after the
-/// first.
+/// Otherwise a logger with this name could clear the alarms of the daemon about itself, which are stored as alarms of a
+/// machine with this name.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_logger_publishes_under_the_name_of_the_daemon() {
     let rig = Rig::new();
@@ -163,8 +162,12 @@ fn a_long_start_extends_the_timeout_of_systemd() {
         let count = socket.recv(&mut buffer).expect("it becomes ready");
         said.push(String::from_utf8_lossy(&buffer[..count]).into_owned());
     }
-    let more: u64 =
-        said[0].lines().find_map(|line| line.strip_prefix("EXTEND_TIMEOUT_USEC=")).expect("asks").parse().unwrap();
+    let more: u64 = said[0]
+        .lines()
+        .find_map(|line| line.strip_prefix("EXTEND_TIMEOUT_USEC="))
+        .expect("a request for time")
+        .parse()
+        .unwrap();
     assert!(more >= 30_000_000, "{said:?}");
     for step in ["opening zenoh", "opening the database"] {
         assert!(said.iter().any(|text| text.contains(&format!("STATUS={step}"))), "{said:?}");
@@ -174,7 +177,7 @@ fn a_long_start_extends_the_timeout_of_systemd() {
 /// A snapshot with an impossible variance stands for a defect of the diagnosis that nobody knows yet.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_on_which_the_diagnosis_fails_is_reported_and_stops_no_other() {
-    /// Complete baselines, and longest windows of later throws.
+    /// Throws that complete both baselines and fill the longest window.
     const LEARNED: usize = 160;
     const FAILED: usize = 30;
     let (rig, daemon) = Rig::running();

@@ -1,4 +1,4 @@
-//! A real browser, controlled over the pipe of its debugging protocol, as a person uses the dashboard. Skipped, with a
+//! The dashboard in a real browser, which the tests control over the pipe of its debugging protocol. Skipped, with a
 //! message, without `chromium`.
 
 use std::{
@@ -36,7 +36,7 @@ impl Browser {
         if !has("chromium") {
             return None;
         }
-        // The protocol has descriptor 3 for messages to the browser and 4 for messages from it.
+        // The protocol uses file descriptor 3 for messages to the browser and 4 for messages from it.
         let mut child = Command::new("sh")
             .args(["-c", "exec chromium \"$@\" 3<&0 4>&1 </dev/null >/dev/null", "chromium"])
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe"])
@@ -57,7 +57,8 @@ impl Browser {
         Some(Self { _program: Program(child), input, messages, last_id: 0 })
     }
 
-    /// Calls a method. Fails if a script has failed since the last call, or a page violated its policy.
+    /// Calls a method of the protocol. Fails if a script has failed since the last call, or a page has violated its
+    /// content security policy.
     fn call(&mut self, tab: Option<&Tab>, method: &str, parameters: &Value) -> Value {
         self.last_id += 1;
         let mut message = json!({"id": self.last_id, "method": method, "params": parameters});
@@ -104,7 +105,7 @@ impl Browser {
         }
     }
 
-    /// The mouse at a place: `mouseMoved`, `mousePressed` or `mouseReleased`.
+    /// Sends an event of the mouse at a place: `mouseMoved`, `mousePressed` or `mouseReleased`.
     fn mouse(&mut self, tab: &Tab, kind: &str, [x, y]: [f64; 2]) {
         let (button, clicks) = if kind == "mouseMoved" { ("none", 0) } else { ("left", 1) };
         let event = json!({"type": kind, "x": x, "y": y, "button": button, "clickCount": clicks});
@@ -166,7 +167,7 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
 }
 
-/// A boot id that could be a script is text, and a page that gets no answer says so.
+/// The page shows a boot id that contains a script as text, and says when the daemon does not answer.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_page_shows_hostile_names_as_text_and_says_when_the_daemon_is_gone() {
     let (rig, daemon, address) = small_history().await;
@@ -183,12 +184,13 @@ async fn a_page_shows_hostile_names_as_text_and_says_when_the_daemon_is_gone() {
     browser.until(&fleet, "document.body.innerText.includes('baseline 1 of 50')");
 }
 
-/// The chart of friction, among those that the page's script made.
+/// JavaScript expression: the chart of friction, the second chart of the page.
 const FRICTION: &str = "uPlot.sync('page').plots[1]";
-/// Its values of both directions.
+/// JavaScript expression: all values of that chart, of both directions.
 const VALUES: &str = "uPlot.sync('page').plots[1].series.flatMap((it, at) => it.label.includes(' to ') \
                       ? uPlot.sync('page').plots[1].data[at].filter((value) => value != null) : [])";
-/// Places on the page: of a share of the width, and of a point, inside of the chart if it is at its edge.
+/// JavaScript functions for places on the page: `at` is the middle of the chart at a share of its width; `point` is a
+/// point of the chart, moved inside if it is at the edge.
 const PLACES: &str = "
     chart = uPlot.sync('page').plots[1];
     chart.root.scrollIntoView({block: 'center'});
@@ -227,7 +229,7 @@ async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_withou
         browser.mouse(&tab, kind, place);
     }
     browser.until(&tab, is_zoomed);
-    // Also after the page has replaced itself.
+    // The zoom stays when the page updates itself.
     browser.value(&tab, "document.dispatchEvent(new Event('replaced'))");
     browser.until(&tab, is_zoomed);
     browser.value(&tab, &format!("{FRICTION}.over.dispatchEvent(new MouseEvent('dblclick'))"));
@@ -257,7 +259,7 @@ async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_withou
     browser
         .until(&tab, "document.querySelectorAll('figure .uplot').length == document.querySelectorAll('figure').length");
 
-    // Without scripts the pictures are there.
+    // Without scripts the page shows pictures.
     browser.call(Some(&tab), "Emulation.setScriptExecutionDisabled", &json!({"value": true}));
     browser.call(Some(&tab), "Page.navigate", &json!({"url": page}));
     browser.until(&tab, "document.readyState == 'complete' && document.querySelectorAll('figure svg').length >= 7");

@@ -1,4 +1,4 @@
-//! Clients: many, slow and malicious ones. None slows down the daemon.
+//! Many clients, slow clients and malicious clients: none slows down the daemon.
 
 use std::{
     io::{Read, Write},
@@ -24,7 +24,7 @@ fn resident_kib(process: u32) -> u64 {
     line.split_whitespace().next().unwrap().parse().unwrap()
 }
 
-/// Silence would look like a daemon without data.
+/// Without a reply, the daemon would look like a daemon without data.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_query_that_finds_a_full_queue_gets_an_error() {
     const KEY: &str = "points/v1/north/21B/health";
@@ -35,7 +35,7 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     let tasks = || Handle::current().metrics().num_alive_tasks();
     let before = tasks();
     let mut questions = QueryQueue::declare(&session, KEY).await.unwrap();
-    assert_eq!(tasks(), before, "nothing observes a task of the queue");
+    assert_eq!(tasks(), before, "the queue started a task that nothing supervises");
     let mut queries = Vec::new();
     for _ in 0..65 {
         queries.push(session.get(KEY).await.unwrap());
@@ -119,9 +119,9 @@ async fn slow_and_endless_requests_are_cut_and_the_daemon_continues() {
     let logger = daemon.logger(KEY).await;
     logger.send([&throws("after", 1)[0]]).await;
     assert_eq!(rig.judged(4).await.last().unwrap().throw, ThrowRef { boot_id: "after".to_owned(), throw_no: 1 });
-    // They make way at once, not when their time is over, and go on being replaced by others.
+    // The slow connections make way at once, before their time limit, although others replace them.
     for path in ["/healthz", "/"] {
-        // New ones, whose time is not over yet.
+        // New slow connections, before their time limit.
         slow.extend(crowd());
         let begin = Instant::now();
         assert_eq!(get(&address, path).status, 200);

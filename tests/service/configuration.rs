@@ -92,7 +92,7 @@ fn a_second_daemon_on_the_same_database_is_refused() {
     let error = ends(69, pointsd(&["run", "--config"]).arg(&file));
     assert!(error.contains("another pointsd works on"), "{error}");
 
-    // And a port that is taken.
+    // A port that another daemon uses.
     let text = format!(
         "store.path = {:?}\nzenoh.listen.endpoints = [{:?}]\n",
         folder.path().join("other.db"),
@@ -124,17 +124,17 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
     let mut other = rig.locked("BEGIN EXCLUSIVE").await;
     let (daemon, _) = rig.launch();
     let status = format!("/proc/{}/status", daemon.id());
-    let listens = || {
+    let catches_sigterm = || {
         let status = fs::read_to_string(&status).unwrap();
         let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
         u64::from_str_radix(caught.trim(), 16).unwrap() >> 14 & 1 == 1
     };
-    until(PATIENCE, async || if listens() { Ok(()) } else { Err(format!("{:?}", daemon.log())) }).await;
+    until(PATIENCE, async || if catches_sigterm() { Ok(()) } else { Err(format!("{:?}", daemon.log())) }).await;
     daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
 }
 
-/// A logger of a site that no daemon serves says so, and which daemons it found.
+/// The logger also says what the daemons that it found serve.
 #[test]
 fn a_logger_that_no_daemon_serves_says_so() {
     let (rig, daemon) = Rig::running_with("[subscribe]\nkey = \"points/v1/north/**\"\n");
@@ -152,7 +152,7 @@ fn a_logger_that_no_daemon_serves_says_so() {
     logger.wait().unwrap();
 }
 
-/// A daemon or a logger whose router is away waits for it: it says so, and can be stopped.
+/// A daemon or a logger waits for its router. It says so, and can be stopped.
 #[test]
 fn a_client_without_its_router_says_so_and_can_be_stopped() {
     let away = Rig::new().same_port();

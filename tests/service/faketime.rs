@@ -1,4 +1,4 @@
-//! libfaketime, which changes the clocks of a process.
+//! A daemon with a wrong clock: libfaketime changes the clocks of its process.
 
 use std::{fs, path::PathBuf};
 
@@ -12,8 +12,8 @@ const LIBRARIES: [&str; 4] = [
     "/usr/lib/faketime/libfaketimeMT.so.1",
 ];
 
-/// Changes the clocks of the daemon by the text in the returned file, as `-30d`; `None`, with a message, if the
-/// library is not installed.
+/// Makes the daemon of `rig` add the text of the returned file, such as `-30d`, to its clocks. `None`, with a message,
+/// if the library is not installed.
 pub(crate) fn clock_of(rig: &mut Rig) -> Option<PathBuf> {
     let Some(library) = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists()) else {
         println!("skipped: libfaketime is not installed");

@@ -12,7 +12,7 @@ use pointsd::throw::Throw;
 use crate::{
     http::small_history,
     operators::daemon_with_alarm,
-    rig::{Rig, ends, pointsd, pointsim, throws},
+    rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, throws},
 };
 
 type Row = std::collections::HashMap<String, String>;
@@ -72,15 +72,11 @@ async fn an_export_has_every_throw_with_its_estimate_and_its_trace() {
     }
     let (code, columns, rows) = export(&rig.database(), &["north/99"]);
     assert!(code == Some(1) && columns[0] == "site" && rows.is_empty(), "{code:?}");
-    // A closed pipe ends the command without an error. It is noticed when the buffer of the writer is full.
+    // A closed pipe ends the command without an error. The command notices it when its buffer is full, hence 81 copies.
     let many = "SELECT * FROM health_history CROSS JOIN (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9)) CROSS JOIN \
                 (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9))";
     for arguments in [&["export"][..], &["sql", "--csv", many]] {
-        let mut command = pointsd(arguments);
-        command.arg("--database").arg(rig.database()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        drop(child.stdout.take());
-        let output = child.wait_with_output().unwrap();
+        let output = run_with_closed_pipe(pointsd(arguments).arg("--database").arg(rig.database()));
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {output:?}");
     }
     // Retention has deleted a trace.
@@ -162,9 +158,9 @@ fn a_trace_goes_through_a_pipe() {
     assert!(found.status.success() && String::from_utf8_lossy(&found.stdout).contains("95 % interval"), "{found:?}");
 }
 
-/// A backup of another version: the commands that only read it do not bring it up to date.
+/// Commands that only read a database, such as an old backup, do not migrate it.
 #[tokio::test]
-async fn a_database_of_another_version_is_named_as_such() {
+async fn a_database_of_another_version_is_refused_with_the_reason() {
     let rig = Rig::new();
     fs::write(rig.database(), []).unwrap();
     rig.change(include_str!("../storage/released.sql")).await;
@@ -187,7 +183,7 @@ async fn a_database_of_another_version_is_named_as_such() {
 fn commands(help: &str) -> Vec<String> {
     let listed =
         help.lines().skip_while(|line| !line.starts_with("Commands:")).skip(1).take_while(|line| !line.is_empty());
-    // Further lines of a description have more space before them.
+    // The further lines of a description are indented more.
     let names = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     names.map(|line| line.split_whitespace().next().unwrap().to_owned()).filter(|name| name != "help").collect()
 }

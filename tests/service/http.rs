@@ -8,6 +8,8 @@ use std::{
 use crate::rig::{Daemon, PATIENCE, Rig, stub, throws, until};
 
 pub(crate) const KEY: &str = "points/v1/north/21B/throw";
+/// Liveliness token of the logger that publishes on [`KEY`].
+pub(crate) const ALIVE: &str = "points/v1/north/21B/alive";
 pub(crate) const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
 /// A boot id that a browser would run as a script if it were not escaped.
 pub(crate) const HOSTILE: &str = "<script>alert(1)</script>\"'&";
@@ -44,7 +46,7 @@ pub(crate) fn address(daemon: &Daemon) -> String {
     line.split("http://").nth(1).unwrap().trim_end_matches('/').to_owned()
 }
 
-/// Sends these bytes and returns the response up to its end.
+/// Sends a request and returns the bytes of the response until the connection ends.
 pub(crate) fn exchange(address: &str, request: &str) -> String {
     String::from_utf8(exchange_bytes(address, request.as_bytes())).unwrap()
 }

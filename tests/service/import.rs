@@ -1,12 +1,12 @@
 //! Import of recorded throws in JSON, as from a foreign logger, into the database without a daemon.
 
-use std::{fs, path::Path, process::Stdio};
+use std::{fs, path::Path};
 
 use pointsd::wire::{Encoding, encode_throw};
 
-use crate::rig::{Rig, ends, pointsd, stub, throws};
+use crate::rig::{Rig, ends, pointsd, run_with_closed_pipe, stub, throws};
 
-/// Runs the command; returns its exit code, stdout and stderr.
+/// Runs `pointsd import`; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
     import_as(rig, "north/21B", files, more)
 }
@@ -18,6 +18,21 @@ fn import_as(rig: &Rig, machine: &str, files: &[&Path], more: &[&str]) -> (Optio
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
+/// Runs `pointsd import`, which succeeds; returns its stdout and stderr.
+#[track_caller]
+fn imported(rig: &Rig, files: &[&Path], more: &[&str]) -> (String, String) {
+    let (code, said, error) = import(rig, files, more);
+    assert_eq!(code, Some(0), "{error}");
+    (said.trim().to_owned(), error)
+}
+
+/// Runs `pointsd import`, which fails with this exit code and an error with these words.
+#[track_caller]
+fn refused(rig: &Rig, files: &[&Path], exit: i32, says: &str) {
+    let (code, _, error) = import(rig, files, &[]);
+    assert!(code == Some(exit) && error.contains(says), "{code:?}: {error}");
+}
+
 #[test]
 fn a_closed_pipe_does_not_end_an_import() {
     let rig = Rig::new();
@@ -26,9 +41,8 @@ fn a_closed_pipe_does_not_end_an_import() {
         fs::write(file, encode_throw(Encoding::Json, &throw)).unwrap();
     }
     let mut command = pointsd(&["import", "--json", "--machine", "north/21B", "--config"]);
-    let mut import = command.arg(rig.config()).args(&files).stdout(Stdio::piped()).spawn().unwrap();
-    drop(import.stdout.take());
-    assert_eq!(import.wait().unwrap().code(), Some(0));
+    let output = run_with_closed_pipe(command.arg(rig.config()).args(&files));
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 3);
 }
 
@@ -44,14 +58,12 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
 
     let array = rig.folder().join("array.json");
     fs::write(&array, [b"[\n", &json(0)[..], b"]"].concat()).unwrap();
-    let (code, _, error) = import(&rig, &[&array], &[]);
-    assert!(code == Some(65) && error.contains("a JSON array: write each throw"), "{error}");
+    refused(&rig, &[&array], 65, "a JSON array: write each throw");
     // Some editors begin a file with a byte order mark.
     fs::write(&one, [b"\xef\xbb\xbf", &json(0)[..]].concat()).unwrap();
 
-    let (code, said, error) = import(&rig, &[&one, &many], &[]);
-    assert_eq!(code, Some(0), "{error}");
-    assert_eq!(said.trim(), "4 throws imported (0 not evaluated), 1 known before, 0 alarm events");
+    let (said, _) = imported(&rig, &[&one, &many], &[]);
+    assert_eq!(said, "4 throws imported (0 not evaluated), 1 known before, 0 alarm events");
     let rows = rig.sql("SELECT throw_no, quality, started_at, b0 FROM health_history ORDER BY throw_no");
     assert_eq!(rows.len(), 4, "{rows:?}");
     for (row, throw) in rows.iter().zip(&made) {
@@ -65,11 +77,9 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     let piped = piped.arg(rig.config()).stdin(fs::File::open(&many).unwrap()).output().unwrap();
     let said = String::from_utf8(piped.stdout).unwrap();
     assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 4 known before, 0 alarm events");
-    let (code, said, error) = import(&rig, &[&many], &["--json"]);
-    assert_eq!((code, said.as_str()), (Some(0), ""), "known throws are not judged again; {error}");
+    assert_eq!(imported(&rig, &[&many], &["--json"]).0, "", "known throws are not judged again");
     fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();
-    let (code, said, error) = import(&rig, &[&one], &["--json"]);
-    assert_eq!(code, Some(0), "{error}");
+    let (said, _) = imported(&rig, &[&one], &["--json"]);
     let lines: Vec<serde_json::Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 2, "{said}");
     assert_eq!((&lines[0]["throw_no"], &lines[0]["quality"]), (&5.into(), &"good".into()));
@@ -91,14 +101,13 @@ fn no_database_is_made_for_a_missing_or_invalid_file() {
     }
 }
 
-/// The alarms under these names are not those of a machine.
+/// These names are those of the daemon itself and of the common alarms of a site.
 #[test]
 fn no_throws_are_imported_under_a_reserved_name() {
     let rig = Rig::with("[monitor]\nsite = \"north\"\nid = \"21B\"");
     let file = rig.folder().join("one.json");
     fs::write(&file, encode_throw(Encoding::Json, &stub("recorded", 1))).unwrap();
-    let (code, _, error) = import(&rig, &[&file], &[]);
-    assert!(code == Some(64) && error.contains("the name of pointsd itself"), "{error}");
+    refused(&rig, &[&file], 64, "the name of pointsd itself");
     let (code, _, error) = import_as(&rig, "north/all-machines", &[&file], &[]);
     assert!(code == Some(64) && error.contains("the common alarms of a site"), "{error}");
 }
@@ -111,35 +120,33 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     let (file, copy) = (rig.folder().join("throw.csv"), rig.folder().join("copy.csv"));
     fs::write(&file, format!("time_s,current_a\n{}", rows.collect::<String>())).unwrap();
     fs::copy(&file, &copy).unwrap();
-    let (code, said, error) = import(&rig, &[&file, &copy], &["--started-at", "2026-01-01T00:00:00Z"]);
-    assert_eq!(code, Some(0), "{error}");
-    assert_eq!(said.trim(), "1 throw imported (0 not evaluated), 1 known before, 0 alarm events");
-    let (code, said, error) = import(&rig, &[&copy], &[]);
-    assert_eq!(code, Some(0), "{error}");
-    assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
+    let (said, _) = imported(&rig, &[&file, &copy], &["--started-at", "2026-01-01T00:00:00Z"]);
+    assert_eq!(said, "1 throw imported (0 not evaluated), 1 known before, 0 alarm events");
+    let (said, _) = imported(&rig, &[&copy], &[]);
+    assert_eq!(said, "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 1);
     // An exported trace without positions can be imported.
     let text = fs::read_to_string(&file).unwrap();
     let text = text.replace("current_a", "current_a,position_mm").replace(",0\n", ",0,\n").replace(",2\n", ",3,\n");
     fs::write(&copy, text).unwrap();
-    let (code, said, error) = import(&rig, &[&copy], &[]);
-    assert_eq!(code, Some(0), "{error}");
+    let (said, error) = imported(&rig, &[&copy], &[]);
     assert!(said.starts_with("1 throw imported (0 not evaluated)") && error.is_empty(), "{said}{error}");
-    // A recording older than the stored throws would be the present state.
+    // The last imported throw becomes the present state of the machine, also if it is older: a warning says so.
     fs::write(&copy, fs::read_to_string(&file).unwrap() + "8.0,0\n").unwrap();
-    let (code, said, error) = import(&rig, &[&copy], &["--started-at", "2025-01-01T00:00:00Z"]);
-    assert!(code == Some(0) && said.starts_with("1 throw imported"), "{said}{error}");
+    let (said, error) = imported(&rig, &[&copy], &["--started-at", "2025-01-01T00:00:00Z"]);
+    assert!(said.starts_with("1 throw imported"), "{said}{error}");
     assert!(error.starts_with("warning: ") && error.contains("before the last one of north/21B"), "{error}");
 }
 
-/// The list of the throws beside the folder of the traces has what a trace does not have.
+/// The traces have no boot, number and direction of their throw: these come from the list of throws next to their
+/// folder.
 #[test]
 fn exported_traces_are_imported_as_the_same_throws() {
     let rig = Rig::new();
     let file = rig.folder().join("many.jsonl");
     let lines: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
     fs::write(&file, lines.join(&b'\n')).unwrap();
-    assert_eq!(import(&rig, &[&file], &[]).0, Some(0));
+    imported(&rig, &[&file], &[]);
     let traces = rig.folder().join("traces");
     let list = rig.folder().join("throws.csv");
     let export = ends(0, pointsd(&["export", "--database"]).arg(rig.database()).arg("--traces").arg(&traces));
@@ -149,12 +156,11 @@ fn exported_traces_are_imported_as_the_same_throws() {
     let files: Vec<&Path> = files.iter().map(AsRef::as_ref).collect();
     assert_eq!(files.len(), 3);
     let history = |rig: &Rig| rig.sql("SELECT * FROM health_history ORDER BY started_at");
-    let (_, said, _) = import(&rig, &files, &[]);
-    assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 3 known before, 0 alarm events");
+    let (said, _) = imported(&rig, &files, &[]);
+    assert_eq!(said, "0 throws imported (0 not evaluated), 3 known before, 0 alarm events");
 
     let other = Rig::new();
-    let (code, _, error) = import(&other, &files, &[]);
-    assert_eq!(code, Some(0), "{error}");
+    imported(&other, &files, &[]);
     assert_eq!(history(&other).len(), 3);
     let columns = ["started_at", "direction", "throw_no", "quality", "temperature_c"];
     for (row, original) in history(&other).iter().zip(history(&rig)) {
@@ -169,23 +175,21 @@ fn exported_traces_are_imported_as_the_same_throws() {
     let boots = other.sql("SELECT DISTINCT boot_id FROM boot");
     assert_eq!(boots, [serde_json::json!({"boot_id": "recorded"})]);
 
-    // A line that a spreadsheet changed, or separators: without this list the throws would have other times and numbers.
+    // A spreadsheet changed a line, or the separators. Without the list the throws would have other times and numbers.
     let text = fs::read_to_string(&list).unwrap();
     for changed in [text.replacen(",recorded,2,", ",recorded,two,", 1), text.replace(',', ";")] {
         fs::write(&list, changed).unwrap();
-        let (code, _, error) = import(&Rig::new(), &files, &[]);
-        assert!(code == Some(65) && error.contains("throws.csv: restore it, or give --started-at"), "{error}");
+        refused(&Rig::new(), &files, 65, "throws.csv: restore it, or give --started-at");
     }
     fs::write(&list, text.replacen("north,21B,recorded,2,", "north,22,recorded,2,", 1)).unwrap();
-    let (code, _, error) = import(&Rig::new(), &files, &[]);
-    assert!(code == Some(65) && error.contains("a throw of north/22, after throws of north/21B"), "{error}");
+    refused(&Rig::new(), &files, 65, "a throw of north/22, after throws of north/21B");
     fs::write(&list, "throw,trace\n1,of another program\n").unwrap();
-    assert_eq!(import(&Rig::new(), &files, &[]).0, Some(0));
+    imported(&Rig::new(), &files, &[]);
 
     // Without the list the files still have the times of their throws.
     fs::remove_file(list).unwrap();
     let third = Rig::new();
-    assert_eq!(import(&third, &files, &[]).0, Some(0));
+    imported(&third, &files, &[]);
     for (row, original) in history(&third).iter().zip(history(&rig)) {
         assert_eq!(row["started_at"], original["started_at"]);
     }
@@ -205,9 +209,7 @@ fn a_wrong_line_is_named_and_the_files_before_it_are_kept() {
     assert_eq!(error.lines().count(), 1, "{error}");
     assert!(said.starts_with("1 throw imported"), "{said}");
 
-    let (code, _, error) = import(&rig, &[Path::new("/no/such/throws.json")], &[]);
-    assert_eq!(code, Some(66), "{error}");
-    assert!(error.contains("/no/such/throws.json"), "{error}");
+    refused(&rig, &[Path::new("/no/such/throws.json")], 66, "/no/such/throws.json");
 }
 
 #[test]
@@ -215,7 +217,5 @@ fn an_import_beside_the_running_daemon_is_refused() {
     let (rig, _daemon) = Rig::running();
     let file = rig.folder().join("one.json");
     fs::write(&file, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
-    let (code, _, error) = import(&rig, &[&file], &[]);
-    assert_eq!(code, Some(69), "{error}");
-    assert!(error.contains("another pointsd works on"), "{error}");
+    refused(&rig, &[&file], 69, "another pointsd works on");
 }

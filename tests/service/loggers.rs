@@ -1,4 +1,4 @@
-//! Loggers with a wrong clock or with fields that cannot be: nothing is lost, and people can see it.
+//! Loggers with a wrong clock or with impossible values in a field: no throw is lost, and people can see the fault.
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::throw::{Throw, ThrowRef, Trace};
@@ -114,11 +114,12 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
     };
     let rate_hz = made[0].trace.sample_rate_hz();
     let samples = made[0].trace.len();
-    let flat = |throw: &mut Throw, current: f64, position: Option<f64>| {
+    // Multiplies one sample of the current, and sets all positions if `position` is given.
+    let replace_trace = |throw: &mut Throw, current_factor: f64, position: Option<f64>| {
         let position = position.map_or_else(|| throw.trace.position_mm().to_vec(), |mm| vec![mm; samples]);
         let mut amperes = throw.trace.current_a().to_vec();
         amperes.resize(position.len(), 0.0);
-        amperes[5] *= current;
+        amperes[5] *= current_factor;
         throw.trace = Trace::new(rate_hz, amperes, position).unwrap();
     };
     let sent = [
@@ -126,9 +127,9 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
         with(1, &|throw| throw.anti_alias_hz = Some(-1.0)),
         with(2, &|throw| throw.supply_v = Some(0.0)),
         with(3, &|throw| throw.temperature_c = Some(1e300)),
-        with(4, &|throw| flat(throw, 1.0, Some(0.0))),
-        with(5, &|throw| flat(throw, 1.0, Some(f64::NAN))),
-        with(6, &|throw| flat(throw, 1e30, None)),
+        with(4, &|throw| replace_trace(throw, 1.0, Some(0.0))),
+        with(5, &|throw| replace_trace(throw, 1.0, Some(f64::NAN))),
+        with(6, &|throw| replace_trace(throw, 1e30, None)),
     ];
     logger.send(&sent).await;
     rig.judged(sent.len()).await;
@@ -153,7 +154,7 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
     }
     assert_eq!(rows[1]["anti_alias_hz"], -1.0, "as it was sent");
 
-    // If it lasts, it is a caveat until the logger is corrected.
+    // A field that stays wrong is a caveat of the machine until the logger is corrected.
     let caveats = "SELECT caveat FROM machine_caveats WHERE caveat LIKE '%anti_alias_hz is -1%'";
     let wrong: Vec<_> = (7..16).map(|at| with(at, &|throw| throw.anti_alias_hz = Some(-1.0))).collect();
     logger.send(&wrong).await;
@@ -164,8 +165,8 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
     assert!(rig.sql(caveats).is_empty());
 }
 
-/// The database rejects the result of a throw, as after a change of it from outside: the throw is not evaluated, and the next
-/// ones are.
+/// A trigger stands for a schema that another program has changed: the throw whose result the database rejects is not
+/// evaluated, and the next throws are.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_judgement_that_the_database_rejects_holds_up_no_other() {
     let (rig, daemon) = Rig::running();
@@ -203,7 +204,7 @@ async fn a_new_baseline_shows_at_once() {
     assert_eq!(page.matches("0 of 50 throws").count(), 2, "{page}");
 }
 
-/// The reason names what to correct in the logger: the machine is sound.
+/// The machines are sound: the reason says what to correct at the logger.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_that_is_not_monitored_has_the_reason_and_the_missing_direction() {
     let (rig, daemon) = Rig::running();

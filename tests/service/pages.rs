@@ -82,7 +82,7 @@ async fn times_of_pages_and_views() {
             times.push(began.elapsed());
             assert!(answer.starts_with(b"HTTP/1.1 200"), "{page}: {}", String::from_utf8_lossy(&answer));
             bytes = answer.len();
-            // Older data than a second are read again.
+            // The daemon reads data again that are older than a second.
             tokio::time::sleep(Duration::from_secs(1)).await;
         }
         let first = times[0];
@@ -155,7 +155,8 @@ async fn a_big_history_gives_bounded_pages() {
     .await;
     let daemon = rig.start();
     let address = http::address(&daemon);
-    // After the start, as the daemon derives the state of machines with a loaded monitor, and ends alarms without one.
+    // After the start: the daemon derives the state of each machine whose monitor it loads, and ends the alarms of
+    // machines without a monitor.
     rig.change(
         "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
          SELECT machine, machine_row, 'kt', machine_row, 1, 'active_unacknowledged'
@@ -202,15 +203,15 @@ async fn a_big_history_gives_bounded_pages() {
     );
     assert_eq!(fleet.matches("<tr><td><span class=\"badge critical\">").count(), 100);
     assert!(fleet.contains("550 more alarms about machines"), "{fleet:.3000}");
-    // Machines that are only not monitored are one line: they do not push the others out of sight.
+    // The machines whose only alarm is that they are not monitored share one line, so that the others stay in sight.
     let silent = "SELECT machine FROM active_alarms GROUP BY site, machine HAVING min(cause) = 'not_monitored'
                   AND max(cause) = 'not_monitored'";
     assert_eq!(rig.sql(silent).len(), 400);
     assert!(fleet.contains("400 machines are not monitored</a> and have no other alarm"), "{fleet:.3000}");
     assert!(fleet.contains("1 to 100 of 2,601") && !fleet.contains("<tr><td><span class=\"badge not_monitored\">"));
-    let lost_ones = get(&address, "/?state=not_monitored").body;
-    assert!(lost_ones.contains("1 to 100 of 400") && !lost_ones.contains("have no other alarm"), "{lost_ones:.3000}");
-    let lost = rig.sql("SELECT count(*) AS n FROM active_alarms WHERE cause = 'not_monitored'")[0]["n"].clone();
+    let selected = get(&address, "/?state=not_monitored").body;
+    assert!(selected.contains("1 to 100 of 400") && !selected.contains("have no other alarm"), "{selected:.3000}");
+    let lost = rig.number("SELECT count(*) FROM active_alarms WHERE cause = 'not_monitored'");
     assert!(fleet.contains(&format!("{lost} machines not monitored, raised from")), "{fleet:.3000}");
     assert!(fleet.contains(&format!("By site: south {lost}")), "{fleet:.3000}");
     assert!(fleet.contains("now −22 % ± 1") && fleet.contains("motor <strong>−22 % ± 1</strong>"), "{fleet:.3000}");
@@ -219,7 +220,7 @@ async fn a_big_history_gives_bounded_pages() {
         last.contains("2,601 to 2,601 of 2,601") && last.matches("<th scope=\"row\">").count() == 1,
         "{last:.3000}"
     );
-    // The loggers of machines with faults are lost too: the tally still says that there are faults.
+    // Machines with faults lose their loggers too: the tally still says that there are faults.
     rig.change("UPDATE monitor SET state = 'not_monitored' WHERE machine_row % 30 = 0 AND state = 'critical'").await;
     let faults = get(&address, "/?q=M").body;
     assert!(faults.contains(">500 (100 with other alarms) <span class=\"badge not_monitored\">"), "{faults:.3000}");
@@ -230,7 +231,7 @@ async fn a_big_history_gives_bounded_pages() {
         rig.sql("SELECT machine FROM active_alarms ORDER BY site DESC, machine DESC LIMIT 1")[0]["machine"].clone();
     let beyond = get(&address, &format!("/machines/south/{}", beyond.as_str().unwrap())).body;
     assert!(beyond.contains(", critical · pointsd</title>"), "{beyond:.3000}");
-    // The points are from the whole history: the axis is from May to August.
+    // The drawn throws are from the whole history, so the axis reaches from May to August.
     let all = get(&address, "/machines/north/21B?span=all").body;
     assert!(all.contains("drawn are 250 throws normal to reverse and 250 back"), "{all:.3000}");
     for moment in ["Jun", "Jul", "Aug", "2026", "UTC"] {
@@ -239,7 +240,7 @@ async fn a_big_history_gives_bounded_pages() {
     check_nesting(&all);
 }
 
-/// The level of the baseline comes from its own throws, also if the chart has later ones only.
+/// The level of the baseline comes from its own throws, also if the chart shows only later throws.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_lines_of_the_baseline_are_those_of_its_throws() {
     let rig = Rig::with(&format!("{WEB}[diagnosis]\nbaseline_throws = 12\n"));

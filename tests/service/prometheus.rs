@@ -1,5 +1,5 @@
-//! Prometheus reads the metrics and evaluates the shipped alert rules. Skipped, with a message, without Debian's package
-//! `prometheus`.
+//! Prometheus reads the metrics and evaluates the shipped alert rules. Skipped, with a message, without Debian's
+//! package `prometheus`.
 
 use std::{
     collections::BTreeSet,

@@ -1,4 +1,4 @@
-//! Foreign clients: Python with `eclipse-zenoh`, among them the programs of the README. Skipped, with a message,
+//! Clients in Python with the package `eclipse-zenoh`, among them the programs of the README. Skipped, with a message,
 //! without Python or the package.
 
 use std::{
@@ -45,7 +45,7 @@ fn has_python() -> bool {
     can("import zenoh", "pip install eclipse-zenoh")
 }
 
-/// Whether Python can run a line; if not, says how to get what is missing.
+/// Whether Python can run a line; if not, prints how to install the missing package.
 fn can(line: &str, install: &str) -> bool {
     let probe = Command::new("python3").args(["-c", line]).output();
     let is_there = probe.is_ok_and(|output| output.status.success());
@@ -155,7 +155,7 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
     let mut logger = Program(readme("A first logger in Python", &daemon.endpoint, &rig));
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let mut recorded = 0;
-    // It stores throws although no daemon runs.
+    // The logger stores throws although no daemon runs.
     let kept =
         || fs::read_to_string(rig.folder().join("points-v1-north-21B.jsonl")).unwrap_or_default().lines().count();
     let mut write = |logger: &mut Program| {
@@ -216,7 +216,7 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
     let mut subscriber = Program(readme("A first subscriber in Python", &cable.endpoint, &rig));
     let mut lines = BufReader::new(subscriber.0.stdout.take().unwrap()).lines().map_while(Result::ok);
     let mut alarms = 0;
-    // Each new machine with a throw without an estimate raises an alarm.
+    // The first throw of a new machine has no estimate, which raises an alarm.
     let raise = async |number: usize| {
         let key = format!("points/v1/north/m{number}/throw");
         let throw = encode_throw(Encoding::Json, &stub("b1", 1));

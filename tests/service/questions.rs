@@ -43,7 +43,7 @@ pub(crate) async fn large(rig: &Rig, machines: usize, rows: usize) {
                 200 + throw_row % 7, 5, 2, 1, 1, 1, throw_row % 7 - 3, machine_row % 40 - 20 + (direction = 'normal_to_reverse') * 15,
                 throw_row % 5, 99.9, 3.5, 4.2, 100, CASE throw_row % 47 WHEN 0 THEN started_at_us END FROM throw"
             .to_owned(),
-        // Of the last million throws, as the number of open alarms does not grow with the history.
+        // Open alarms for the last million throws only: their number does not grow with the history.
         format!(
             "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
              SELECT 'a' || throw_row, machine_row, 'friction', started_at_us, 1,

@@ -2,14 +2,16 @@
 
 use std::fs;
 
-use pointsd::wire::{Encoding, encode_throw};
 use zenoh::Session;
 
-use crate::rig::{PATIENCE, Rig, client_of, ends, listen, matched, next, pointsd, throws, until};
+use crate::{
+    http::KEY,
+    rig::{PATIENCE, Rig, Sender, client_of, ends, listen, next, pointsd, throws, until},
+};
 
 const SITES: [&str; 4] = ["east", "north", "south", "west"];
 
-/// The daemon of a site; that of `east` watches the others.
+/// The daemon of a site; the daemon of the first site watches the others.
 fn rig(site: &str, router: &str) -> Rig {
     let peers = if site == SITES[0] {
         SITES[1..].iter().map(|peer| format!("{{ site = {peer:?}, id = \"box\" }}")).collect()
@@ -61,8 +63,7 @@ async fn two_daemons_with_the_same_machines_or_name_are_reported() {
     let second = rigs[1].start();
     second.until_log("another daemon with the name fleet/pointsd is connected");
     let session = client_of(&endpoint).await;
-    let publisher = matched(&session, "points/v1/north/21B/throw").await;
-    publisher.put(encode_throw(Encoding::Cbor, &throws("b", 1)[0])).await.unwrap();
+    Sender::of(&session, KEY).await.send(throws("b", 1)).await;
     for rig in &rigs {
         rig.judged(1).await;
     }
@@ -82,8 +83,7 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
     let alarms = listen(&session).await;
     let send = async |site: &str, throw_no: usize| {
         let throw = throws("b", throw_no as u64).remove(throw_no - 1);
-        let publisher = matched(&session, format!("points/v1/{site}/21B/throw")).await;
-        publisher.put(encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+        Sender::of(&session, &format!("points/v1/{site}/21B/throw")).await.send([throw]).await;
     };
     for (site, rig) in SITES.iter().zip(&rigs) {
         send(site, 1).await;

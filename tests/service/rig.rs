@@ -10,7 +10,7 @@ use std::{
     io::{BufRead, BufReader},
     net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
+    process::{Child, Command, ExitStatus, Output, Stdio},
     sync::{Arc, Condvar, Mutex, mpsc},
     thread,
     time::{Duration, Instant},
@@ -32,9 +32,10 @@ use zenoh::{
 /// Longest wait for an event, sufficient on a loaded computer.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
-/// The number in an environment variable, or that of a short run.
+/// The number in an environment variable for long runs; `usual` if it is not set.
 pub(crate) fn size(variable: &str, usual: usize) -> usize {
-    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
+    std::env::var(variable)
+        .map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable}={text}: no number")))
 }
 
 /// Whether a program is installed; prints a line if it is not.
@@ -60,7 +61,7 @@ pub(crate) struct Rig {
 /// A running `pointsd run`.
 pub(crate) struct Daemon {
     child: Child,
-    /// Its listener for clients.
+    /// Address of its listener for clients.
     pub(crate) endpoint: String,
     log: Arc<Log>,
 }
@@ -234,6 +235,22 @@ impl Rig {
         serde_json::from_str(&text).unwrap()
     }
 
+    /// Runs a query that returns one whole number.
+    pub(crate) fn number(&self, question: &str) -> u64 {
+        let rows = self.sql(question);
+        let value = rows[0].as_object().and_then(|row| row.values().next()?.as_u64());
+        value.unwrap_or_else(|| panic!("{question}: {rows:?}"))
+    }
+
+    /// Waits until a query returns this whole number.
+    pub(crate) async fn until_number(&self, question: &str, expected: u64) {
+        until(PATIENCE, async || {
+            let number = self.number(question);
+            if number == expected { Ok(()) } else { Err(format!("{question}: {number}, not {expected}")) }
+        })
+        .await;
+    }
+
     /// Waits until a query returns a row.
     pub(crate) async fn until_sql(&self, question: &str) {
         until(PATIENCE, async || if self.sql(question).is_empty() { Err(question) } else { Ok(()) }).await;
@@ -260,7 +277,7 @@ impl Rig {
 }
 
 impl Daemon {
-    /// Stops it cleanly, as at the end of each test.
+    /// Stops it with SIGTERM, as the drop of the value does.
     pub(crate) fn terminate(self) {
         drop(self);
     }
@@ -314,11 +331,9 @@ impl Daemon {
         client_of(&self.endpoint).await
     }
 
-    /// A logger that publishes on this key.
+    /// A logger with its own session that publishes on this key.
     pub(crate) async fn logger(&self, key: &str) -> Sender {
-        let session = self.client().await;
-        let publisher = matched(&session, key).await;
-        Sender { session, publisher }
+        Sender::of(&self.client().await, key).await
     }
 
     /// The output of `pointsd status --json`.
@@ -351,7 +366,7 @@ impl Daemon {
     }
 }
 
-/// Looks again and again until there is a result; fails with the last problem after `limit`.
+/// Polls `look` every 20 ms until it returns a result; fails with its last error after `limit`.
 pub(crate) async fn until<T, E: Display>(limit: Duration, mut look: impl AsyncFnMut() -> Result<T, E>) -> T {
     let deadline = Instant::now() + limit;
     loop {
@@ -407,7 +422,7 @@ impl Drop for Daemon {
 }
 
 pub(crate) fn send_signal(signal: &str, process: u32) {
-    assert!(Command::new("kill").args([signal, &process.to_string()]).status().unwrap().success());
+    ends(0, Command::new("kill").args([signal, &process.to_string()]));
 }
 
 /// An address at which nothing listens at present.
@@ -415,7 +430,7 @@ pub(crate) fn free_address() -> SocketAddr {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
 }
 
-/// Another program, which ends with the test.
+/// Another process; the drop of this value kills it.
 pub(crate) struct Program(pub(crate) Child);
 
 impl Drop for Program {
@@ -448,6 +463,13 @@ pub(crate) fn run(command: &mut Command) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
 }
 
+/// Runs a program whose stdout is a closed pipe.
+pub(crate) fn run_with_closed_pipe(command: &mut Command) -> Output {
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    child.wait_with_output().unwrap()
+}
+
 /// Runs a program, which ends with this exit code; returns what it printed.
 #[track_caller]
 pub(crate) fn ends(exit: i32, command: &mut Command) -> String {
@@ -456,12 +478,12 @@ pub(crate) fn ends(exit: i32, command: &mut Command) -> String {
     text
 }
 
-/// Real throws of one simulated machine.
+/// Throws of one simulated machine, ten minutes apart.
 pub(crate) fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
     simulated(Vec::new(), boot_id, count)
 }
 
-/// Throws of this machine with a fault.
+/// Throws of the same machine with a fault.
 pub(crate) fn faulty_throws(fault: Fault, boot_id: &str, count: u64) -> Vec<Throw> {
     simulated(vec![FleetFault { machine: 0, fault }], boot_id, count)
 }
@@ -487,13 +509,18 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     }
 }
 
-/// A connected logger of one machine, with its own session.
+/// A connected logger of one machine.
 pub(crate) struct Sender {
     pub(crate) session: Session,
     publisher: zenoh::pubsub::Publisher<'static>,
 }
 
 impl Sender {
+    /// A logger on this session that publishes on this key.
+    pub(crate) async fn of(session: &Session, key: &str) -> Self {
+        Self { session: session.clone(), publisher: matched(session, key).await }
+    }
+
     /// Publishes throws in CBOR.
     pub(crate) async fn send(&self, throws: impl IntoIterator<Item: Borrow<Throw>>) {
         for throw in throws {
@@ -501,7 +528,7 @@ impl Sender {
         }
     }
 
-    /// Ends the session, when everything is sent.
+    /// Closes the session after everything is sent.
     pub(crate) async fn close(self) {
         drop(self.publisher);
         self.session.close().await.unwrap();
@@ -512,7 +539,7 @@ pub(crate) async fn put(session: &Session, key: &str, encoding: Encoding, payloa
     session.put(key, payload).encoding(encoding).congestion_control(CongestionControl::Block).await.unwrap();
 }
 
-/// A publisher that is connected to a subscriber.
+/// A publisher that has a subscriber.
 pub(crate) async fn matched(session: &Session, key: impl Into<String>) -> zenoh::pubsub::Publisher<'static> {
     let publisher = session
         .declare_publisher(key.into())

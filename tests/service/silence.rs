@@ -1,5 +1,6 @@
-//! A problem that hides a fault must be visible. A motor has lost 15 %, and each row of the table hides this in another
-//! way: within 20 throws there are an alarm, a state, the exit code of `pointsd status` and a metric.
+//! A problem that hides a fault must be visible. A motor has lost 15 % of its torque constant, and each row of the
+//! table hides this in another way. Within 20 throws an alarm, the state of the machine, the exit code of `pointsd
+//! status` and a metric must show the problem.
 
 use std::{fs, os::unix::fs::FileExt, time::Instant};
 
@@ -46,36 +47,32 @@ const OWN: &str = "pointsd_alarms_open{cause=\"data_loss\",severity=\"critical\"
 
 const ROWS: [Row; 8] = [
     Row {
-        name: "1 maintenance without an end",
+        name: "maintenance without an end",
         before: Before::Maintenance,
-        disguise: as_they_are,
+        disguise: unchanged,
         says: "is in maintenance until ",
         metric: "pointsd_machine_states{state=\"maintenance\"}",
     },
     Row {
-        name: "2 numbers that are taken",
+        name: "numbers of earlier throws",
         before: Before::Nothing,
-        disguise: |_, weak| {
-            let again = |(at, throw): (usize, &Throw)| numbered(throw, at + 1);
-            weak.iter().enumerate().map(again).collect()
-        },
+        disguise: |_, weak| changed(weak, |at, throw| numbered(throw, at + 1)),
         says: "without a new boot_id",
         metric: DATA_LOSS,
     },
     Row {
-        name: "3 a frozen recorder",
+        name: "a recorder that repeats two old traces",
         before: Before::Nothing,
-        disguise: |sound, weak| (0..weak.len()).map(|at| numbered(&sound[10 + at % 2], HEALTHY + 1 + at)).collect(),
+        disguise: |sound, weak| changed(weak, |at, _| numbered(&sound[10 + at % 2], HEALTHY + 1 + at)),
         says: "repeats itself",
         metric: DATA_LOSS,
     },
     Row {
-        name: "4 a failed temperature sensor",
+        name: "a failed temperature sensor",
         before: Before::Nothing,
         disguise: |_, weak| {
             let wrong = [-242.0, -273.15, 850.0, 1e6];
-            let failed = |(at, throw): (usize, &Throw)| Throw { temperature_c: Some(wrong[at % 4]), ..throw.clone() };
-            weak.iter().enumerate().map(failed).collect()
+            changed(weak, |at, throw| Throw { temperature_c: Some(wrong[at % 4]), ..throw.clone() })
         },
         says: "motor",
         metric: "pointsd_alarms_open{cause=\"sensor\",severity=\"warning\"}",
@@ -85,43 +82,46 @@ const ROWS: [Row; 8] = [
         before: Before::Nothing,
         disguise: |_, weak| {
             let wrong = [0.0, -3.0, 5000.0, 1e6];
-            let failed = |(at, throw): (usize, &Throw)| Throw { supply_v: Some(wrong[at % 4]), ..throw.clone() };
-            weak.iter().enumerate().map(failed).collect()
+            changed(weak, |at, throw| Throw { supply_v: Some(wrong[at % 4]), ..throw.clone() })
         },
         says: "sensor of the supply voltage reads",
         metric: "pointsd_alarms_open{cause=\"sensor\",severity=\"warning\"}",
     },
     Row {
-        name: "8 a broken page",
+        name: "a broken page",
         before: Before::BrokenPage,
-        disguise: as_they_are,
+        disguise: unchanged,
         says: "was broken and was set aside",
         metric: OWN,
     },
     Row {
-        name: "9 the database deleted under the daemon",
+        name: "the database deleted while the daemon runs",
         before: Before::Deleted,
-        disguise: as_they_are,
+        disguise: unchanged,
         says: "was deleted during operation",
         metric: OWN,
     },
     Row {
-        name: "13 each trace five times",
+        name: "each trace five times",
         before: Before::Nothing,
-        disguise: |_, weak| (0..weak.len()).map(|at| numbered(&weak[at / 5], HEALTHY + 1 + at)).collect(),
+        disguise: |_, weak| changed(weak, |at, _| numbered(&weak[at / 5], HEALTHY + 1 + at)),
         says: "repeats itself",
         metric: DATA_LOSS,
     },
 ];
 
-fn as_they_are(_: &[Throw], weak: &[Throw]) -> Vec<Throw> {
+fn unchanged(_: &[Throw], weak: &[Throw]) -> Vec<Throw> {
     weak.to_vec()
 }
 
+fn changed(throws: &[Throw], change: impl Fn(usize, &Throw) -> Throw) -> Vec<Throw> {
+    throws.iter().enumerate().map(|(at, throw)| change(at, throw)).collect()
+}
+
 fn numbered(throw: &Throw, number: usize) -> Throw {
-    let mut again = throw.clone();
-    again.id.throw_no = number as u64;
-    again
+    let mut throw = throw.clone();
+    throw.id.throw_no = number as u64;
+    throw
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -141,8 +141,8 @@ async fn show(row: &'static Row) {
     logger.send(sound).await;
     rig.judged(HEALTHY).await;
     drop(logger);
-    let daemon = befall(&rig, daemon, row.before);
-    // Lives until the throws are judged: when its session closes, its queue may still hold some.
+    let daemon = apply_event(&rig, daemon, row.before);
+    // The logger stays until the throws are judged: a session that closes may still hold some in its queue.
     let logger = daemon.logger(KEY).await;
     logger.send((row.disguise)(sound, weak)).await;
     rig.judged(HEALTHY + WITHIN).await;
@@ -160,7 +160,7 @@ async fn show(row: &'static Row) {
     daemon.terminate();
 }
 
-fn befall(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
+fn apply_event(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
     match before {
         Before::Nothing => {}
         Before::Maintenance => {
@@ -184,12 +184,12 @@ fn befall(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
     daemon
 }
 
-/// What an operator does not see yet.
+/// The signs of the problem that an operator does not see yet, each with the text seen instead.
 fn unseen(row: &Row, rig: &Rig, daemon: &Daemon, web: &str) -> Vec<String> {
     let mut unseen = Vec::new();
-    let mut see = |is_seen: bool, what: &str, instead: String| {
+    let mut see = |is_seen: bool, sign: &str, instead: String| {
         if !is_seen {
-            unseen.push(format!("{what}: {instead}"));
+            unseen.push(format!("{sign}: {instead}"));
         }
     };
     let (code, text) = daemon.operate(&["status"]);

@@ -42,7 +42,7 @@ async fn the_same_throw_three_times_is_one_row() {
     }
 }
 
-/// As Python's `cbor2` writes a `datetime`.
+/// Python's `cbor2` writes a `datetime` with a tag.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_tagged_time_in_cbor_is_a_time() {
     let (rig, daemon) = Rig::running();
@@ -68,8 +68,7 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     logger.send(&made).await;
     daemon.until_status("every throw as received", |status| status["received"] == made.len()).await;
     daemon.terminate();
-    let waiting = rig.sql("SELECT count(*) AS n FROM throw")[0]["n"].clone();
-    assert_eq!(waiting, made.len());
+    assert_eq!(rig.number("SELECT count(*) FROM throw"), made.len() as u64);
     // Pending throws are judged after the next start.
     let daemon = rig.start();
     let rows = rig.judged(made.len()).await;
@@ -110,19 +109,17 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     put(&session, KEY, json(), b"{\"schema\": 7}".to_vec()).await;
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![0x9f; 50_000]).await;
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![b'x'; 2_000_000]).await;
-    put(&session, "points/v1/north/no name!/throw", json(), good(1)).await;
-    put(&session, "points/v1/fleet/pointsd/throw", json(), good(1)).await;
-    put(&session, "points/v1/north/all-machines/throw", json(), good(1)).await;
-    put(&session, "points/v1/north/second/throw", json(), good(1)).await;
-    put(&session, "points/v1/north/third/throw", json(), good(1)).await;
+    for machine in ["north/no name!", "fleet/pointsd", "north/all-machines", "north/second", "north/third"] {
+        put(&session, &format!("points/v1/{machine}/throw"), json(), good(1)).await;
+    }
     publisher.put(good(2)).await.unwrap();
     rig.judged(3).await;
     let (_, status) = daemon.operate(&["status", "--json"]);
-    // Machines that are kept out are the daemon's own alarm.
+    // The machine that the daemon refuses is an alarm of the daemon about itself.
     rig.until_sql("SELECT 1 FROM active_alarms WHERE machine = 'pointsd' AND text LIKE '%subscribe.max_machines%'")
         .await;
     daemon.until_status("an alarm of its own", |status| status["own_alarms"] == 1).await;
-    assert_eq!(daemon.operate(&["status"]).0, Some(1));
+    daemon.says(1, &["status"]);
     daemon.terminate();
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
@@ -153,12 +150,12 @@ async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
     logger.send([&stub("boot", 1)]).await;
     daemon.until_log("storing throws failed");
-    // Each write of the daemon takes two busy timeouts of 5 s. The lock outlasts the attempts to store the throw with others
-    // and alone, among writes of other loops.
+    // Each write of the daemon takes two busy timeouts of 5 s. The daemon tries to store the throw with others, then
+    // alone, and other loops write in between. The lock lasts longer than both attempts.
     tokio::time::sleep(Duration::from_secs(26)).await;
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     daemon.until_log("the database accepts throws again");
-    assert_eq!(rig.sql("SELECT count(*) AS n FROM throw")[0]["n"], 1);
+    assert_eq!(rig.number("SELECT count(*) FROM throw"), 1);
     assert!(rig.sql("SELECT * FROM quarantine").is_empty());
 }
 
@@ -213,10 +210,10 @@ async fn a_missing_throw_number_is_a_gap() {
     assert_eq!(gaps.len(), 1, "{gaps:?}");
     assert_eq!((&gaps[0]["first_throw_no"], &gaps[0]["last_throw_no"]), (&3.into(), &4.into()));
 
-    // More throws than end the alarm, with a gap before each.
+    // A gap before each throw; without gaps so many throws would end the alarm.
     logger.send((4..44).map(|at| stub("boot", 2 * at))).await;
     rig.judged(44).await;
-    // The sum, 42, is said at each power of two.
+    // The alarm gives the sum of missing throws when it passes a power of two: 32 of the 42.
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE text LIKE '%: 3_ throws %' OR text LIKE '%: 4_ throws %'")
         .await;
     daemon.terminate();
@@ -224,7 +221,7 @@ async fn a_missing_throw_number_is_a_gap() {
     assert!(events.iter().all(|text| text.contains("never arrived")), "{events:?}");
 }
 
-/// A logger whose messages are refused has gaps for which the link is not to blame.
+/// The gap comes from refused messages, not from the link.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_gap_of_refused_messages_names_the_reason() {
     let (rig, daemon) = Rig::running();
@@ -233,11 +230,11 @@ async fn a_gap_of_refused_messages_names_the_reason() {
     let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
     let text = |throw_no| String::from_utf8(good(throw_no)).unwrap();
     publisher.put(good(1)).await.unwrap();
-    // NaN, as Python writes it; a wrong type; no number at all.
+    // NaN, as Python writes it; an unreadable time; a message without a throw number.
     publisher.put(text(2).replacen("\"current_a\":[", "\"current_a\":[NaN,", 1)).await.unwrap();
     publisher.put(text(3).replacen("\"started_at\":\"", "\"started_at\":\"on ", 1)).await.unwrap();
     publisher.put("{}").await.unwrap();
-    // Messages of one batch have the same time of reception.
+    // Messages of one batch have the same time of reception: the next throw must not be in this batch.
     rig.until_sql("SELECT 1 FROM quarantine WHERE quarantine_row = 3").await;
     publisher.put(good(5)).await.unwrap();
     rig.until_sql(
@@ -261,9 +258,10 @@ async fn a_gap_of_refused_messages_names_the_reason() {
     assert!(reason.contains("current_a: NaN is no JSON"), "{reason}");
 }
 
+/// Settings with short baselines.
 const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";
 
-/// Throws of a machine; its motor weakens by 20 % at `from_throw`, or from there over `ramp` throws.
+/// Throws of a machine whose motor weakens by 20 %: at `from_throw`, or over `ramp` throws from there.
 fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
     let shape = ramp.map_or(Shape::Step, |throws| Shape::Ramp { throws });
     let fault = Fault { part: Part::Kt, shape, size_pct: -20.0, from_throw };
@@ -311,10 +309,10 @@ async fn a_frozen_recorder_is_named_and_is_no_evidence_about_the_machine() {
     assert!(texts.first().is_some_and(|text| text.contains("repeats itself")), "{texts:?}");
     let states = rig.sql("SELECT DISTINCT state FROM machine_health");
     assert!(states.iter().all(|row| row["state"] != "healthy"), "{states:?}");
-    let repeated = rig.sql("SELECT count(*) AS n FROM throws_not_evaluated WHERE quality = 'repeated_trace'");
-    assert_eq!(repeated[0]["n"], FROZEN);
-    let unknown = rig.sql("SELECT count(*) AS n FROM estimate WHERE direction IS NULL");
-    assert_eq!(unknown[0]["n"], 0, "a repeated throw keeps the direction that its message has");
+    let repeated = "SELECT count(*) FROM throws_not_evaluated WHERE quality = 'repeated_trace'";
+    assert_eq!(rig.number(repeated), FROZEN);
+    let unknown = "SELECT count(*) FROM estimate WHERE direction IS NULL";
+    assert_eq!(rig.number(unknown), 0, "a repeated throw keeps the direction that its message has");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -334,7 +332,7 @@ async fn a_drift_is_seen_although_each_trace_comes_five_times() {
 
 /// The load generator sends the requested throws, each different from all others, and counts the judged ones.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_load_is_judged_whole() {
+async fn every_throw_of_the_load_generator_is_judged() {
     let (rig, daemon) = Rig::running();
     let load = ["load", "--machines", "10", "--rate", "50", "--seconds", "2", "--json", "--connect", &daemon.endpoint];
     let output = pointsim(&load).output().unwrap();
@@ -356,7 +354,7 @@ async fn a_load_without_a_daemon_ends_with_an_error() {
 
 /// A slow subscriber receives every health message, or the daemon counts it as dropped.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_health_is_lost_without_a_count() {
+async fn every_health_message_is_received_or_counted_as_dropped() {
     const THROWS: u64 = 4_000;
     let small_buffers = "[zenoh.transport.link.tcp]\nso_sndbuf = 8192\nso_rcvbuf = 8192\n";
     let (_rig, daemon) = Rig::running_with(small_buffers);

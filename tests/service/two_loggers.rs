@@ -1,6 +1,6 @@
-//! Two loggers with the name of one machine, and the throws of one logger that look like it.
+//! Two loggers that use the name of one machine; and single loggers whose throws look like those of two.
 //!
-//! The clock of the daemon, which dates the receptions, is moved on from throw to throw.
+//! The tests set the clock of the daemon forward before each throw, because the daemon compares reception times.
 
 use std::{fs, path::PathBuf};
 
@@ -17,9 +17,9 @@ use pointsd::{
     wire::{Encoding, encode_throw},
 };
 
-/// Throws of each direction in a baseline.
+/// Settings with short baselines and without a wait for backlogs.
 const SETTINGS: &str = "[diagnosis]\nbaseline_throws = 12\n[subscribe]\nbacklog_wait_s = 0.0\n";
-/// Throws after which the baselines are complete, and some more.
+/// Throws that complete the baselines of both directions, and some more.
 const HEALTHY: usize = 30;
 
 /// A running daemon whose clock the test sets.
@@ -27,7 +27,9 @@ struct Bench {
     rig: Rig,
     daemon: Option<Daemon>,
     clock: PathBuf,
+    /// How far the clock of the daemon is ahead of that of the test.
     ahead: SignedDuration,
+    /// Throws that are judged so far.
     judged: usize,
 }
 
@@ -49,8 +51,8 @@ impl Bench {
         self.daemon().logger(KEY).await
     }
 
-    /// Moves the clock of the daemon on.
-    fn wait(&mut self, minutes: i64) {
+    /// Sets the clock of the daemon forward.
+    fn advance(&mut self, minutes: i64) {
         self.ahead += SignedDuration::from_mins(minutes);
         fs::write(&self.clock, format!("+{}m", self.ahead.as_mins())).unwrap();
     }
@@ -67,9 +69,9 @@ impl Bench {
     }
 
     /// Sends throws that were just made, one every ten minutes.
-    async fn live(&mut self, logger: &Sender, throws: &[Throw]) {
+    async fn live(&mut self, logger: &Sender, throws: impl IntoIterator<Item = &Throw>) {
         for throw in throws {
-            self.wait(10);
+            self.advance(10);
             self.send(logger, throw, self.now()).await;
         }
     }
@@ -87,6 +89,7 @@ impl Bench {
         self.rig.sql(question).len()
     }
 
+    /// Asserts that no alarm was raised, every throw was evaluated, and the machine is healthy.
     fn assert_silent(&self, what: &str) {
         let alarms = self.rig.sql("SELECT cause, text FROM alarm_history");
         assert!(alarms.is_empty(), "{what}: {alarms:?}");
@@ -120,8 +123,8 @@ async fn two_loggers_of_one_name_are_named_and_accuse_no_part() {
 
     let other_logger = bench.logger().await;
     for (first, second) in other[..6].iter().zip(&own[HEALTHY..]) {
-        bench.live(&other_logger, std::slice::from_ref(first)).await;
-        bench.live(&own_logger, std::slice::from_ref(second)).await;
+        bench.live(&other_logger, [first]).await;
+        bench.live(&own_logger, [second]).await;
     }
     let drifts = "SELECT cause, text FROM alarm_history WHERE cause NOT IN ('not_monitored')";
     assert_eq!(bench.rig.sql(drifts), Vec::<serde_json::Value>::new());
@@ -132,7 +135,7 @@ async fn two_loggers_of_one_name_are_named_and_accuse_no_part() {
         assert!(bench.rows(question) > 0, "{:?}", bench.rig.sql("SELECT * FROM active_alarms"));
     }
     assert_eq!(bench.state(), "not_monitored");
-    // Two throws of the other logger were judged before the turns were enough.
+    // Before the boots had alternated often enough, two throws of the other logger were judged.
     let withheld = "SELECT 1 FROM throws_not_evaluated WHERE quality = 'two_loggers'";
     assert_eq!(bench.rows(withheld), 8);
     assert_eq!(bench.rows("SELECT 1 FROM trace"), HEALTHY + 12, "all are stored");
@@ -143,23 +146,24 @@ async fn two_loggers_of_one_name_are_named_and_accuse_no_part() {
     bench.live(&other_logger, &other[6..]).await;
     assert_eq!(bench.rows(withheld), 14);
     let from = HEALTHY + 6;
-    bench.live(&own_logger, &own[from..=from]).await;
+    bench.live(&own_logger, [&own[from]]).await;
     assert_eq!((bench.rows(withheld), bench.state().as_str()), (15, "not_monitored"));
 
-    // The other logger has its own name now.
+    // From now on only one logger uses the name.
     for throw in &own[from + 1..from + 12] {
-        bench.wait(110);
-        bench.live(&own_logger, std::slice::from_ref(throw)).await;
+        bench.advance(110);
+        bench.live(&own_logger, [throw]).await;
         assert_eq!(bench.state(), "not_monitored");
     }
-    bench.wait(230);
+    bench.advance(230);
     bench.live(&own_logger, &own[from + 12..]).await;
     assert_eq!(bench.state(), "healthy", "{:?}", bench.rig.sql("SELECT * FROM active_alarms"));
     assert_eq!(bench.rows(caveat), 0);
     assert_eq!(bench.rows(drifts), 0);
 }
 
-/// A new baseline of an operator ends it at once; a baseline that was learned from both is taken again.
+/// The daemon discards a baseline that it learned from both machines. The `rebaseline` of an operator ends the state
+/// "not monitored" at once.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_baseline_of_two_machines_is_not_used() {
     let Some(mut bench) = Bench::new() else { return };
@@ -168,7 +172,7 @@ async fn a_baseline_of_two_machines_is_not_used() {
     let mut of_own = own.chunks(2);
     for throw in &other {
         bench.live(&loggers[0], of_own.next().unwrap()).await;
-        bench.live(&loggers[1], std::slice::from_ref(throw)).await;
+        bench.live(&loggers[1], [throw]).await;
     }
     assert_eq!(bench.state(), "not_monitored");
     let learned = "SELECT 1 FROM machine_health WHERE baseline_throws > 0";
@@ -179,21 +183,21 @@ async fn a_baseline_of_two_machines_is_not_used() {
     assert_eq!(bench.state(), "healthy");
 }
 
-/// A router, or the logger itself, sends throws from before a restart between those from after it, some of them twice, and
-/// the clock jumped at the restart.
+/// A router, or the logger itself, sends throws from before a restart late, between newer throws, and each of them
+/// twice. The clock of the logger also jumped for some of them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_from_before_a_restart_that_come_late_are_of_one_logger() {
     let Some(mut bench) = Bench::new() else { return };
     let [old, new] = boots([("old-boot", 50), ("new-boot", 24)]);
     let logger = bench.logger().await;
     bench.live(&logger, &old[..HEALTHY]).await;
-    // 20 throws, one every ten minutes, which do not arrive.
+    // The logger makes 20 throws, one every ten minutes, that do not arrive.
     let lost_since = bench.now();
-    bench.wait(210);
+    bench.advance(210);
     for (late, throw) in old[HEALTHY..].iter().zip(&new) {
         let jump = SignedDuration::from_hours(if late.id.throw_no % 3 == 0 { -5 } else { 0 });
-        bench.live(&logger, std::slice::from_ref(throw)).await;
-        bench.wait(5);
+        bench.live(&logger, [throw]).await;
+        bench.advance(5);
         let number = i64::try_from(late.id.throw_no).unwrap() - 30;
         let made_at = lost_since + SignedDuration::from_mins(10 * number) + jump;
         bench.send(&logger, late, made_at).await;
@@ -205,7 +209,7 @@ async fn throws_from_before_a_restart_that_come_late_are_of_one_logger() {
     bench.assert_silent("late throws");
 }
 
-/// The logger starts anew twice, and its throws from before come in pages from its backlog, while it makes new ones.
+/// The logger restarts twice. Throws of its older boots come in pages from its backlog while it publishes new throws.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pages_of_older_boots_are_of_one_logger() {
     let Some(mut bench) = Bench::new() else { return };
@@ -213,12 +217,12 @@ async fn pages_of_older_boots_are_of_one_logger() {
     let logger = bench.logger().await;
     bench.live(&logger, &first[..HEALTHY]).await;
     logger.close().await;
-    // While the link is cut: the rest of the first boot, and most of the second.
+    // Made while the link is cut: the rest of the first boot, and the second boot.
     let since = bench.now();
     let dated =
         |(at, throw): (i64, &Throw)| Throw { started_at: since + SignedDuration::from_mins(10 * at), ..throw.clone() };
     let kept: Vec<Throw> = (1..).zip(first[HEALTHY..].iter().chain(&second)).map(dated).collect();
-    bench.wait(10 * 81);
+    bench.advance(10 * 81);
     let session = bench.daemon().client().await;
     let (away, most) = kept.split_at(40);
     for (part, from) in [(away, 0), (most, 6)] {

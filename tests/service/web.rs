@@ -168,7 +168,7 @@ async fn every_page_shows_the_problems_of_the_daemon() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
+async fn hostile_names_and_reasons_are_shown_as_text_and_their_links_work() {
     let (rig, daemon, _) = small_history().await;
     daemon.terminate();
     rig.change("UPDATE estimate SET detail = '<img src=x onerror=alert(2)>' WHERE quality <> 'good'").await;
@@ -189,8 +189,9 @@ async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
     }
 }
 
+/// A foreign page can point its own host name at the daemon (DNS rebinding).
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_page_that_makes_its_name_lead_here_gets_nothing() {
+async fn a_request_with_a_foreign_host_name_gets_nothing() {
     let (_rig, daemon) = Rig::running_with(&format!("{WEB}hosts = [\"cabinet.north\"]\n"));
     let address = address(&daemon);
     for ours in [address.as_str(), "localhost", "[::1]:80", "cabinet.north:7480"] {
@@ -218,7 +219,7 @@ async fn the_metrics_count_what_the_daemon_did() {
         open.to_lowercase().contains("content-type: application/openmetrics-text") && open.ends_with("# EOF\n"),
         "{open}"
     );
-    // Without this header the older text format, with the same samples.
+    // Without this header the daemon sends the older text format, with the same samples.
     let answer = get(&address, "/metrics");
     assert!(answer.header("content-type").unwrap().starts_with("text/plain; version=0.0.4"), "{answer:?}");
     let samples = |text: &str| text.lines().filter(|line| line.starts_with("pointsd_")).count();
@@ -279,12 +280,12 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
             std::fs::write(&clock, format!("+{seconds}")).unwrap();
         }
     };
-    // The other loops beat again at once. Before the page is read the write may fail, and the next one starts.
-    let is_told = (0..3).any(|_| {
+    // The other loops beat again at once. Three attempts, because the write may fail before the page is read.
+    let is_shown = (0..3).any(|_| {
         until(503, "these loops of the daemon hang: write\n", &mut a_minute_passes);
         get(&address, "/").body.contains("HANGING: write")
     });
-    assert!(is_told, "no page shows it");
+    assert!(is_shown, "no page shows the loop that hangs");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     until(200, "every loop of the daemon is running\n", &mut |_| {});
 }
@@ -333,7 +334,7 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
         assert!(refused.status == status && refused.body.contains(says), "{headers}{form}: {refused:?}");
     }
     assert!(rig.sql("SELECT * FROM operator_commands").is_empty());
-    // The form is shown again with what was typed, except the token.
+    // A refused form is shown again with the typed values, except the token.
     for (typed, why) in [
         (form("wrong"), "&#60;script&#62;"),
         (good.replace("why=%3Cscript%3E", "why="), ""),
