@@ -149,6 +149,12 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     browser.click(&tab, "a[href='/machines/north/machine-1']");
     browser.until(&tab, "document.querySelector('form.act select') != null");
 
+    // A chosen command stays, also while the focus is elsewhere.
+    browser.value(&tab, "document.querySelector('form.act select').value = 'rebaseline'");
+    browser.until(&tab, "document.querySelector('#silence').innerText.includes('Not refreshed while you write')");
+    assert_eq!(browser.value(&tab, "document.querySelector('form.act select').value"), Some("rebaseline".into()));
+    browser.value(&tab, "document.querySelector('form.act select').value = 'ack'");
+
     // A wrong token changes nothing, and the page says so.
     browser.write(&tab, "by", "A. Meyer");
     browser.write(&tab, "token", "wrong");

@@ -52,7 +52,9 @@ function replace(main, fresh) {
 function isBusy() {
   if (getSelection().type === "Range" || document.querySelector(".u-over:active")) return true;
   const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
-  return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? field.value));
+  // A choice counts too: a command that falls back to the first one of the list would be another command.
+  const first = ({ options }) => ([...options].find((option) => option.defaultSelected) ?? options[0])?.value;
+  return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? first(field)));
 }
 
 async function refresh() {
