@@ -237,18 +237,21 @@ fn print_machines(
     Ok(caveats(shown.iter().flat_map(|(_, rows)| rows.iter().copied())))
 }
 
-/// The caveats, equal ones of several machines once with the names of these machines.
+/// The caveats, equal ones of several machines once with the names of these machines, and with the direction, if they have one.
 fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
-    let mut machines: BTreeMap<&str, BTreeSet<&MachineId>> = BTreeMap::new();
+    let mut machines: BTreeMap<(&str, &str), BTreeSet<&MachineId>> = BTreeMap::new();
     for row in rows {
         for caveat in &row.caveats {
-            machines.entry(wire::without_subject(caveat)).or_default().insert(&row.machine);
+            let said = wire::without_subject(caveat);
+            let subject = caveat.strip_suffix(said).unwrap_or_default();
+            let direction = subject.find(", ").map_or(": ", |at| &subject[at..]);
+            machines.entry((said, direction)).or_default().insert(&row.machine);
         }
     }
-    let sentence = |(caveat, machines): (&str, BTreeSet<&MachineId>)| {
+    let sentence = |((said, direction), machines): ((&str, &str), BTreeSet<&MachineId>)| {
         let noun = if machines.len() == 1 { "Machine" } else { "Machines" };
         let names: Vec<String> = machines.into_iter().map(ToString::to_string).collect();
-        format!("{noun} {}: {caveat}", names.join(", "))
+        format!("{noun} {}{direction}{said}", names.join(", "))
     };
     machines.into_iter().map(sentence).collect()
 }
@@ -291,11 +294,15 @@ mod tests {
         let row = |machine: &str, caveat: &str| {
             let health = json!({"schema": Health::SCHEMA, "site": "north", "machine": machine, "boot_id": "b",
                 "throw_no": 1, "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "rough",
-                "caveats": [format!("Machine {machine}: {caveat}")]});
+                "caveats": [format!("Machine {machine}{caveat}")]});
             serde_json::from_value::<Health>(health).unwrap()
         };
-        let rows = [row("b", "is rough."), row("a", "is rough."), row("a", "is rough."), row("c", "is blind.")];
-        assert_eq!(caveats(rows.iter()), ["Machine north/c: is blind.", "Machines north/a, north/b: is rough."]);
+        let rows =
+            [row("b", ": rough."), row("a", ": rough."), row("a", ": rough."), row("c", ", to reverse: blind: a.")];
+        assert_eq!(
+            caveats(rows.iter()),
+            ["Machine north/c, to reverse: blind: a.", "Machines north/a, north/b: rough."]
+        );
     }
 
     #[test]
