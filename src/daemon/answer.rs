@@ -49,7 +49,7 @@ impl Answers {
             }
             Self::Status { key, sources } => {
                 takes_only(question, &[])?;
-                Ok(vec![(key.clone(), status(sources).await)])
+                Ok(vec![(key.clone(), wire::json_bytes(&sources.answer().await))])
             }
         }
     }
@@ -100,16 +100,6 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
     Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
-}
-
-async fn status(sources: &StatusSources) -> Vec<u8> {
-    let mut report = sources.report();
-    match sources.store.reader().windows(None).await {
-        Ok(windows) => report.windows = windows,
-        // The rest of the status is most important when the database does not answer.
-        Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
-    }
-    wire::json_bytes(&report)
 }
 
 /// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
