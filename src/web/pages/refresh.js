@@ -38,12 +38,12 @@ function replace(main, fresh) {
   const place = [scrollX, scrollY];
   const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
   const open = [...main.querySelectorAll("details")].map((box) => box.open);
-  const focused = [...main.querySelectorAll("a, [tabindex]")].indexOf(document.activeElement);
+  const focused = [...main.querySelectorAll("a, button, [tabindex]")].indexOf(document.activeElement);
   main.replaceChildren(...fresh.childNodes);
   main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
   main.querySelectorAll("details").forEach((box, at) => { box.open = open[at] || false; });
   document.dispatchEvent(new Event("replaced"));
-  if (focused >= 0) main.querySelectorAll("a, [tabindex]")[focused]?.focus({ preventScroll: true });
+  if (focused >= 0) main.querySelectorAll("a, button, [tabindex]")[focused]?.focus({ preventScroll: true });
   scrollTo(...place);
   localTimes();
 }
