@@ -11,8 +11,8 @@ pub struct BusError {
 /// The action of opening a session.
 pub(super) const OPEN: &str = "open the session";
 /// Parts of the texts of errors that may pass: a port in use, an address that does not exist yet, a name server or a
-/// router that is away.
-const PASSING: [&str; 4] = ["(os error ", "nable to connect", "imeout", "lookup"];
+/// router that is away; and of the channel that closes when zenoh panics, as it does without a free thread or descriptor.
+const PASSING: [&str; 5] = ["(os error ", "nable to connect", "imeout", "lookup", "channel closed"];
 
 impl BusError {
     /// Whether a later attempt may succeed. Other errors of opening are due to the configuration, as a file that is no
@@ -34,5 +34,22 @@ fn advice(source: &zenoh::Error) -> &'static str {
         ". Another program listens there, perhaps another pointsd: stop it, or change listen.endpoints of [zenoh]"
     } else {
         ""
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::sync::oneshot;
+
+    use super::*;
+
+    /// Systemd starts the daemon again.
+    #[test]
+    fn a_panic_of_zenoh_is_no_wrong_configuration() {
+        let (done, opened) = oneshot::channel::<()>();
+        drop(done);
+        let panicked = opened.blocking_recv().unwrap_err();
+        assert!(BusError::new(OPEN)(panicked.into()).may_pass());
+        assert!(!BusError::new(OPEN)("no certificate".into()).may_pass());
     }
 }
