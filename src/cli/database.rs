@@ -4,9 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use serde::Deserialize;
 
 use super::{Exit, Failure, ResultExt};
-use crate::store::{self, StoreError};
+use crate::{
+    daemon::config::Document,
+    store::{self, StoreError},
+};
 
 /// Configuration of the installed service.
 const SERVICE: &str = "/etc/pointsd/pointsd.toml";
@@ -57,13 +61,13 @@ pub(super) fn cannot_open(error: StoreError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// Reads only the key `path` of the section `[store]`, so that the rest of the configuration may be invalid.
+/// The path in the section `[store]`. The other sections may be invalid; a misspelt key would choose another database.
 fn configured(config: &Path) -> Result<PathBuf, Failure> {
-    let text = std::fs::read_to_string(config)
-        .with_context(|| format!("cannot read {}", config.display()))
-        .or_exit(Exit::NoInput)?;
-    let table: toml::Table =
-        toml::from_str(&text).with_context(|| config.display().to_string()).or_exit(Exit::Config)?;
-    let path = table.get("store").and_then(|section| section.get("path")).and_then(toml::Value::as_str);
-    Ok(path.map_or_else(|| store::Settings::default().path, PathBuf::from))
+    #[derive(Deserialize)]
+    struct Section {
+        #[serde(default)]
+        store: store::Settings,
+    }
+    let section = Document::read(config).and_then(|document| document.deserialize::<Section>());
+    Ok(section.or_exit(Exit::Config)?.store.path)
 }
