@@ -60,12 +60,15 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
     pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|pair| *pair != ("", ""))
 }
 
-/// Refuses parameters that are neither `known` nor of zenoh, whose names begin with `_`: a misspelt one would change the
-/// meaning of a query without notice.
+/// Refuses parameters without a value, and those that are neither `known` nor of zenoh, whose names begin with `_`: a misspelt
+/// one would change the meaning of a query without notice.
 ///
 /// # Errors
 /// When there is one: it is named, with the known ones.
 pub fn only_known(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
+    if let Some((empty, _)) = pairs(parameters).find(|(key, value)| known.contains(key) && value.is_empty()) {
+        return Err(Invalid(format!("{empty} has no value")));
+    }
     let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
     let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
     let unknown: String = unknown.chars().take(60).collect();
@@ -95,6 +98,7 @@ mod tests {
             assert!(error.starts_with("unknown parameter") && error.ends_with("known are since, limit"), "{error}");
         }
         assert!(only_known("_time=[now(-1h)..];_anyke", &[]).is_ok());
+        assert_eq!(only_known("session=", &["session"]).unwrap_err().to_string(), "session has no value");
         assert_eq!(
             only_known("limit=1", &[]).unwrap_err().to_string(),
             "unknown parameter \"limit\": this query has none"
