@@ -11,8 +11,8 @@ pub struct BusError {
 /// The action of opening a session.
 pub(super) const OPEN: &str = "open the session";
 /// Parts of the texts of temporary errors: a port in use, an address that does not exist yet, a name server or a router
-/// that does not answer.
-const TEMPORARY: [&str; 4] = ["(os error ", "nable to connect", "imeout", "lookup"];
+/// that does not answer; and the channel that closes when zenoh panics without a free thread or descriptor.
+const TEMPORARY: [&str; 5] = ["(os error ", "nable to connect", "imeout", "lookup", "channel closed"];
 
 impl BusError {
     /// Whether a later attempt may succeed. The other errors of opening come from the configuration: for example, a
@@ -34,5 +34,22 @@ fn advice(source: &zenoh::Error) -> &'static str {
         ". Another program listens there, perhaps another pointsd: stop it, or change listen.endpoints of [zenoh]"
     } else {
         ""
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::sync::oneshot;
+
+    use super::*;
+
+    /// Systemd starts the daemon again.
+    #[test]
+    fn a_panic_of_zenoh_is_no_wrong_configuration() {
+        let (done, opened) = oneshot::channel::<()>();
+        drop(done);
+        let panicked = opened.blocking_recv().unwrap_err();
+        assert!(BusError::new(OPEN)(panicked.into()).is_temporary());
+        assert!(!BusError::new(OPEN)("no certificate".into()).is_temporary());
     }
 }

@@ -4,9 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use serde::Deserialize;
 
 use super::{Exit, Failure, ResultExt};
-use crate::store::{self, StoreError};
+use crate::{
+    daemon::config::Document,
+    store::{self, StoreError},
+};
 
 /// Configuration of the installed service.
 const SERVICE: &str = "/etc/pointsd/pointsd.toml";
@@ -58,14 +62,14 @@ pub(super) fn cannot_open(error: StoreError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The path of the database in a configuration file. Only the key `store.path` is read: the rest of the file may be
-/// invalid.
+/// The path of the database in a configuration file. Only the section `[store]` is read, and checked: a misspelt key
+/// would select another database. The other sections may be invalid.
 fn configured(config: &Path) -> Result<PathBuf, Failure> {
-    let text = std::fs::read_to_string(config)
-        .with_context(|| format!("cannot read {}", config.display()))
-        .or_exit(Exit::NoInput)?;
-    let table: toml::Table =
-        toml::from_str(&text).with_context(|| config.display().to_string()).or_exit(Exit::Config)?;
-    let path = table.get("store").and_then(|section| section.get("path")).and_then(toml::Value::as_str);
-    Ok(path.map_or_else(|| store::Settings::default().path, PathBuf::from))
+    #[derive(Deserialize)]
+    struct Section {
+        #[serde(default)]
+        store: store::Settings,
+    }
+    let section = Document::read(config).and_then(|document| document.deserialize::<Section>());
+    Ok(section.or_exit(Exit::Config)?.store.path)
 }

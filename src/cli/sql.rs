@@ -23,7 +23,7 @@ use crate::store::{ResultWriter, StoreError, Value, run_query};
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database.")]
+    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database, 78 the configuration is invalid.")]
 pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).

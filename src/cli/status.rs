@@ -238,20 +238,23 @@ fn print_machines(
     Ok(caveats(shown.iter().flat_map(|(_, rows)| rows.iter().copied())))
 }
 
-/// A sentence for each different caveat, with the names of all machines that have it.
+/// A sentence for each different caveat, with its direction, if it has one, and with the names of all its machines.
 fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
-    let mut machines: BTreeMap<&str, BTreeSet<&MachineId>> = BTreeMap::new();
+    let mut machines: BTreeMap<(&str, &str), BTreeSet<&MachineId>> = BTreeMap::new();
     for row in rows {
         for caveat in &row.caveats {
-            machines.entry(wire::without_subject(caveat)).or_default().insert(&row.machine);
+            let text = wire::without_subject(caveat);
+            let subject = caveat.strip_suffix(text).unwrap_or_default();
+            let direction = subject.find(", ").map_or(": ", |at| &subject[at..]);
+            machines.entry((text, direction)).or_default().insert(&row.machine);
         }
     }
-    let sentence = |(caveat, machines): (&str, BTreeSet<&MachineId>)| {
+    let line = |((text, direction), machines): ((&str, &str), BTreeSet<&MachineId>)| {
         let noun = if machines.len() == 1 { "Machine" } else { "Machines" };
         let names: Vec<String> = machines.into_iter().map(ToString::to_string).collect();
-        format!("{noun} {}: {caveat}", names.join(", "))
+        format!("{noun} {}{direction}{text}", names.join(", "))
     };
-    machines.into_iter().map(sentence).collect()
+    machines.into_iter().map(line).collect()
 }
 
 /// The worst state in the rows of a machine, which are its directions, or the reports of several daemons.
@@ -294,11 +297,15 @@ mod tests {
         let row = |machine: &str, caveat: &str| {
             let health = json!({"schema": Health::SCHEMA, "site": "north", "machine": machine, "boot_id": "b",
                 "throw_no": 1, "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "rough",
-                "caveats": [format!("Machine {machine}: {caveat}")]});
+                "caveats": [format!("Machine {machine}{caveat}")]});
             serde_json::from_value::<Health>(health).unwrap()
         };
-        let rows = [row("b", "is rough."), row("a", "is rough."), row("a", "is rough."), row("c", "is blind.")];
-        assert_eq!(caveats(rows.iter()), ["Machine north/c: is blind.", "Machines north/a, north/b: is rough."]);
+        let rows =
+            [row("b", ": rough."), row("a", ": rough."), row("a", ": rough."), row("c", ", to reverse: blind: a.")];
+        assert_eq!(
+            caveats(rows.iter()),
+            ["Machine north/c, to reverse: blind: a.", "Machines north/a, north/b: rough."]
+        );
     }
 
     #[test]

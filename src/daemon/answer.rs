@@ -49,7 +49,7 @@ impl Answers {
             }
             Self::Status { key, sources } => {
                 takes_only(question, &[])?;
-                Ok(vec![(key.clone(), status(sources).await)])
+                Ok(vec![(key.clone(), wire::json_bytes(&sources.answer().await))])
             }
         }
     }
@@ -102,16 +102,6 @@ async fn command_reply(question: &ReceivedQuery, sender: &CommandSender, itself:
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
     Ok(vec![(key, wire::json_bytes(&sender.apply(machine, command).await?))])
-}
-
-async fn status(sources: &StatusSources) -> Vec<u8> {
-    let mut report = sources.report();
-    match sources.store.reader().windows(None).await {
-        Ok(windows) => report.windows = windows,
-        // The other fields are still sent: they matter most when the database does not answer.
-        Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
-    }
-    wire::json_bytes(&report)
 }
 
 /// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]

@@ -12,7 +12,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
-    store::{DiskLevel, RecentCount, Store, Window},
+    store::{DiskLevel, RecentCount, Store, Window, seldom},
     throw::{MachineId, counted},
 };
 
@@ -233,6 +233,17 @@ impl StatusSources {
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
             ..report
         }
+    }
+
+    /// The report with the open windows: the reply to a query.
+    pub(crate) async fn answer(&self) -> StatusReport {
+        let mut report = self.report();
+        match self.store.reader().windows(None).await {
+            Ok(windows) => report.windows = windows,
+            // The rest of the status is most important when the database does not answer.
+            Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
+        }
+        report
     }
 }
 

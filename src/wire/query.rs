@@ -60,12 +60,15 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
     pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|pair| *pair != ("", ""))
 }
 
-/// Checks that every parameter is in `known` or belongs to zenoh (its name begins with `_`): ignoring a misspelt
-/// parameter would change the meaning of a query without notice.
+/// Checks that every parameter has a value, and is in `known` or belongs to zenoh (its name begins with `_`): ignoring
+/// a misspelt parameter would change the meaning of a query without notice.
 ///
 /// # Errors
-/// When a parameter is unknown; the error names it and the known parameters.
+/// When a parameter is unknown or has no value; the error names it and the known parameters.
 pub fn check_parameters(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
+    if let Some((empty, _)) = pairs(parameters).find(|(key, value)| known.contains(key) && value.is_empty()) {
+        return Err(Invalid(format!("{empty} has no value")));
+    }
     let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
     let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
     let unknown: String = unknown.chars().take(60).collect();
@@ -95,6 +98,7 @@ mod tests {
             assert!(error.starts_with("unknown parameter") && error.ends_with("known are since, limit"), "{error}");
         }
         assert!(check_parameters("_time=[now(-1h)..];_anyke", &[]).is_ok());
+        assert_eq!(check_parameters("session=", &["session"]).unwrap_err().to_string(), "session has no value");
         assert_eq!(
             check_parameters("limit=1", &[]).unwrap_err().to_string(),
             "unknown parameter \"limit\": this query has none"

@@ -140,7 +140,7 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     let fleet = browser.open(&format!("http://{}/", address(&daemon)));
     let tab = browser.open(&format!("http://{}/", address(&daemon)));
     browser.until(&fleet, "document.querySelector('ul.alarms')?.innerText.includes('not acknowledged') ?? false");
-    browser.value(&fleet, "window.untouched = true");
+    browser.value(&fleet, "window.untouched = true; document.querySelector('form.filters button').focus()");
 
     browser.click(&tab, "ul.alarms li.critical a");
     browser.until(&tab, "location.pathname == '/machines/north/machine-1' && document.querySelector('h1') != null");
@@ -149,6 +149,12 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     browser.until(&tab, "document.querySelectorAll('figure svg').length >= 3");
     browser.click(&tab, "a[href='/machines/north/machine-1']");
     browser.until(&tab, "document.querySelector('form.act select') != null");
+
+    // A chosen command stays, also while the focus is elsewhere.
+    browser.value(&tab, "document.querySelector('form.act select').value = 'rebaseline'");
+    browser.until(&tab, "document.querySelector('#silence').innerText.includes('Not refreshed while you write')");
+    assert_eq!(browser.value(&tab, "document.querySelector('form.act select').value"), Some("rebaseline".into()));
+    browser.value(&tab, "document.querySelector('form.act select').value = 'ack'");
 
     // A wrong token changes nothing, and the page says so.
     browser.write(&tab, "by", "A. Meyer");
@@ -164,6 +170,7 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     // The page of the fleet changes without a reload.
     browser.until(&fleet, "document.querySelector('ul.alarms').innerText.includes('acknowledged by A. Meyer')");
     assert_eq!(browser.value(&fleet, "window.untouched"), Some(true.into()));
+    assert_eq!(browser.value(&fleet, "document.activeElement.innerText"), Some("Show".into()));
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
 }
 

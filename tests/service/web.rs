@@ -372,6 +372,8 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
         (&1.into(), &"maintenance".into(), Some(&serde_json::Value::Null)),
         "{api}"
     );
+    let status: serde_json::Value = serde_json::from_str(&get(&address, "/api/v1/status").body).unwrap();
+    assert_eq!((&status["windows"][0]["by"], &status["windows"][0]["machine"]), (&"A. Meyer".into(), &"21B".into()));
     let end = good.replace("command=maintenance", "command=maintenance_end");
     assert_eq!(post(&address, &origin, &end).status, 303);
     assert!(get(&address, "/machines/north/21B").body.contains(", learning · pointsd</title>"));

@@ -92,6 +92,24 @@ async fn a_file_that_is_no_database_of_pointsd_is_named() {
     }
 }
 
+/// A misspelt key would choose the database of this folder.
+#[test]
+fn a_configuration_that_does_not_name_the_database_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("pointsd.toml");
+    for (text, says) in [
+        (Some("[store]\npfad = \"/var/lib/pointsd/points.db\"\n"), "pointsd.toml:2: store.pfad: unknown field"),
+        (None, "pointsd.toml: cannot be read"),
+    ] {
+        let _ = std::fs::remove_file(&config);
+        text.map_or(Ok(()), |text| std::fs::write(&config, text)).unwrap();
+        let command =
+            Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["sql", "--config"]).arg(&config).output().unwrap();
+        let error = String::from_utf8(command.stderr).unwrap();
+        assert!(command.status.code() == Some(78) && error.contains(says), "{error}");
+    }
+}
+
 #[tokio::test]
 async fn a_backup_is_complete_opens_and_never_overwrites() {
     let (_folder, store) = fresh().await;

@@ -9,7 +9,7 @@ use pointsd::{
 };
 
 use crate::given::{
-    alarm, at, change, event, fresh, judge, judgement, machine, open, outcome, pending, query, spooled,
+    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, pending, query, spooled,
 };
 
 #[tokio::test]
@@ -216,6 +216,10 @@ async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arriv
         judge(&store, judgement(row, "21B")).await.unwrap();
     }
     assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(6,)]);
+    // An old recording is imported, and the logger continues without a new start.
+    judged(&store, "21B", "import", 3).await;
+    judged(&store, "21B", "b1", 7).await;
+    assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(7,)]);
 }
 
 /// A pending throw that waits for a missing one does not hide the judged throws.

@@ -27,7 +27,8 @@ pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32
 }
 
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
-    format!("Machine {name}: {in_a_row} throws in a row were completed.")
+    let what = if in_a_row == 1 { "a throw was".to_owned() } else { format!("{in_a_row} throws in a row were") };
+    format!("Machine {name}: {what} completed.")
 }
 
 pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) -> String {

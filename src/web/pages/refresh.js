@@ -38,12 +38,12 @@ function replace(main, fresh) {
   const place = [scrollX, scrollY];
   const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
   const open = [...main.querySelectorAll("details")].map((box) => box.open);
-  const focused = [...main.querySelectorAll("a, [tabindex]")].indexOf(document.activeElement);
+  const focused = [...main.querySelectorAll("a, button, [tabindex]")].indexOf(document.activeElement);
   main.replaceChildren(...fresh.childNodes);
   main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
   main.querySelectorAll("details").forEach((box, at) => { box.open = open[at] || false; });
   document.dispatchEvent(new Event("replaced"));
-  if (focused >= 0) main.querySelectorAll("a, [tabindex]")[focused]?.focus({ preventScroll: true });
+  if (focused >= 0) main.querySelectorAll("a, button, [tabindex]")[focused]?.focus({ preventScroll: true });
   scrollTo(...place);
   localTimes();
 }
@@ -52,7 +52,9 @@ function replace(main, fresh) {
 function isBusy() {
   if (getSelection().type === "Range" || document.querySelector(".u-over:active")) return true;
   const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
-  return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? field.value));
+  // A choice counts too: a command that falls back to the first one of the list would be another command.
+  const first = ({ options }) => ([...options].find((option) => option.defaultSelected) ?? options[0])?.value;
+  return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? first(field)));
 }
 
 async function refresh() {
