@@ -1,6 +1,6 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
-use super::{commands::CommandSender, status::StatusSources};
+use super::{judge::commands::CommandSender, supervision::status::StatusSources};
 use crate::{
     bus::{QueryQueue, ReceivedQuery},
     store::{Reader, Selector, StoreError, seldom},

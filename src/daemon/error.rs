@@ -1,6 +1,6 @@
 //! Errors at the start of the daemon, and of the pipeline without zenoh ([`super::Offline`]).
 
-use super::lock::LockError;
+use super::supervision::lock::LockError;
 use crate::{bus::BusError, store::StoreError};
 
 /// An error at the start of the daemon.

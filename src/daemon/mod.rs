@@ -6,40 +6,33 @@
 //! ```
 //! Each loop is a task. The queues between the loops are bounded channels, or tables of the database. Every task is
 //! needed, so the end of any task ends the daemon.
+//!
+//! | module | contents |
+//! |---|---|
+//! | `receive` | receives throws, and fetches missing ones from the backlogs of the loggers |
+//! | `judge` | identifies and diagnoses the stored throws in their order; applies commands and ticks |
+//! | `supervision` | heartbeats, watchdog, lock, presence of other daemons, and the status |
+//! | `webhook` | sends alarm events to a web address |
+//! | `config` | the configuration |
 
 mod answer;
-mod backlog;
-mod budget;
 pub(crate) mod clock;
-mod commands;
 pub mod config;
 mod error;
-mod fleet;
-mod health;
-mod heartbeat;
-mod identify;
 mod judge;
-mod judge_loop;
-mod lock;
-mod logger_clocks;
 mod offline;
-mod peers;
-mod presence;
 mod publish;
 mod receive;
 mod retention;
 mod running;
-mod schedule;
-mod status;
 mod stop;
-mod tasks;
-mod watchdog;
+mod supervision;
 mod webhook;
 
 pub use error::StartError;
-pub(crate) use heartbeat::TaskName;
 pub use judge::Judged;
-pub use lock::LockError;
 pub use offline::Offline;
 pub use running::{DATABASE, Daemon, View};
-pub use status::{FleetCounts, StatusReport};
+pub(crate) use supervision::heartbeat::TaskName;
+pub use supervision::lock::LockError;
+pub use supervision::status::{FleetCounts, StatusReport};

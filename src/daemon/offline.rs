@@ -10,7 +10,7 @@ use super::{
     config::Config,
     error::StartError,
     judge::{Judge, Judged},
-    lock::DatabaseLock,
+    supervision::lock::DatabaseLock,
 };
 use crate::{
     store::{Spooled, Store, StoreError},

@@ -11,7 +11,10 @@ use tokio::{sync::Notify, time};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-use super::{clock, heartbeat::TaskName, status::Status};
+use super::{
+    clock,
+    supervision::{heartbeat::TaskName, status::Status},
+};
 use crate::{
     bus::{self, Outlet, SubscriberWatch},
     store::{Store, seldom},

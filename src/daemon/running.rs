@@ -13,22 +13,28 @@ use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
     answer::Answers,
-    backlog::{Backlog, Querier},
     clock,
-    commands::{CommandSender, PendingCommand},
     config::Config,
     error::StartError,
-    judge::{Judge, Judged},
-    judge_loop::{JudgeLoop, Links},
-    lock::DatabaseLock,
-    peers::Peers,
-    presence::{self, Loggers},
+    judge::{
+        Judge, Judged,
+        commands::{CommandSender, PendingCommand},
+        judge_loop::{JudgeLoop, Links},
+    },
     publish::Publisher,
-    receive::{Intake, ReceiveLoop},
+    receive::{
+        Intake, ReceiveLoop,
+        backlog::{Backlog, Querier},
+        presence::{self, Loggers},
+    },
     retention,
-    status::{Status, StatusReport, StatusSources},
-    tasks::Tasks,
-    watchdog,
+    supervision::{
+        lock::DatabaseLock,
+        peers::Peers,
+        status::{Status, StatusReport, StatusSources},
+        tasks::Tasks,
+        watchdog,
+    },
     webhook::Notifier,
 };
 use crate::{

@@ -7,7 +7,7 @@ use tokio::time;
 
 use super::{
     running::{Daemon, JUDGE, PUBLISH, RECEIVE},
-    watchdog::notify,
+    supervision::watchdog::notify,
 };
 use crate::store::StoreError;
 

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use strum::VariantArray as _;
 
-use super::{correlation::Correlation, course::LimitForecast};
+use super::{drift::course::LimitForecast, statistics::correlation::Correlation};
 use crate::{
     estimate::Channel,
     throw::{Direction, MachineId, ThrowRef},

@@ -1,63 +1,42 @@
 //! The diagnosis: from the estimates of a machine to alarms with one named cause. It has no clock; time is a parameter.
+//!
+//! A [`MachineMonitor`] takes an [`Observation`] for each throw and returns a [`Verdict`].
+//!
+//! | module | contents |
+//! |---|---|
+//! | `monitor` | the monitor of a machine: which rule sees a throw, a command or a tick, and in which order |
+//! | `track` | the throws of each direction: the last ones, and the ones from which the baseline is learned |
+//! | `baseline` | level, scatter and temperature effect of a healthy machine; trend and rain while the baseline fills |
+//! | `drift` | from the last throws to a drift, its cause, its size at this throw, its forecast and its alarms |
+//! | `gauges` | further quantities of a throw; they distinguish a faulty sensor or supply from a faulty part |
+//! | `operation` | alarms that concern no part: incomplete, slow and lost throws, silence, clocks, weather of the site |
+//! | `alarm` | the life cycle of an alarm, and the commands of operators |
+//! | `text` | the sentences that a person reads about an alarm |
+//! | `statistics` | statistics of short series |
 
 mod alarm;
-mod autoregression;
 mod baseline;
-mod boots;
-mod cause;
-mod clock;
-mod command;
-mod condition;
-mod correlation;
-mod course;
 mod drift;
-mod drift_alarms;
 mod event;
-mod explain;
-mod features;
-mod found;
 mod gauges;
-mod history;
-mod instruments;
-mod intermittent;
-mod last;
-mod latest_throw;
 mod monitor;
-mod neutral;
 mod observation;
-mod operational;
-mod origin;
-mod persistence;
-mod rare;
-mod regression;
-mod robust;
-mod rule;
-mod scatter;
+mod operation;
 mod settings;
-mod site;
 mod snapshot;
-mod start;
-mod step;
-mod sym3;
-mod temperature;
+mod statistics;
 mod text;
-mod thermometer;
-mod threshold;
 mod track;
-mod trend;
 mod verdict;
-mod weather;
-mod wet;
-mod window;
 
+pub use alarm::command::{Command, CommandError};
 pub use baseline::BaselineRecord;
-pub use command::{Command, CommandError};
-pub use correlation::Correlation;
-pub use course::LimitForecast;
+pub use baseline::temperature::TemperatureSource;
+pub use drift::course::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Missing, Observation, Parameters};
+pub use operation::site::Common;
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
-pub use site::Common;
-pub use temperature::TemperatureSource;
+pub use statistics::correlation::Correlation;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

@@ -9,14 +9,14 @@ use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::{
-    alarm::{Acknowledgement, Alarm, Alarms, State},
-    command::Maintenance,
-    condition::{Condition, Ending, Onset},
-    drift_alarms,
+    alarm::{Acknowledgement, Alarm, Alarms, State, command::Maintenance, rule::Rule},
+    drift::{
+        alarms,
+        condition::{Condition, Ending, Onset},
+        history::History,
+    },
     event::{AlarmEvent, AlarmState, Cause, SensorChannel},
-    history::History,
-    operational::Operation,
-    rule::Rule,
+    operation::alarms::Operation,
     track::Tracks,
 };
 
@@ -27,7 +27,7 @@ pub(super) struct VersionOne {
     pub(super) order: u64,
     pub(super) tracks: Tracks,
     pub(super) history: History,
-    pub(super) onset: Option<drift_alarms::Onset>,
+    pub(super) onset: Option<alarms::Onset>,
     pub(super) conditions: [ConditionOne; 5],
     pub(super) board: Board,
     pub(super) operation: Operation,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     baseline::BaselineRecord,
-    course::LimitForecast,
+    drift::course::LimitForecast,
     event::{AlarmEvent, Cause},
 };
 use crate::throw::Direction;

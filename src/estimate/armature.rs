@@ -16,7 +16,7 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::{features::Features, movement::Movement};
+use super::{features::Features, trace::movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush \[Hz\]: it gives 60 samples in the 0.3 s of the inrush.
 const LEAST_RATE_HZ: f64 = 200.0;

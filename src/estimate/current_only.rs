@@ -17,15 +17,17 @@
 use nalgebra::{Matrix2, Matrix5, Vector5};
 
 use super::{
-    brake,
+    acceptance::brake,
     features::Features,
     identification::{Estimate, Grade},
-    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
     ratios,
     rejection::Channel,
     settings::{Motor, Settings},
     small::unit_diagonal,
-    window,
+    trace::{
+        movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
+        window,
+    },
 };
 use crate::throw::{Direction, Throw};
 

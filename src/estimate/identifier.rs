@@ -1,26 +1,21 @@
 //! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use super::{
-    acceptance::{Departure, accept, finish, misfit},
-    armature, brake, course,
-    covariance::Noise,
-    current_only, damage, decimate,
+    acceptance::{Departure, accept, brake, finish, lateness, load::Load, misfit},
+    armature, current_only,
     features::Features,
-    filter::Hold,
-    held, hum,
     identification::{Estimate, Grade, Identification},
-    lateness,
-    load::Load,
-    missing,
-    movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
-    noise,
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
-    release,
     settings::{Motor, Settings},
-    sriv::{Failure, Problem, Signal, Sriv, Workspace},
-    start::{self, Fitted},
-    window::{self, Window, offset_variance},
+    sriv::{Failure, Problem, Signal, Sriv, Workspace, covariance::Noise, filter::Hold},
+    trace::{
+        course, damage, decimate, held, hum, missing,
+        movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
+        noise, release,
+        start::{self, Fitted},
+        window::{self, Window, offset_variance},
+    },
 };
 use crate::throw::{Direction, Throw, Trace};
 

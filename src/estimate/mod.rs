@@ -1,45 +1,33 @@
 //! The estimator: from a throw to b0, a1, a0 with their covariance (SRIV in continuous time).
+//!
+//! An [`Identifier`] makes an [`Identification`] from a throw: it calls the stages in their order.
+//!
+//! | module | contents |
+//! |---|---|
+//! | `trace` | checks and repairs of the samples, and the phases of the movement |
+//! | [`sriv`] | the estimation of a continuous-time model, and its covariance |
+//! | `acceptance` | whether the fitted model describes the movement, and how uncertain it is |
+//! | `ratios`, `current_only` | estimates from throws whose start is unusable, and from throws without a toe position |
 
 mod acceptance;
 mod armature;
-mod block;
-mod brake;
-mod course;
-mod covariance;
 mod current_only;
-mod damage;
-mod decimate;
 mod features;
-mod filter;
-mod held;
-mod hum;
 mod identification;
 mod identifier;
-mod lateness;
-mod load;
 mod midpoint;
-mod missing;
-mod movement;
-mod noise;
-mod pass;
-mod polynomial;
-mod problem;
 mod ratios;
-mod refined;
 mod rejection;
-mod release;
 mod settings;
 mod small;
 pub mod sriv;
-mod start;
-mod sums;
-mod window;
+mod trace;
 
-pub use covariance::Noise;
 pub use features::Features;
-pub use filter::Hold;
 pub use identification::{Estimate, Grade, Identification};
 pub use identifier::Identifier;
 pub(crate) use midpoint::midpoint;
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};
+pub use sriv::covariance::Noise;
+pub use sriv::filter::Hold;

@@ -15,12 +15,12 @@
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
-    covariance::DRY_SHARE,
+    acceptance::load::{Load, STEPS},
     identification::{Estimate, Grade},
-    load::{Load, STEPS},
-    movement::samples_in,
     rejection::Rejection,
     small::unit_diagonal,
+    sriv::covariance::DRY_SHARE,
+    trace::movement::samples_in,
 };
 
 /// Standard deviation of the logarithm of the common scale of the coefficients if nothing is known about it.

@@ -6,21 +6,25 @@ use jiff::Timestamp;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
-    batch::MAX_ROWS,
-    disk::{Disk, DiskLevel},
     error::StoreError,
-    files::DatabaseFiles,
-    judgement::{Judgement, Judgements, Outcome},
-    open::{self, Report},
-    page::{Cursor, Page, PageStored, WriteOff},
-    quarantine::{Quarantine, QuarantinedMessage, Statement},
+    files::{
+        DatabaseFiles,
+        disk::{Disk, DiskLevel},
+        open::{self, Report},
+    },
     reader::Reader,
     settings::{MIB, Settings},
-    spool::{Spool, Spooled, Spools},
     statements as sql,
-    write::CommitReceiver,
-    writer::Writer,
-    writing::WritingConnection,
+    writer::{
+        Writer,
+        batch::MAX_ROWS,
+        judgement::{Judgement, Judgements, Outcome},
+        page::{Cursor, Page, PageStored, WriteOff},
+        quarantine::{Quarantine, QuarantinedMessage, Statement},
+        spool::{Spool, Spooled, Spools},
+        write::CommitReceiver,
+        writing::WritingConnection,
+    },
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::path::unwritable;
+use super::files::path::unwritable;
 
 /// An error of the database. `Display` is a sentence for people.
 #[derive(Debug, thiserror::Error)]

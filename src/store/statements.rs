@@ -133,7 +133,7 @@ macro_rules! history {
     };
 }
 
-/// Columns and table of a query of boots, for [`Boot`](super::cursor::Boot).
+/// Columns and table of a query of boots, for [`Boot`](super::writer::cursor::Boot).
 macro_rules! boots {
     () => {
         "machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"

@@ -17,8 +17,7 @@ use super::{
     clock,
     config::{Config, Webhook},
     error::StartError,
-    heartbeat::TaskName,
-    status::Status,
+    supervision::{heartbeat::TaskName, status::Status},
 };
 use crate::{
     store::{Store, seldom},

@@ -5,7 +5,7 @@ use super::{
     gauge::{Gauge, heat},
     levels::{Gauges, Level, by_side, mean},
 };
-use crate::diagnose::threshold::WINDOWS;
+use crate::diagnose::drift::threshold::WINDOWS;
 
 /// Largest difference of the temperatures of winding and air \[K\], in a yard with a throw every few minutes. The
 /// insulation allows 80 K.
@@ -44,47 +44,47 @@ const PROMPT_MS: f64 = 1.0;
 
 /// Change of the back-EMF of the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnose) struct BackEmf {
-    pub(in crate::diagnose) level: Level,
+pub(crate) struct BackEmf {
+    pub(crate) level: Level,
     /// Whether the change is only concluded from a shorter duration, which less friction causes too.
-    pub(in crate::diagnose) of_duration: bool,
+    pub(crate) of_duration: bool,
     /// Change of the acceleration at the start; `None` if it is unknown.
-    pub(in crate::diagnose) at_start: Option<AtStart>,
+    pub(crate) at_start: Option<AtStart>,
 }
 
 /// Change of the acceleration per ampere at the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnose) struct AtStart {
-    pub(in crate::diagnose) level: Level,
+pub(crate) struct AtStart {
+    pub(crate) level: Level,
     /// Whether the toe of the healthy machine moves with the current, so that no brake hides a change of the motor.
-    pub(in crate::diagnose) is_prompt: bool,
+    pub(crate) is_prompt: bool,
 }
 
 impl BackEmf {
     /// The change, if it is not only concluded from a shorter duration.
-    pub(in crate::diagnose) fn of_motor(self) -> Option<Level> {
+    pub(crate) fn of_motor(self) -> Option<Level> {
         (!self.of_duration).then_some(self.level)
     }
 }
 
 /// Change of the resistance between supply and motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnose) struct Circuit {
-    pub(in crate::diagnose) level: Level,
+pub(crate) struct Circuit {
+    pub(crate) level: Level,
     /// Size relative to the largest change that heat explains, or to the scatter if that is larger.
-    pub(in crate::diagnose) size: f64,
+    pub(crate) size: f64,
     /// The same size in the last three throws only.
-    pub(in crate::diagnose) latest: f64,
+    pub(crate) latest: f64,
     /// Whether something else may have changed instead: motor, play or position sensor.
-    pub(in crate::diagnose) is_doubtful: bool,
+    pub(crate) is_doubtful: bool,
     /// Whether the resistance is unknown. Then the level is the fall of the inrush, which is at most as large.
-    pub(in crate::diagnose) of_inrush: bool,
+    pub(crate) of_inrush: bool,
 }
 
 impl Circuit {
     /// The change of the resistance if a sensor may explain a change of b0 (a logarithm): the fault of this sensor
     /// would change the resistance as much.
-    pub(in crate::diagnose) fn beside(self, change: f64) -> Self {
+    pub(crate) fn beside(self, change: f64) -> Self {
         Self { is_doubtful: self.is_doubtful || change.abs() > ALIKE * self.level.value.abs(), ..self }
     }
 }
@@ -95,12 +95,12 @@ impl Gauges {
     /// has not; or it has not changed and should have, as with a stuck sensor, and both changes are larger than heat
     /// explains. Weaker magnets do not change the resistance, and draw more current; so does a motor with another
     /// winding. The level is that of the last three throws; six throws must show the error too.
-    pub(in crate::diagnose) fn voltage_error(&self) -> Option<Level> {
+    pub(crate) fn voltage_error(&self) -> Option<Level> {
         self.voltage_error_in(WINDOWS[1]).and_then(|_| self.voltage_error_in(WINDOWS[0]))
     }
 
     /// [`Self::voltage_error`] over the last `throws`.
-    pub(in crate::diagnose) fn voltage_error_in(&self, throws: usize) -> Option<Level> {
+    pub(crate) fn voltage_error_in(&self, throws: usize) -> Option<Level> {
         let level = |gauge| self.level(gauge, throws);
         let (back_emf, ohms, volts) = (level(Gauge::BackEmf)?, level(Gauge::Resistance)?, level(Gauge::Volts)?);
         let is_like = |of: f64, sd: f64| (of - back_emf.value).abs() < ALIKE * back_emf.value.abs() + sd;
@@ -113,14 +113,14 @@ impl Gauges {
 
     /// Size of the change of the back-EMF, in which an error of the voltage shows, relative to the least reported
     /// error; `None` if it is unknown.
-    pub(in crate::diagnose) fn voltage_error_size(&self) -> Option<f64> {
+    pub(crate) fn voltage_error_size(&self) -> Option<f64> {
         let [back_emf, ohms] = [Gauge::BackEmf, Gauge::Resistance].map(|gauge| self.level(gauge, WINDOWS[0]));
         Some(error_size(back_emf?, ohms?))
     }
 
     /// Change of the back-EMF over the last `throws`: of its constant, without a supply voltage from the no-load speed,
     /// and without both, as with a stroke that unlocks, from a shorter duration.
-    pub(in crate::diagnose) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
+    pub(crate) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
         let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
         let of_constant = self.level(Gauge::BackEmf, throws).filter(|_| self.voltage_error().is_none());
         let shown = of_constant.or_else(of_speed);
@@ -135,7 +135,7 @@ impl Gauges {
     /// Range of the change of the inrush, as logarithms, by the change of the resistance of the winding with the
     /// temperature of the air. The inductance limits the inrush too, so the inrush may follow this change completely,
     /// or not at all.
-    pub(in crate::diagnose) fn winding_of_air(&self, throws: usize) -> [f64; 2] {
+    pub(crate) fn winding_of_air(&self, throws: usize) -> [f64; 2] {
         let warmer = self.level(Gauge::Air, throws).map(|air| heat(air.value));
         warmer.map_or([-heat(WEATHER_K), heat(WEATHER_K)], |warmer| [warmer.min(0.0), warmer.max(0.0)])
     }
@@ -144,7 +144,7 @@ impl Gauges {
     /// temperature of the air is compensated. The level is that of the last three throws; six throws must show the
     /// change too, so a single throw does not. If the published voltage is wrong, this explains the change. `None` if
     /// the change is unknown.
-    pub(in crate::diagnose) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
+    pub(crate) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
         self.circuit_of_resistance(knows_weather).or_else(|| self.circuit_of_inrush(knows_weather))
     }
 

@@ -4,7 +4,7 @@ use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 /// A quantity of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::diagnose) enum Gauge {
+pub(crate) enum Gauge {
     Travel,
     BackEmf,
     Resistance,
@@ -41,7 +41,7 @@ impl Gauge {
     pub(super) const COUNT: usize = 14;
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
-    pub(in crate::diagnose) fn floor(self) -> f64 {
+    pub(crate) fn floor(self) -> f64 {
         match self {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
@@ -53,7 +53,7 @@ impl Gauge {
     }
 
     /// Whether the weather changes the gauge by more than some percent: cold stiffens the drive.
-    pub(in crate::diagnose) fn follows_weather(self) -> bool {
+    pub(crate) fn follows_weather(self) -> bool {
         matches!(self, Self::Running | Self::Charge)
     }
 

@@ -8,9 +8,11 @@ use super::{
 };
 use crate::{
     diagnose::{
-        last::Last,
-        robust::{median, moving_range_sd},
-        threshold::WINDOWS,
+        drift::threshold::WINDOWS,
+        statistics::{
+            last::Last,
+            robust::{median, moving_range_sd},
+        },
     },
     estimate::Features,
     throw::Direction,
@@ -30,27 +32,27 @@ const USUAL_CURRENT: f64 = 0.15;
 
 /// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnose) struct Level {
-    pub(in crate::diagnose) value: f64,
-    pub(in crate::diagnose) sd: f64,
+pub(crate) struct Level {
+    pub(crate) value: f64,
+    pub(crate) sd: f64,
 }
 
 impl Level {
     /// Misfit to an expected value (chi-square), limited to `most`, so that a change for another reason does not decide
     /// alone.
-    pub(in crate::diagnose) fn misfit(self, expected: f64, most: f64) -> f64 {
+    pub(crate) fn misfit(self, expected: f64, most: f64) -> f64 {
         ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
     }
 }
 
 /// A changed gauge.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::diagnose) struct Change {
-    pub(in crate::diagnose) gauge: Gauge,
+pub(crate) struct Change {
+    pub(crate) gauge: Gauge,
     /// Median change of the last throws, as a logarithm.
-    pub(in crate::diagnose) size: f64,
+    pub(crate) size: f64,
     /// Standard deviation of the size.
-    pub(in crate::diagnose) size_sd: f64,
+    pub(crate) size_sd: f64,
 }
 
 /// Direction and gauges of a throw. Snapshots have the values of the known gauges only.
@@ -98,7 +100,7 @@ impl From<Shown> for (u16, Vec<f32>) {
 
 /// The gauges of one machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub(in crate::diagnose) struct Gauges {
+pub(crate) struct Gauges {
     pub(super) sides: [Normal; 2],
     /// The last throws, the newest last.
     recent: Last<Shown, RECENT>,
@@ -106,13 +108,7 @@ pub(in crate::diagnose) struct Gauges {
 
 impl Gauges {
     /// Adds a throw. If the machine is `suspicious`, the throw is not used for the normal values.
-    pub(in crate::diagnose) fn push(
-        &mut self,
-        direction: Direction,
-        features: &Features,
-        celsius: Option<f64>,
-        suspicious: bool,
-    ) {
+    pub(crate) fn push(&mut self, direction: Direction, features: &Features, celsius: Option<f64>, suspicious: bool) {
         let (side, values) = (direction.side(), values(features, celsius));
         if !suspicious {
             self.sides[side].learn(values);
@@ -122,14 +118,14 @@ impl Gauges {
 
     /// Number of throws from which the normal duration of a direction is learned so far, and the number that this
     /// needs.
-    pub(in crate::diagnose) fn progress(&self, direction: Direction) -> (usize, usize) {
+    pub(crate) fn progress(&self, direction: Direction) -> (usize, usize) {
         self.sides[direction.side()].progress(Gauge::Duration)
     }
 
     /// For some gauges of a throw: the part of the departure from normal that supply and temperature of the throw do
     /// not explain, as a logarithm, and the standard deviation of one throw. `None` if the gauge or its normal value is
     /// unknown.
-    pub(in crate::diagnose) fn unexplained<const N: usize>(
+    pub(crate) fn unexplained<const N: usize>(
         &self,
         gauges: [Gauge; N],
         direction: Direction,
@@ -148,12 +144,7 @@ impl Gauges {
     }
 
     /// Whether the current of a throw is as in a normal throw: as large, and flowing as long.
-    pub(in crate::diagnose) fn is_usual_current(
-        &self,
-        direction: Direction,
-        features: &Features,
-        celsius: Option<f64>,
-    ) -> bool {
+    pub(crate) fn is_usual_current(&self, direction: Direction, features: &Features, celsius: Option<f64>) -> bool {
         let changes = self.unexplained([Gauge::Running, Gauge::Charge], direction, features, celsius);
         changes.iter().all(|change| change.is_some_and(|(change, _)| f64::from(change.abs()) < USUAL_CURRENT))
     }
@@ -161,7 +152,7 @@ impl Gauges {
     /// Level of a gauge over the last `throws` that contain it, without the effect of the temperature on magnets. It is
     /// the mean of their departures, for the shortest window the median. `None` if too few throws contain the gauge, or
     /// its normal value is unknown.
-    pub(in crate::diagnose) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+    pub(crate) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures = self.departures(gauge, throws)?;
         let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
         let sd = usual_sd(gauge, &departures);
@@ -175,7 +166,7 @@ impl Gauges {
 
     /// [`Self::level`] with a standard deviation from the scatter of these throws, if that is larger than normal, as
     /// with a sensor that has become noisy.
-    pub(in crate::diagnose) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+    pub(crate) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let (level, departures) = (self.level(gauge, throws)?, self.departures(gauge, throws)?);
         // The two directions may have changed by different amounts, so the scatter is that within each direction.
         let sd = sd_of_mean(gauge, moving_range_sd(&by_side(&departures)), departures.len() as f64);
@@ -202,7 +193,7 @@ impl Gauges {
 
     /// Change of the duration in the last few throws of a direction, as a logarithm; for `None`, the mean of both
     /// directions.
-    pub(in crate::diagnose) fn longer(&self, direction: Option<Direction>) -> Option<Level> {
+    pub(crate) fn longer(&self, direction: Option<Direction>) -> Option<Level> {
         let departures = self.departures(Gauge::Duration, WINDOWS[1])?;
         let wanted = direction.map(Direction::side);
         let sides =
@@ -213,7 +204,7 @@ impl Gauges {
     }
 
     /// Normal running current as part of the inrush, as the mean of both directions; 0 if it is unknown.
-    pub(in crate::diagnose) fn running_of_inrush(&self) -> f64 {
+    pub(crate) fn running_of_inrush(&self) -> f64 {
         let part =
             |side: &Normal| Some(f64::from(side.of(Gauge::Running)?.0 - side.of(Gauge::Inrush)?.0).exp().min(1.0));
         let parts: Vec<f64> = self.sides.iter().filter_map(part).collect();
@@ -222,17 +213,17 @@ impl Gauges {
 
     /// Largest normal delay of the start \[ms\] of both directions, as of a stroke that unlocks, or of play and an
     /// elastic drive.
-    pub(in crate::diagnose) fn normal_delay_ms(&self) -> f64 {
+    pub(crate) fn normal_delay_ms(&self) -> f64 {
         self.normals(Gauge::StartDelay).map(f64::abs).fold(0.0, f64::max)
     }
 
     /// Normal travel \[mm\]; `None` if unknown.
-    pub(in crate::diagnose) fn normal_travel_mm(&self) -> Option<f64> {
+    pub(crate) fn normal_travel_mm(&self) -> Option<f64> {
         self.normals(Gauge::Travel).map(f64::exp).next()
     }
 
     /// Deletes the last throws.
-    pub(in crate::diagnose) fn forget_recent(&mut self) {
+    pub(crate) fn forget_recent(&mut self) {
         self.recent.clear();
     }
 }

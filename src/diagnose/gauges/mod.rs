@@ -5,7 +5,9 @@
 //! parts, which distinguishes the two.
 
 mod circuit;
+pub(super) mod features;
 mod gauge;
+pub(super) mod instruments;
 mod levels;
 mod normal;
 mod offset;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::gauge::{Gauge, Values};
-use crate::diagnose::robust::{centre_and_sd, skewed_sd};
+use crate::diagnose::statistics::robust::{centre_and_sd, skewed_sd};
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
@@ -124,6 +124,6 @@ impl Normal {
 
 /// Standard deviation of the mean departure of `count` throws from the normal value of `gauge`; `sd` is that of one
 /// throw.
-pub(in crate::diagnose) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
+pub(crate) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
     (CORRELATED * sd * (1.0 / count + 1.0 / LEARNED.0 as f64).sqrt()).hypot(gauge.floor())
 }

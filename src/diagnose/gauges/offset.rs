@@ -4,7 +4,7 @@ use super::{
     gauge::{Gauge, values},
     levels::{Gauges, Level},
 };
-use crate::{diagnose::threshold::WINDOWS, estimate::Features, throw::Direction};
+use crate::{diagnose::drift::threshold::WINDOWS, estimate::Features, throw::Direction};
 
 /// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
 /// warm, and back.
@@ -23,7 +23,7 @@ const SHIFT_SD: f64 = 4.0;
 
 /// The sensors whose offset is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::diagnose) enum Offset {
+pub(crate) enum Offset {
     /// The current sensor, by the current at rest.
     Current,
     /// The position sensor, by both ends of the movement.
@@ -33,7 +33,7 @@ pub(in crate::diagnose) enum Offset {
 impl Gauges {
     /// Offset of a sensor, and its size relative to the least reported offset. The level is that of the last three
     /// throws; six throws must show the offset too.
-    pub(in crate::diagnose) fn offset(&self, sensor: Offset) -> Option<(Level, f64)> {
+    pub(crate) fn offset(&self, sensor: Offset) -> Option<(Level, f64)> {
         let ((level, size), (_, longer)) = (self.offset_in(sensor, WINDOWS[0])?, self.offset_in(sensor, WINDOWS[1])?);
         Some((level, size.min(longer)))
     }
@@ -60,7 +60,7 @@ impl Gauges {
     /// Shift of the position at the normal end, as part of the travel, if the positions of both ends have changed, as
     /// after the position sensor was moved or set anew. An obstruction changes only one end. `None` if the shift is
     /// small or unknown.
-    pub(in crate::diagnose) fn shift(&self, direction: Direction, features: &Features) -> Option<f64> {
+    pub(crate) fn shift(&self, direction: Direction, features: &Features) -> Option<f64> {
         let (normal, values) = (&self.sides[direction.side()], values(features, None));
         let [now, before] = [values[Gauge::Middle as usize]?, normal.of(Gauge::Middle)?.0].map(f64::from);
         let [travel_mm, usual_mm] =
@@ -72,7 +72,7 @@ impl Gauges {
     }
 
     /// Normal current at rest \[A\], if it is as large as a change that is reported.
-    pub(in crate::diagnose) fn normal_rest_a(&self) -> Option<f64> {
+    pub(crate) fn normal_rest_a(&self) -> Option<f64> {
         let normal = self.normals(Gauge::Rest).max_by(|a, b| a.abs().total_cmp(&b.abs()));
         normal.filter(|normal| normal.abs() > self.least_rest_a())
     }

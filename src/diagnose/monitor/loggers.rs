@@ -5,17 +5,20 @@ use jiff::Timestamp;
 use super::{
     super::{
         alarm::Actor,
-        boots,
-        command::Command,
         event::{AlarmEvent, Cause},
         observation::{Irregularity, Missing},
         settings::Settings,
-        step::Step,
         text,
     },
     MachineMonitor, to_micros,
 };
-use crate::throw::ThrowRef;
+use crate::{
+    diagnose::{
+        alarm::{command::Command, step::Step},
+        operation::boots,
+    },
+    throw::ThrowRef,
+};
 
 impl MachineMonitor {
     /// Applies the liveliness of the logger, `there`: whether its token exists. A logger that never declared a token

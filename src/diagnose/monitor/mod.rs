@@ -7,26 +7,30 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Actor, Alarms},
-    baseline::BaselineRecord,
-    boots::Boots,
-    clock::LoggerClock,
-    command::{Command, CommandError, Maintenance},
-    drift_alarms::{DRIFTS, DriftAlarms},
+    alarm::{
+        Actor, Alarms,
+        command::{Command, CommandError, Maintenance},
+        rule::Rule,
+        step::Step,
+    },
+    baseline::{BaselineRecord, neutral::Neutral},
+    drift::{
+        alarms::{DRIFTS, DriftAlarms},
+        start::StartWatch,
+    },
     event::{AlarmEvent, Away, Cause, Severity},
-    features::FeatureWatch,
-    instruments::Instruments,
-    neutral::Neutral,
+    gauges::{features::FeatureWatch, instruments::Instruments},
     observation::Parameters,
-    operational::{self, Operation},
-    rule::Rule,
+    operation::{
+        alarms::{self, Operation},
+        boots::Boots,
+        clock::LoggerClock,
+        site::{self, Common, Trail},
+        thermometer::Thermometer,
+    },
     settings::Settings,
-    site::{self, Common, Trail},
     snapshot::{Stamp, VersionOne},
-    start::StartWatch,
-    step::Step,
     text,
-    thermometer::Thermometer,
     track::Tracks,
     verdict::{Blindness, Drifting, MachineState, Present},
 };
@@ -189,7 +193,7 @@ impl MachineMonitor {
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        self.step(now, None, settings, |_, step| operational::on_peers(text, step)).pop()
+        self.step(now, None, settings, |_, step| alarms::on_peers(text, step)).pop()
     }
 
     /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.

@@ -10,23 +10,26 @@ use super::{
         baseline::BaselineRecord,
         drift::Drift,
         event::Cause,
-        explain::percent,
-        found,
         gauges::Offset,
-        latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
-        origin::Origin,
-        rule::Rule,
         settings::Settings,
-        site::{self, Common},
-        step::Step,
-        thermometer::Implausible,
         track::Tracks,
         verdict::Verdict,
     },
     MachineMonitor, to_micros,
 };
-use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
+use crate::{
+    diagnose::{
+        alarm::{found, rule::Rule, step::Step},
+        drift::{explain::percent, latest_throw::LatestThrow, origin::Origin},
+        operation::{
+            site::{self, Common},
+            thermometer::Implausible,
+        },
+    },
+    estimate::Features,
+    throw::POSSIBLE_SUPPLY_V,
+};
 
 impl MachineMonitor {
     /// Applies a throw, evaluated or not. Throws must come in the order in which the machine made them.

@@ -2,7 +2,7 @@
 
 use crate::{
     diagnose::{
-        explain::percent,
+        drift::explain::percent,
         verdict::{Blindness, HidingTemperature},
     },
     throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},

@@ -1,16 +1,20 @@
 //! Texts of drifts: causes with sizes, checks, forecast, and end.
 
 use super::{half_width_pct, sensor::look_at_sensor};
-use crate::diagnose::{
-    cause::{Attribution, CLOSE, DECISIVE, Naming, Rival},
-    course::LimitForecast,
-    event::{Cause, RunnerUp, SensorChannel},
-    explain::{Explanation, percent},
-    gauges::Level,
-    intermittent::Departures,
-    origin::Awaited,
+use crate::{
+    diagnose::{
+        drift::{
+            cause::{Attribution, CLOSE, DECISIVE, Naming, Rival},
+            course::LimitForecast,
+            explain::{Explanation, percent},
+            intermittent::Departures,
+            origin::Awaited,
+        },
+        event::{Cause, RunnerUp, SensorChannel},
+        gauges::Level,
+    },
+    throw::counted,
 };
-use crate::throw::counted;
 
 /// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";

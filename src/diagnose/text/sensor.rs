@@ -3,12 +3,11 @@
 use super::half_width_pct;
 use crate::{
     diagnose::{
+        drift::{explain::percent, origin::SensorFault},
         event::SensorChannel,
-        explain::percent,
         gauges::{Level, Offset},
         observation::Unusable,
-        origin::SensorFault,
-        thermometer::Implausible,
+        operation::thermometer::Implausible,
     },
     throw::{POSSIBLE_C, brief, utc},
 };

@@ -3,9 +3,8 @@
 use super::{half_width_pct, subject};
 use crate::{
     diagnose::{
-        explain::percent,
+        drift::{explain::percent, start},
         gauges::{Change, Gauge},
-        start,
     },
     throw::Direction,
 };

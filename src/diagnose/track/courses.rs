@@ -2,16 +2,18 @@
 
 use nalgebra::Vector3;
 
-use super::{
-    super::{
-        course::{Course, Point},
-        history::History,
-        scatter::{Noise, Scatter},
-        window::Stream,
+use super::Tracks;
+use crate::{
+    diagnose::{
+        drift::{
+            course::{Course, Point},
+            history::History,
+            window::Stream,
+        },
+        statistics::scatter::{Noise, Scatter},
     },
-    Tracks,
+    throw::Direction,
 };
-use crate::throw::Direction;
 
 /// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
 const AGREE_SD: f64 = 2.0;
@@ -29,7 +31,7 @@ impl Tracks {
     /// The course of a drift along `weights` over the last throws. With `direction`, the course in this direction only.
     /// Otherwise the course over both directions if they agree, or else that of the direction with the larger drift:
     /// just after a step, the other direction has one throw with the drift, or none. `now`: number of the latest throw.
-    pub(in crate::diagnose) fn course(
+    pub(crate) fn course(
         &self,
         weights: &Vector3<f64>,
         temperature_sd: &Vector3<f64>,
@@ -75,7 +77,7 @@ impl Tracks {
 
     /// The only direction that has a drift along `weights`. `None` if both have it, and until it has lasted for enough
     /// throws. `now`: number of the latest throw.
-    pub(in crate::diagnose) fn one_sided(
+    pub(crate) fn one_sided(
         &self,
         weights: &Vector3<f64>,
         temperature_sd: &Vector3<f64>,

@@ -10,14 +10,21 @@ use super::{
         baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_in_order, learn_mixed, trend},
         observation::Evaluated,
         settings::Settings,
-        sym3::Sym3,
-        threshold::WINDOWS,
-        trend::Filling,
-        wet::{WetSpell, wet_spells},
     },
     Mixed, Track, Tracks, Undecided,
 };
-use crate::{estimate::Grade, throw::Direction};
+use crate::{
+    diagnose::{
+        baseline::{
+            trend::Filling,
+            wet::{WetSpell, wet_spells},
+        },
+        drift::threshold::WINDOWS,
+        statistics::sym3::Sym3,
+    },
+    estimate::Grade,
+    throw::Direction,
+};
 
 /// Largest number of throws set aside in a direction: a longest window of throws shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
@@ -31,7 +38,7 @@ const TREND_EVERY: u64 = 4;
 
 /// Reason not to add a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::diagnose) enum Suspicion {
+pub(crate) enum Suspicion {
     /// No suspicion.
     None,
     /// The last throws may show a drift.
@@ -92,7 +99,7 @@ impl Tracks {
     /// drift are set aside. They are dropped if the drift raises an alarm. They are added if the drift ends, or stays
     /// below its limit for a longest window. Before they are added, the scatter is computed from them too, around their
     /// own level: the few throws of the baseline alone give so wide limits that a large drift may stay below.
-    pub(in crate::diagnose) fn learn(
+    pub(crate) fn learn(
         &mut self,
         throw: &Evaluated,
         order: u64,
@@ -182,7 +189,7 @@ impl Tracks {
 
     /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without
     /// trend.
-    pub(in crate::diagnose) fn trend(&self) -> Option<[f64; 3]> {
+    pub(crate) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete =
             self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(|baseline| baseline.complete));
         self.slopes.filter(|_| incomplete)

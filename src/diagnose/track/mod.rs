@@ -9,20 +9,23 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::learning::Suspicion;
 use super::{
-    baseline::{Baseline, BaselineRecord, BaselineThrow},
-    cause::Known,
-    drift::{Drift, visible_pct},
+    baseline::{
+        Baseline, BaselineRecord, BaselineThrow,
+        temperature::covariance_of_effect,
+        wet::{self, WetSpell},
+    },
+    drift::{
+        Drift,
+        cause::Known,
+        threshold::{Thresholds, WINDOWS},
+        visible_pct,
+        window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept},
+    },
     event::Cause,
     observation::{Evaluated, relative_to},
-    robust::median,
-    scatter::Scatter,
     settings::Settings,
-    sym3::Sym3,
-    temperature::covariance_of_effect,
-    threshold::{Thresholds, WINDOWS},
+    statistics::{robust::median, scatter::Scatter, sym3::Sym3},
     verdict::{Blindness, HidingTemperature},
-    wet::{self, WetSpell},
-    window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept},
 };
 use crate::{estimate::Estimate, throw::Direction};
 

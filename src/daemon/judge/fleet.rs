@@ -1,0 +1,398 @@
+//! The monitors of all machines. Turns their changes into outcomes, which the judge loop stores. Does no I/O.
+
+use std::{
+    collections::{BTreeMap, HashSet},
+    panic::{AssertUnwindSafe, catch_unwind},
+    time::Duration,
+};
+
+use jiff::Timestamp;
+
+use super::health::{TWO_LOGGERS, health, observation, repeated};
+use crate::{
+    daemon::{
+        receive::{logger_clocks::LoggerClocks, presence::Loggers},
+        supervision::status::FleetCounts,
+    },
+    diagnose::{
+        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
+        Settings, Severity,
+    },
+    estimate::{Identification, Rejection},
+    store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
+    throw::{MachineId, Name, ThrowRef},
+    wire::{Alarm, json},
+};
+
+/// Time between two ticks of the monitors, which need at least one tick a minute.
+pub(super) const TICK: Duration = Duration::from_secs(5);
+const TICKS_AN_HOUR: u64 = 3600 / TICK.as_secs();
+
+/// The name that sorts before every other valid name.
+const SMALLEST_NAME: &str = "-";
+
+/// Settings and time of a judgement, and its place in the transaction.
+#[derive(Clone, Copy)]
+pub(crate) struct JudgementContext<'a> {
+    /// Whether the throw is the last of its machine in the transaction. Only this throw stores the monitor.
+    pub(super) is_last: bool,
+    pub(crate) settings: &'a Settings,
+    pub(crate) parameters: Parameters,
+    pub(crate) at: Timestamp,
+}
+
+/// The monitors of all machines.
+#[derive(Default)]
+pub(crate) struct Fleet {
+    /// Sorted, so that the machines of a site are neighbours. Boxed, as up to half of the slots in a B-tree are empty.
+    monitors: BTreeMap<MachineId, Box<MachineMonitor>>,
+    /// Machines whose stored monitor may differ from the monitor in memory. They are stored again at the next tick.
+    to_store: HashSet<MachineId>,
+    /// Number of ticks since the start, modulo [`TICKS_AN_HOUR`].
+    ticks: u64,
+    /// Comparison of this computer's clock with those of the loggers.
+    pub(crate) clocks: LoggerClocks,
+}
+
+impl Fleet {
+    /// Restores monitors from the database. If a snapshot cannot be read, as after a return to an earlier version, the
+    /// machine gets a new monitor, which keeps the text of the snapshot and has a caveat about it.
+    pub(crate) fn restore(&mut self, stored: Vec<StoredMonitor>) {
+        for StoredMonitor { machine, snapshot, state } in stored {
+            let name = name_of(&machine);
+            let monitor = match MachineMonitor::from_snapshot(&snapshot) {
+                // Named again, as an earlier version stored the name without the site.
+                Ok(monitor) => monitor.named(name),
+                Err(error) => {
+                    tracing::error!(%machine, %error, "the stored monitor cannot be read: learning a new baseline");
+                    self.to_store.insert(machine.clone());
+                    MachineMonitor::instead_of(snapshot, &name)
+                }
+            };
+            if state != Some(monitor.state()) {
+                self.to_store.insert(machine.clone());
+            }
+            self.monitors.insert(machine, Box::new(monitor));
+        }
+    }
+
+    /// Counts the machines in each state, their shelved alarms, and the open alarms about the daemon itself.
+    pub(crate) fn fleet_counts(&self, own_machine: &MachineId) -> FleetCounts {
+        let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
+        let mut counts = FleetCounts { own_alarms, ..FleetCounts::default() };
+        for (machine, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
+            if machine.machine.as_str() != ALL_MACHINES {
+                *counts.machines.entry(monitor.state()).or_default() += 1;
+            }
+            let shelved = monitor.open_alarms().iter().filter(|alarm| alarm.state == AlarmState::Shelved).count();
+            counts.shelved_alarms += shelved as u64;
+        }
+        counts
+    }
+
+    /// Whether a machine has a monitor. It gets one with its first throw.
+    pub(crate) fn knows(&self, machine: &MachineId) -> bool {
+        self.monitors.contains_key(machine)
+    }
+
+    fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
+        self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
+    }
+
+    /// Adds the `open` alarms that no monitor has, as after the loss of a snapshot, to the monitors of their machines.
+    /// Otherwise nothing would ever clear them.
+    pub(crate) fn adopt(&mut self, open: Vec<Alarm>, now: Timestamp) -> Vec<Outcome> {
+        let mut outcomes = Vec::new();
+        for Alarm { machine, event, .. } in open {
+            let monitor = self.monitor(&machine);
+            let is_own = |own: &AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
+            if !monitor.open_alarms().iter().any(is_own) {
+                let events = monitor.adopt(event, now);
+                outcomes.push(outcome(&machine, Some(monitor), now, events));
+            }
+        }
+        outcomes
+    }
+
+    /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not
+    /// evaluated: the defect must not stop the judgement of all other machines, again after each restart.
+    pub(crate) fn judge(
+        &mut self,
+        stored: &StoredThrow,
+        identification: Option<Identification>,
+        context: JudgementContext,
+    ) -> Judgement {
+        let before = self.monitors.get(&stored.machine).cloned();
+        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, context));
+        catch_unwind(attempt).unwrap_or_else(|_| {
+            let ThrowRef { boot_id, throw_no } = &stored.id;
+            tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
+            // The panic may have left the monitor half changed.
+            match before {
+                Some(before) => self.monitors.insert(stored.machine.clone(), before),
+                None => self.monitors.remove(&stored.machine),
+            };
+            self.diagnose(stored, None, context)
+        })
+    }
+
+    fn diagnose(
+        &mut self,
+        stored: &StoredThrow,
+        identification: Option<Identification>,
+        JudgementContext { is_last, settings, parameters, at }: JudgementContext,
+    ) -> Judgement {
+        // A repeated trace is not evidence, neither of health nor of a drift.
+        let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));
+        let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
+        let received_at = self.trusted_reception(stored);
+        let is_behind = self.clocks.is_last_behind();
+        let monitor = self.monitor(&stored.machine);
+        let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, is_behind, settings);
+        // The store puts throws with a repeated number into a boot of their own, which is no boot of the logger.
+        let boot_at = received_at.filter(|_| !stored.renumbered);
+        let (two_loggers, new_baseline, logger_events) =
+            monitor.boot(&stored.id, stored.started_at, boot_at, dated_at, settings);
+        let withheld = two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
+        let identification = identification.filter(|_| withheld.is_none());
+        let mut observation = observation(stored, identification.as_ref());
+        observation.started_at = dated_at;
+        let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
+        let monitor = self.monitor(&stored.machine);
+        let (configured, configuration_events) =
+            monitor.configured(parameters, observation.started_at, settings).unzip();
+        let command = configured.or(new_baseline);
+        if let Some(Command::Rebaseline { why, .. }) = &command {
+            tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
+        }
+        let mut verdict = monitor.observe_beside(&observation, &common, settings);
+        verdict.events.extend(clock);
+        let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
+        let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
+        for irregularity in repeated_trace.into_iter().chain(repeated_number) {
+            let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
+            verdict.events.extend(event);
+            verdict.present.state = monitor.state();
+        }
+        let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
+        let mut events = [logger_events, configuration_events.unwrap_or_default()].concat();
+        events.append(&mut verdict.events);
+        let outcome = Outcome { command, ..outcome(&stored.machine, is_last.then_some(&*monitor), at, events) };
+        // Only for throws without changes of the coefficients: their health has the changes of the ratios.
+        let baseline = match (observation.direction, verdict.change_pct) {
+            (Some(direction), None) => monitor.baseline(direction),
+            _ => None,
+        };
+        let health = health(stored, identification.as_ref(), withheld, &verdict, baseline.as_ref(), since_baseline);
+        Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
+    }
+
+    /// Time of reception of a throw; `None` if the clock of this computer is not trusted. This clock is not trusted
+    /// while it is behind the clocks of most loggers, as after a loss of power without a time server. If no other
+    /// logger has sent a throw since the start, it is trusted only if the fleet has no other logger.
+    fn trusted_reception(&mut self, stored: &StoredThrow) -> Option<Timestamp> {
+        let has_other = |machine: &MachineId| *machine != stored.machine && machine.machine.as_str() != ALL_MACHINES;
+        let is_alone = || {
+            let mut loggers = self.monitors.iter().filter(|(_, monitor)| !monitor.has_no_logger());
+            !loggers.any(|(machine, _)| has_other(machine))
+        };
+        let confirmed = self.clocks.note(&stored.machine, stored.started_at, stored.received_at);
+        confirmed.unwrap_or_else(is_alone).then_some(stored.received_at)
+    }
+
+    /// Advances the time of every monitor, and updates it with the liveliness tokens. Returns the machines to store,
+    /// with their events. Each monitor is stored at least once an hour, as it counts the time without a throw.
+    pub(crate) fn tick(
+        &mut self,
+        now: Timestamp,
+        settings: &Settings,
+        loggers: &Loggers,
+        own_machine: &MachineId,
+    ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
+        let mut changed = Vec::new();
+        self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
+        for (index, (machine, monitor)) in self.monitors.iter_mut().enumerate() {
+            let before = (monitor.is_announced(), monitor.state());
+            let mut events = Vec::new();
+            if !monitor.is_announced() && loggers.gone.contains(machine) {
+                events.extend(monitor.logger(true, now, settings));
+            }
+            events.extend(monitor.logger(loggers.alive.contains(machine), now, settings));
+            events.extend(monitor.tick(now, settings));
+            // After a change of `monitor.site` or `monitor.id` nothing else clears the alarms under the old name.
+            if machine != own_machine && monitor.has_no_logger() && machine.machine.as_str() != ALL_MACHINES {
+                events.extend(monitor.renamed(own_machine, now));
+            }
+            // The first token of a logger is stored at once, so that its loss is detected after a restart too.
+            let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
+            if index as u64 % TICKS_AN_HOUR == self.ticks || changes || self.to_store.contains(machine) {
+                changed.push((machine.clone(), events));
+            }
+        }
+        self.to_store.clear();
+        let mut sites: Vec<Name> = self.monitors.keys().map(|machine| machine.site.clone()).collect();
+        sites.dedup();
+        for site in sites {
+            let common = self.common(&site, None, now);
+            changed.extend(self.update_site_alarm(&site, &common, now, settings));
+        }
+        changed
+    }
+
+    /// The outcome with the present monitor of a machine and new events.
+    pub(crate) fn outcome(&self, machine: &MachineId, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
+        outcome(machine, self.monitors.get(machine).map(Box::as_ref), at, events)
+    }
+
+    /// Stores the monitor of a machine at the next tick even if it does not change.
+    pub(super) fn store_again(&mut self, machine: &MachineId) {
+        self.to_store.insert(machine.clone());
+    }
+
+    /// The common change of the machines of a site, `except` for one of them.
+    fn common(&self, site: &Name, except: Option<&MachineId>, at: Timestamp) -> Common {
+        let first = MachineId { site: site.clone(), machine: Name::fixed(SMALLEST_NAME) };
+        let of_site = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
+        let others = of_site.filter(|(machine, _)| Some(*machine) != except).map(|(_, monitor)| &**monitor);
+        MachineMonitor::common(others.filter(|monitor| monitor.has_departures()), at)
+    }
+
+    /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].
+    fn update_site_alarm(
+        &mut self,
+        site: &Name,
+        common: &Common,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<(MachineId, Vec<AlarmEvent>)> {
+        let id = MachineId { site: site.clone(), machine: Name::fixed(ALL_MACHINES) };
+        if !common.is_change() && !self.monitors.contains_key(&id) {
+            return None;
+        }
+        let events = self.monitor(&id).follow_site(common, now, settings);
+        (!events.is_empty()).then_some((id, events))
+    }
+
+    /// Updates the alarm about the daemon itself, which has the name of the daemon in place of a machine's.
+    pub(super) fn update_daemon_alarm(
+        &mut self,
+        own_machine: &MachineId,
+        trouble: Option<&(Severity, String)>,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Outcome> {
+        let text = trouble.map(|(severity, text)| (*severity, text.as_str()));
+        self.update(own_machine, trouble.is_some(), now, |monitor| monitor.trouble(text, now, settings))
+    }
+
+    /// Updates the alarm about the watched daemons that are `away`.
+    pub(super) fn update_peer_alarm(
+        &mut self,
+        own_machine: &MachineId,
+        away: &Away,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Outcome> {
+        self.update(own_machine, !away.daemons.is_empty(), now, |monitor| monitor.peers(away, now, settings))
+    }
+
+    /// Reports an irregularity of a logger that belongs to no stored throw. `None` if the machine has no monitor, or if
+    /// no alarm event follows.
+    pub(super) fn report_irregularity(
+        &mut self,
+        machine: &MachineId,
+        irregularity: Irregularity,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Outcome> {
+        self.update(machine, false, now, |monitor| monitor.irregular(irregularity, None, now, settings))
+    }
+
+    /// Applies a change that may raise an event, and returns the outcome to store; `None` without an event. A machine
+    /// without a monitor gets one if it `is_needed`; otherwise the result is `None`.
+    fn update(
+        &mut self,
+        machine: &MachineId,
+        is_needed: bool,
+        now: Timestamp,
+        change: impl FnOnce(&mut MachineMonitor) -> Option<AlarmEvent>,
+    ) -> Option<Outcome> {
+        if !is_needed && !self.monitors.contains_key(machine) {
+            return None;
+        }
+        let monitor = self.monitor(machine);
+        let event = change(monitor)?;
+        Some(outcome(machine, Some(monitor), now, vec![event]))
+    }
+
+    /// Reports missing throws to the monitor of a machine.
+    pub(super) fn report_gap(
+        &mut self,
+        machine: &MachineId,
+        missing: Missing,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Outcome {
+        let monitor = self.monitor(machine);
+        let events = monitor.gap(missing, at, settings);
+        outcome(machine, Some(monitor), at, events)
+    }
+
+    /// Applies an operator's command. Returns the outcome to store and a confirmation for the operator; `None` if the
+    /// machine has no monitor. The command `retire` removes the monitor.
+    pub(super) fn apply_command(
+        &mut self,
+        machine: &MachineId,
+        command: &Command,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Result<(Outcome, String), CommandError>> {
+        let monitor = self.monitors.get_mut(machine)?;
+        let confirmation = command.confirmation(machine, monitor.learning(settings));
+        let events = match monitor.command(command, now, settings) {
+            Ok(events) => events,
+            Err(error) => return Some(Err(error)),
+        };
+        let confirmation = confirmation + &command.consequence(&events);
+        if matches!(command, Command::Retire { .. }) {
+            self.monitors.remove(machine);
+        }
+        Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
+    }
+}
+
+/// The name of a machine in alarm texts. It includes the site, as a text may be read alone.
+fn name_of(id: &MachineId) -> String {
+    if id.machine.as_str() == ALL_MACHINES { format!("All machines of {}", id.site) } else { id.to_string() }
+}
+
+/// The outcome with new events, and with the present monitor if it is to be stored.
+fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
+    let record = monitor.map(|monitor| MonitorRecord { snapshot: json(monitor), present: monitor.present() });
+    Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_monitor_that_cannot_be_read_is_kept() {
+        let machine = MachineId::new("north", "21B").unwrap();
+        let written = json(&MachineMonitor::new("north/21B").named("21B".to_owned()));
+        let newer = written.replacen("\"version\":2", "\"version\":3", 1);
+        assert_ne!(newer, written);
+        let mut fleet = Fleet::default();
+        let stored = |snapshot| vec![StoredMonitor { machine: machine.clone(), snapshot, state: None }];
+        fleet.restore(stored(newer.clone()));
+        let record = fleet.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
+        let caveats = &record.present.caveats;
+        assert!(caveats.iter().any(|caveat| caveat.contains("cannot read")), "{caveats:?}");
+        // This version stands for the newer one, which must be able to read the text that was kept.
+        let again =
+            MachineMonitor::from_snapshot(&record.snapshot.replace("\\\"version\\\":3", "\\\"version\\\":2")).unwrap();
+        assert_eq!(json(&again), written);
+        let again = MachineMonitor::from_snapshot(&record.snapshot).unwrap();
+        assert_eq!(json(&again), record.snapshot);
+    }
+}

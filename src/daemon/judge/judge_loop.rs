@@ -1,0 +1,478 @@
+//! The judge loop. It is the only owner of the monitors, so operators' commands, ticks and alarms about the daemon go
+//! through it too.
+
+use std::{
+    collections::{BTreeMap, HashMap, VecDeque},
+    future,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use jiff::Timestamp;
+use tokio::{
+    sync::{Notify, broadcast, mpsc, watch},
+    time,
+};
+use tokio_util::sync::CancellationToken;
+
+use super::{Judge, Judged, budget::Budget, commands::PendingCommand, fleet::TICK};
+use crate::{
+    bus::Outlet,
+    daemon::{
+        clock,
+        config::Config,
+        receive::presence::Loggers,
+        supervision::{heartbeat::TaskName, peers::Peers, status::Status},
+    },
+    diagnose::{Away, Command, Irregularity, Missing},
+    store::{ALL_MACHINES, Gap, Judgement, Outcome, Store, StoreError, seldom},
+    throw::MachineId,
+    wire::{self, Alarm, Kind, Reply},
+};
+
+/// Largest number of changed monitors in one transaction.
+const CHANGES: usize = 64;
+/// Largest number of gaps in one query. All gaps of a machine should be in one result, as they are reported together.
+const GAPS: u32 = 10_000;
+/// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message.
+const NAMED: usize = 20;
+/// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
+/// token stays in the list.
+const REFUSED_FOR: Duration = Duration::from_hours(1);
+/// Pause after an error of the database.
+const PAUSE: Duration = Duration::from_millis(500);
+/// Time after which a daemon alarm that cannot be committed is published uncommitted. Usually the store can write again
+/// earlier, after it removed its ballast file or reconnected. A longer silence would look like health.
+const LONGEST_SILENCE: Duration = Duration::from_secs(10);
+
+/// An alarm event about the daemon itself that is not stored yet.
+struct PendingDaemonAlarm {
+    outcome: Outcome,
+    raised: Instant,
+    /// Whether it was published already.
+    published: bool,
+}
+
+/// Changes that are stored in one transaction, with retries.
+#[derive(strum::AsRefStr)]
+enum Changes {
+    #[strum(serialize = "judgements")]
+    Judgements(Arc<[Judgement]>),
+    #[strum(serialize = "changes of monitors")]
+    Outcomes(Arc<[Outcome]>),
+}
+
+impl Changes {
+    async fn store(&self, store: &Store) -> Result<(), StoreError> {
+        match self {
+            Self::Judgements(judgements) => store.judge_all(Arc::clone(judgements)).await.map(drop),
+            Self::Outcomes(outcomes) => store.record_all(Arc::clone(outcomes)).await,
+        }
+    }
+}
+
+/// Channels and handles to the other loops of the daemon.
+pub(crate) struct Links {
+    pub(crate) status: Arc<Status>,
+    pub(crate) outlet: Outlet,
+    /// Notified when a throw is stored.
+    pub(crate) spooled: Arc<Notify>,
+    /// Notified when the outbox has a new message.
+    pub(crate) outbox: Arc<Notify>,
+    /// The same for the loop of the webhook.
+    pub(crate) webhook: Arc<Notify>,
+    pub(crate) watchers: broadcast::Sender<Judged>,
+    pub(crate) loggers: watch::Receiver<Loggers>,
+    pub(crate) commands: mpsc::Receiver<PendingCommand>,
+    pub(crate) peers: Arc<Peers>,
+    /// Cancelled when the daemon must end even with unstored changes.
+    pub(crate) give_up: CancellationToken,
+}
+
+pub(crate) struct JudgeLoop {
+    judge: Judge,
+    links: Links,
+    /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
+    own_machine: MachineId,
+    /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
+    away: Option<Away>,
+    /// Machines of which every message so far was quarantined, with the last reason and its time.
+    refused: BTreeMap<MachineId, (String, Instant)>,
+    /// Unstored alarm events about the daemon itself: at most a raise, an escalation and a clearance.
+    daemon_alarms: VecDeque<PendingDaemonAlarm>,
+    /// Rate limit of commands.
+    budget: Budget,
+}
+
+impl JudgeLoop {
+    pub(crate) fn new(judge: Judge, links: Links) -> Self {
+        let own_machine = judge.config().monitor.as_machine();
+        Self {
+            judge,
+            links,
+            own_machine,
+            away: None,
+            refused: BTreeMap::new(),
+            daemon_alarms: VecDeque::new(),
+            budget: Budget::new(clock::monotonic()),
+        }
+    }
+
+    /// Runs until `stop`, then judges the throws that are still pending.
+    pub(crate) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
+        // An error is no reason to end: the daemon can work without this list.
+        let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
+            tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
+            Vec::new()
+        });
+        for adopted in adopted.chunks(CHANGES) {
+            self.record_all(adopted.into()).await?;
+        }
+        let mut tick = time::interval(TICK);
+        let mut beat = time::interval(Duration::from_secs(1));
+        let mut may_be_pending = true;
+        loop {
+            self.links.status.heartbeats.beat(TaskName::Identify);
+            // One batch at a time, so that a long queue of throws does not delay commands and ticks.
+            tokio::select! {
+                () = stop.cancelled() => {
+                    while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
+                    return Ok(());
+                }
+                Some(pending) = self.links.commands.recv() => self.answer_command(pending).await?,
+                _ = tick.tick() => self.on_tick().await?,
+                () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
+                () = self.links.spooled.notified() => may_be_pending = true,
+                _ = beat.tick() => may_be_pending = true,
+            }
+        }
+    }
+
+    /// Judges and stores the next batch; returns whether further throws may be pending.
+    async fn judge_next(&mut self) -> Result<bool, StoreError> {
+        if !self.daemon_alarms.is_empty() {
+            self.update_daemon_alarms().await?;
+        }
+        let pending = match self.judge.pending().await {
+            Ok(pending) if pending.is_empty() => return Ok(false),
+            Ok(pending) => pending,
+            Err(StoreError::Closed) => return Err(StoreError::Closed),
+            Err(error) => {
+                seldom!(error, %error, "reading pending throws failed; retrying");
+                self.pause().await;
+                return Ok(false);
+            }
+        };
+        // After the throws are read, so that their monitors know every gap before them. A throw without a gap before it
+        // shows that no data was lost.
+        self.report_gaps().await?;
+        let judgements = self.judge.judge(&pending).await;
+        self.links.status.heartbeats.beat(TaskName::Identify);
+        match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
+            Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
+            Ok(false) => {}
+            Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
+            Err(error) => return Err(error),
+        }
+        Ok(self.judge.more)
+    }
+
+    /// Stores the judgements of a batch that the database rejects, each in its own transaction. If the database rejects
+    /// a judgement again, its throw is stored as not evaluated. A retry would fail for ever, and block all later
+    /// throws.
+    async fn judge_one_by_one(&mut self, judgements: &[Judgement]) -> Result<(), StoreError> {
+        for judgement in judgements {
+            let Err(error) = self.judge_alone(judgement.clone()).await else { continue };
+            let StoreError::Refused(problem) = error else { return Err(error) };
+            let (machine, throw_no) = (&judgement.health.machine, judgement.health.throw.throw_no);
+            seldom!(error, %machine, throw_no, problem, "the database rejects a judgement: the throw is stored as not evaluated");
+            self.judge.fleet.store_again(machine);
+            let [with_events, alone] = judgement.instead(&problem);
+            let Err(error) = self.judge_alone(with_events).await else { continue };
+            let StoreError::Refused(problem) = error else { return Err(error) };
+            self.log_lost(&judgement.outcome, &problem);
+            match self.judge_alone(alone).await {
+                Err(StoreError::Refused(problem)) => {
+                    seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
+                    self.pause().await;
+                }
+                stored => stored?,
+            }
+        }
+        Ok(())
+    }
+
+    async fn judge_alone(&mut self, judgement: Judgement) -> Result<(), StoreError> {
+        let alone: Arc<[Judgement]> = Arc::new([judgement]);
+        if self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await? {
+            self.publish(&alone[0]);
+        }
+        Ok(())
+    }
+
+    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end before. The
+    /// next start then continues with the older monitors of the database.
+    async fn until_stored(&mut self, changes: &Changes) -> Result<bool, StoreError> {
+        loop {
+            self.links.status.heartbeats.beat(TaskName::Identify);
+            match changes.store(&self.judge.store).await {
+                Ok(()) => return Ok(true),
+                Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
+                Err(error) => seldom!(warn, %error, what = changes.as_ref(), "storing failed; retrying"),
+            }
+            // The call below may store a newer monitor of the daemon, which the retry then replaces by an older one.
+            self.judge.fleet.store_again(&self.own_machine);
+            self.update_daemon_alarms().await?;
+            if self.links.give_up.is_cancelled() {
+                return Ok(false);
+            }
+            self.pause().await;
+        }
+    }
+
+    /// Stores an outcome and notifies the publisher of its events; returns whether it is stored.
+    async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
+        self.record_all(Arc::new([outcome])).await
+    }
+
+    /// Stores outcomes in one transaction, like [`Self::record`].
+    async fn record_all(&mut self, outcomes: Arc<[Outcome]>) -> Result<bool, StoreError> {
+        match self.until_stored(&Changes::Outcomes(Arc::clone(&outcomes))).await {
+            Ok(stored) => {
+                outcomes.iter().filter(|_| stored).for_each(|outcome| self.announce(outcome));
+                Ok(stored)
+            }
+            Err(StoreError::Refused(_)) if outcomes.len() > 1 => {
+                let mut stored = true;
+                for outcome in &*outcomes {
+                    stored &= Box::pin(self.record(outcome.clone())).await?;
+                }
+                Ok(stored)
+            }
+            Err(StoreError::Refused(problem)) => {
+                outcomes.iter().for_each(|outcome| self.log_lost(outcome, &problem));
+                Ok(false)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn publish(&self, judgement: &Judgement) {
+        let (status, health) = (&self.links.status, &judgement.health);
+        status.edit().judged += 1;
+        if health.is_rejected() {
+            status.count_rejected(&health.quality);
+        }
+        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
+        self.announce(&judgement.outcome);
+        // Fails without observers.
+        let _ = self.links.watchers.send(Judged::from(judgement));
+    }
+
+    fn announce(&self, Outcome { machine, events, .. }: &Outcome) {
+        for event in events {
+            tracing::warn!(%machine, cause = event.cause.as_str(), state = event.state.as_str(), "{}", event.text);
+        }
+        if !events.is_empty() {
+            self.links.status.edit().alarm_events += events.len() as u64;
+            self.links.outbox.notify_one();
+            self.links.webhook.notify_one();
+        }
+    }
+
+    /// Advances the time of the monitors, and reports gaps that no backlog will fill.
+    async fn on_tick(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        self.update_daemon_alarms().await?;
+        // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
+        let loggers = self.links.loggers.borrow().clone();
+        let changed = self.judge.fleet.tick(now, &config.diagnosis, &loggers, &self.own_machine);
+        for changed in changed.chunks(CHANGES) {
+            let outcome = |(machine, events): &(_, Vec<_>)| self.judge.fleet.outcome(machine, now, events.clone());
+            self.record_all(changed.iter().map(outcome).collect()).await?;
+        }
+        self.report_gaps().await?;
+        for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
+            let invalid = Irregularity::Invalid { count, reason: &reason };
+            if let Some(outcome) = self.judge.fleet.report_irregularity(&machine, invalid, now, &config.diagnosis) {
+                self.record(outcome).await?;
+            } else if !self.judge.fleet.knows(&machine)
+                && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
+            {
+                self.refused.insert(machine, (reason, clock::monotonic()));
+            }
+        }
+        let away = self.links.peers.away();
+        let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
+        if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
+            let outcome = self.judge.fleet.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
+            self.away = Some(away);
+            if let Some(outcome) = outcome {
+                self.record(outcome).await?;
+            }
+        }
+        self.update_report();
+        Ok(())
+    }
+
+    /// Reports gaps that no backlog will fill to the monitors.
+    async fn report_gaps(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        for (machine, gaps) in self.old_gaps(now).await {
+            let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
+            let mut missing = Missing { reason, ..Missing::default() };
+            for gap in &gaps {
+                let throws = (gap.last_no - gap.first_no + 1).min(Missing::MOST);
+                missing.throws = missing.throws.saturating_add(throws);
+                missing.refused += gap.refused.min(throws);
+            }
+            let outcome = self.judge.fleet.report_gap(&machine, missing, now, &config.diagnosis);
+            self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
+        }
+        Ok(())
+    }
+
+    fn update_report(&mut self) {
+        let fleet_counts = self.judge.fleet.fleet_counts(&self.own_machine);
+        let loggers = self.links.loggers.borrow().alive.clone();
+        let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
+        let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
+        without_throw.sort_unstable();
+        without_throw.truncate(NAMED);
+        // A logger need not have a token. Without one its machine is removed some time after the last message, as any
+        // sender can invent machines.
+        self.refused.retain(|machine, (_, last)| {
+            !self.judge.fleet.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
+        });
+        let mut report = self.links.status.edit();
+        report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
+        report.loggers_ahead = self.judge.fleet.clocks.ahead();
+        report.loggers_behind = self.judge.fleet.clocks.behind();
+        (report.fleet_counts, report.without_throw) = (fleet_counts, without_throw);
+    }
+
+    /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
+    /// published before it is committed, and again afterwards.
+    async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
+        let new = self.judge.fleet.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let raised = clock::monotonic();
+        self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
+        while let Some(alarm) = self.daemon_alarms.pop_front() {
+            match self.judge.store.record(alarm.outcome.clone()).await {
+                Ok(()) => self.announce(&alarm.outcome),
+                Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(StoreError::Refused(problem)) => self.log_lost(&alarm.outcome, &problem),
+                Err(_) => {
+                    self.daemon_alarms.push_front(alarm);
+                    self.publish_uncommitted().await;
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn publish_uncommitted(&mut self) {
+        let overdue = |alarm: &PendingDaemonAlarm| !alarm.published && alarm.raised.elapsed() >= LONGEST_SILENCE;
+        for alarm in self.daemon_alarms.iter_mut().filter(|alarm| overdue(alarm)) {
+            alarm.published = true;
+            let Outcome { machine, events, .. } = &alarm.outcome;
+            for event in events {
+                let (cause, text) = (event.cause, &event.text);
+                tracing::error!(%machine, %cause, "an alarm cannot be stored yet, and is published uncommitted: {text}");
+                let key = wire::machine_key(machine, Kind::Alarm);
+                let message = Alarm::new(machine, event).into_message();
+                // If the publication fails, the alarm is at least in the log.
+                let _ = time::timeout(PAUSE, self.links.outlet.alarm(key, message)).await;
+            }
+        }
+    }
+
+    /// The gaps of each machine that no backlog filled in time, and that are not reported yet.
+    async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, Vec<Gap>> {
+        let mut old = HashMap::<_, Vec<_>>::new();
+        let wait = self.judge.backlog_wait();
+        let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
+            seldom!(warn, %error, "reading gaps failed; retrying");
+            Vec::new()
+        });
+        for gap in gaps {
+            old.entry(gap.machine.clone()).or_default().push(gap);
+        }
+        old
+    }
+
+    async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
+        let PendingCommand { machine, command, reply } = pending;
+        let (config, now) = (self.judge.config(), clock::now());
+        let allowed = self.budget.take(clock::monotonic());
+        let (done, text) = if let Err(wait) = allowed {
+            (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1))
+        } else {
+            self.apply_command(&machine, &command, now, &config).await?
+        };
+        let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
+        // Fails if the operator stopped waiting.
+        let _ = reply.send(answer);
+        Ok(())
+    }
+
+    /// Applies a command; returns whether it was applied, and a sentence for the operator.
+    async fn apply_command(
+        &mut self,
+        machine: &MachineId,
+        command: &Command,
+        now: Timestamp,
+        config: &Config,
+    ) -> Result<(bool, String), StoreError> {
+        let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
+        if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
+            let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
+            return Ok((false, text));
+        }
+        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().alive.contains(machine) {
+            let text =
+                format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
+            return Ok((false, text));
+        }
+        let (outcome, confirmation) = match self.judge.fleet.apply_command(machine, command, now, &config.diagnosis) {
+            None => {
+                let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
+                return Ok((false, text));
+            }
+            Some(Err(error)) => return Ok((false, error.to_string())),
+            Some(Ok(applied)) => applied,
+        };
+        let is_stored = self.record(outcome).await?;
+        if !is_stored {
+            self.judge.fleet.store_again(machine);
+        }
+        self.update_report();
+        if !is_stored {
+            let text = "the database did not store the command, which is in effect until the daemon restarts";
+            return Ok((false, text.to_owned()));
+        }
+        tracing::info!(%machine, ?command, "operator's command applied");
+        Ok((true, confirmation))
+    }
+
+    /// Logs an outcome that the database rejects, and logs and counts its alarm events.
+    fn log_lost(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
+        seldom!(error, %machine, problem, "the database rejects the change of a monitor: it is LOST");
+        for event in events {
+            tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);
+        }
+        if !events.is_empty() {
+            self.links.status.alarm_events_lost.add(events.len() as u64);
+        }
+    }
+
+    async fn pause(&self) {
+        tokio::select! {
+            () = time::sleep(PAUSE) => {}
+            () = self.links.give_up.cancelled() => {}
+        }
+    }
+}

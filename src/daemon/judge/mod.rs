@@ -1,0 +1,123 @@
+//! The judge: identifies pending throws, diagnoses them in order, and commits the judgements.
+
+pub(super) mod budget;
+pub(super) mod commands;
+pub(super) mod fleet;
+pub(super) mod health;
+pub(super) mod identify;
+pub(super) mod judge_loop;
+
+use std::{collections::HashMap, sync::Arc, time::Duration};
+
+use tokio::sync::watch;
+
+use self::{
+    fleet::{Fleet, JudgementContext},
+    identify::Pool,
+};
+use super::{clock, config::Config};
+use crate::{
+    diagnose::{AlarmEvent, Parameters},
+    store::{Judgement, Outcome, Selector, Store, StoreError, StoredThrow, ThrowRow},
+    throw::MachineId,
+    wire::Health,
+};
+
+/// Largest number of throws that are identified and committed together. The store returns fewer if their traces are
+/// long. A commit waits for the commits of received throws: with smaller batches the judge fell behind at 1,500
+/// throws/s.
+const BATCH: u32 = 256;
+/// Number of monitors read in one query at the start; each has up to 20 kB of text.
+const PAGE: u32 = 256;
+
+/// A judged throw, for observers in the same process.
+#[derive(Debug, Clone)]
+pub struct Judged {
+    /// Health of the throw, as published.
+    pub health: Health,
+    /// Alarm events caused by the throw.
+    pub events: Vec<AlarmEvent>,
+}
+
+impl From<&Judgement> for Judged {
+    fn from(judgement: &Judgement) -> Self {
+        Self { health: judgement.health.clone(), events: judgement.outcome.events.clone() }
+    }
+}
+
+/// The judge with database, monitors, estimators and settings.
+pub(super) struct Judge {
+    pub(super) store: Store,
+    pub(super) fleet: Fleet,
+    pub(super) pool: Pool,
+    pub(super) config: watch::Receiver<Arc<Config>>,
+    /// The machine of the last throw in the last batch, if that batch was full. The next batch begins with the other
+    /// machines.
+    pub(super) last: Option<MachineId>,
+    /// Whether further throws may have been pending when the last batch was read.
+    pub(super) more: bool,
+}
+
+impl Judge {
+    /// Restores the judge from the database.
+    pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
+        // Page by page, as the text of a snapshot needs more memory than its monitor.
+        let (mut fleet, mut last) = (Fleet::default(), None);
+        loop {
+            let page = store.reader().monitors(last.as_ref(), PAGE).await?;
+            let Some(end) = page.last() else { break };
+            last = Some(end.machine.clone());
+            fleet.restore(page);
+        }
+        let pool = Pool::new(config.borrow().identify.threads);
+        Ok(Self { store, fleet, pool, config, last: None, more: false })
+    }
+
+    /// Adopts the open alarms that no monitor has; returns the outcomes to store.
+    pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
+        let open = self.store.reader().open_alarms(&Selector::default()).await?;
+        Ok(self.fleet.adopt(open, clock::now()))
+    }
+
+    /// The present configuration.
+    pub(super) fn config(&self) -> Arc<Config> {
+        Arc::clone(&self.config.borrow())
+    }
+
+    /// The next batch to judge; empty if no throw is pending.
+    pub(super) async fn pending(&mut self) -> Result<Vec<StoredThrow>, StoreError> {
+        let wait = self.backlog_wait();
+        let (throws, is_full) = self.store.reader().to_judge(self.last.as_ref(), BATCH, clock::now(), wait).await?;
+        self.more = is_full || self.last.is_some();
+        self.last = throws.last().filter(|_| is_full).map(|stored| stored.machine.clone());
+        Ok(throws)
+    }
+
+    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next
+    /// call.
+    pub(super) async fn judge(&mut self, throws: &[StoredThrow]) -> Arc<[Judgement]> {
+        let config = self.config();
+        let readable = throws.iter().filter_map(|stored| {
+            Some((stored.throw.as_ref().ok()?.clone(), config.machines.of(&stored.machine).clone()))
+        });
+        let mut found = self.pool.identify(readable.collect()).await.into_iter();
+        // One transaction stores the batch, so the monitor after the last throw of each machine is enough.
+        let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
+        let judgements = throws.iter().map(|stored| {
+            let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
+            let context = JudgementContext {
+                is_last: last.get(&stored.machine) == Some(&stored.row),
+                settings: &config.diagnosis,
+                parameters: Parameters::of(config.machines.of(&stored.machine)),
+                at: clock::now(),
+            };
+            self.fleet.judge(stored, identification, context)
+        });
+        judgements.collect()
+    }
+
+    /// Time that the throws after a gap wait for the missing throws.
+    pub(super) fn backlog_wait(&self) -> Duration {
+        Duration::from_secs_f64(self.config.borrow().subscribe.backlog_wait_s)
+    }
+}

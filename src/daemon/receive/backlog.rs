@@ -1,0 +1,316 @@
+//! Fetches missing throws from the loggers' backlogs, page by page.
+//!
+//! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
+//! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
+//! missing, when one of its messages was dropped, and every few minutes. The next page is queried when the previous
+//! page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
+//! turn.
+
+use std::{collections::HashSet, sync::Arc, time::Duration};
+
+use tokio::{
+    sync::{Notify, mpsc, watch},
+    task::JoinSet,
+    time::{self, Instant},
+};
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+
+use super::{
+    Intake,
+    presence::Loggers,
+    schedule::{AT_A_TIME, Schedule},
+};
+use crate::{
+    bus::{self, Limits, PageEnd},
+    daemon::clock,
+    store::{Cursor, StoreError, seldom},
+    throw::{MachineId, Throw, ThrowRef},
+    wire::{self, BacklogQuery, Kind},
+};
+
+/// Time after which a turn ends and counts as slow: a page of 1 MiB on a link with 500 kB/s.
+const LONG_TURN: Duration = Duration::from_secs(2);
+/// Throws in the largest page.
+const LARGEST_PAGE: usize = 32;
+/// Target size of a page \[bytes\]: a link with 70 kB/s delivers it before the timeout.
+const PAGE_BYTES: u64 = 1 << 20;
+/// Size of a sample \[bytes\]: current and position as float32.
+const SAMPLE_BYTES: u64 = 8;
+/// Largest number of pages of one logger in a turn.
+const TURN: usize = 8;
+/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor
+/// starts with its oldest throw, so some pages repeat stored throws. After an import of recordings this can hide the
+/// newest throws until the next live throw.
+const REPEATED_PAGES: usize = 4;
+/// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
+/// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.
+const WIDER: usize = 4;
+/// If a connected logger replies for this long without the awaited throws, it no longer has them. They are written off
+/// as a gap.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Pause after a failed query, doubled up to [`LONGEST_PAUSE`].
+const PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_mins(1);
+/// Time between two queries of all loggers, in case another trigger was missed.
+const ROUND: Duration = Duration::from_mins(5);
+/// Least time between two database queries for missing throws.
+const MISSING_CHECK: Duration = Duration::from_millis(100);
+/// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
+/// is cleared.
+const WITH_TOKEN: usize = 200_000;
+/// Largest number of machines with missing throws in one database query.
+const MISSING: u32 = 10_000;
+
+/// How a turn of a logger ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum QueryEnd {
+    /// The logger has no newer throw, and none is missing.
+    Complete,
+    /// The turn was long enough; the logger may have more throws.
+    More,
+    /// The logger replied without the throws that are missing after this cursor.
+    Without(Cursor),
+    /// The logger did not reply in time, or its replies could not be stored.
+    Broken,
+}
+
+/// The task that queries the loggers.
+pub(crate) struct Backlog {
+    pub(crate) querier: Arc<Querier>,
+    pub(crate) loggers: watch::Receiver<Loggers>,
+    /// Machines whose loggers had a token at the last change of `loggers`.
+    pub(crate) seen: HashSet<MachineId>,
+    /// Machines whose loggers ever had a token since the start.
+    pub(crate) with_token: HashSet<MachineId>,
+    /// Keys of live messages that were dropped.
+    pub(crate) dropped: mpsc::Receiver<String>,
+    /// Notified when a throw number may be missing.
+    pub(crate) missing: Arc<Notify>,
+}
+
+impl Backlog {
+    pub(crate) async fn run(mut self, stop: CancellationToken) {
+        let mut schedule = Schedule::default();
+        let mut queries = JoinSet::new();
+        let mut round = time::interval(ROUND);
+        let mut check = time::interval(MISSING_CHECK);
+        check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut may_miss = true;
+        loop {
+            while queries.len() < AT_A_TIME
+                && let Some((machine, page)) = schedule.next()
+            {
+                let querier = Arc::clone(&self.querier);
+                queries.spawn(async move {
+                    let start = Instant::now();
+                    let (ended, page) = querier.query(&machine, page).await;
+                    (machine, ended, page, start.elapsed() >= LONG_TURN)
+                });
+            }
+            let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
+            tokio::select! {
+                () = stop.cancelled() => return queries.shutdown().await,
+                Ok(()) = self.loggers.changed() => {
+                    let alive = self.loggers.borrow_and_update().alive.clone();
+                    alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
+                    if self.with_token.len() >= WITH_TOKEN {
+                        self.with_token.clear();
+                    }
+                    self.with_token.extend(alive.difference(&self.seen).cloned());
+                    self.seen = alive;
+                }
+                Some(key) = self.dropped.recv() => {
+                    // Only known machines, as a flood may have any number of keys.
+                    if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
+                        && (self.seen.contains(&machine) || self.querier.intake.knows(&machine))
+                    {
+                        schedule.request(&machine);
+                    }
+                }
+                () = self.missing.notified() => may_miss = true,
+                _ = check.tick(), if may_miss => {
+                    may_miss = false;
+                    self.request_missing(&mut schedule).await;
+                }
+                _ = round.tick() => self.seen.iter().for_each(|machine| schedule.request(machine)),
+                Some(ended) = queries.join_next() => match ended {
+                    Ok((machine, ended, page, was_slow)) => {
+                        schedule.set_slow(&machine, was_slow);
+                        self.on_query_end(&mut schedule, &machine, ended, page).await;
+                    }
+                    // The task ends here, and with it the daemon.
+                    Err(error) => return tracing::error!(%error, "querying a logger failed"),
+                },
+                () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
+            }
+        }
+    }
+
+    /// Schedules queries of the loggers with missing throws, except those that wait for their next try.
+    async fn request_missing(&self, schedule: &mut Schedule) {
+        match self.querier.intake.store.reader().backlogs(MISSING).await {
+            Ok(machines) => {
+                for machine in machines {
+                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_connected(&machine)) {
+                        schedule.request(&machine);
+                    }
+                }
+            }
+            Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
+        }
+        if let Ok(awaited) = self.querier.intake.store.reader().awaited().await {
+            self.querier.intake.status.edit().backlog = awaited;
+        }
+    }
+
+    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
+    fn is_connected(&self, machine: &MachineId) -> bool {
+        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
+    }
+
+    async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
+        let Some(turn) = schedule.turns.get_mut(machine) else { return };
+        turn.page = page;
+        self.missing.notify_one();
+        let is_connected = self.is_connected(machine);
+        turn.was_away = !is_connected;
+        let pause = match ended {
+            QueryEnd::Complete => return schedule.done(machine),
+            QueryEnd::More => Duration::ZERO,
+            QueryEnd::Without(cursor) if is_connected => {
+                let since = *turn.without_since.get_or_insert_with(Instant::now);
+                if since.elapsed() >= PATIENCE {
+                    match self.querier.intake.store.write_off(machine, &cursor, clock::now()).await {
+                        Ok(()) => return schedule.done(machine),
+                        Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
+                    }
+                }
+                turn.tries = 0;
+                return schedule.rest(machine, PAUSE);
+            }
+            // Queried earlier if its token or one of its throws appears.
+            QueryEnd::Without(_) => LONGEST_PAUSE,
+            QueryEnd::Broken => {
+                let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
+                (turn.without_since, turn.tries) = (None, (turn.tries + 1).min(16));
+                return schedule.rest(machine, pause);
+            }
+        };
+        (turn.without_since, turn.tries) = (None, 0);
+        schedule.rest(machine, pause);
+    }
+}
+
+/// Queries one logger.
+pub(crate) struct Querier {
+    pub(crate) session: Session,
+    pub(crate) intake: Arc<Intake>,
+    pub(crate) limits: Limits,
+    pub(crate) is_client: bool,
+    pub(crate) spooled: Arc<Notify>,
+}
+
+impl Querier {
+    /// Queries a logger page by page, at most [`TURN`] pages. Returns how the turn ended, and the size of the next
+    /// page.
+    async fn query(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
+        let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
+            seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
+            QueryEnd::Broken
+        });
+        (ended, page)
+    }
+
+    async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<QueryEnd, StoreError> {
+        // A client without its router gets an empty page, as from a logger without throws.
+        if self.is_client && !bus::is_connected(&self.session).await {
+            return Ok(QueryEnd::Broken);
+        }
+        let mut cursor = self.intake.store.reader().cursor(machine).await?;
+        let (mut repeated, mut least, start) = (0, 1, Instant::now());
+        for _ in 0..TURN {
+            let limit = page_limit(&cursor, *size).max(least);
+            let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
+            let Some(page) = page else {
+                // Valid throws may follow after messages that are invalid, or that zenoh drops because of their size.
+                if ending == PageEnd::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                    least = (WIDER * limit).min(wire::MAX_PAGE);
+                    continue;
+                }
+                return Ok(match ending {
+                    PageEnd::Broken => {
+                        *size = (*size / 2).max(1);
+                        QueryEnd::Broken
+                    }
+                    PageEnd::Complete if cursor.awaits => QueryEnd::Without(cursor),
+                    PageEnd::Complete => QueryEnd::Complete,
+                });
+            };
+            let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
+            self.intake.status.edit().stored += stored.new;
+            self.intake.status.edit().duplicates += stored.duplicates;
+            self.spooled.notify_one();
+            cursor = stored.cursor;
+            repeated = if stored.new == 0 { repeated + 1 } else { 0 };
+            least = 1;
+            if ending == PageEnd::Broken {
+                *size = (*size / 2).max(1);
+                return Ok(QueryEnd::Broken);
+            }
+            if repeated >= REPEATED_PAGES {
+                return Ok(QueryEnd::Without(cursor));
+            }
+            *size = (*size * 2).min(LARGEST_PAGE);
+            if start.elapsed() >= LONG_TURN {
+                break;
+            }
+        }
+        Ok(QueryEnd::More)
+    }
+
+    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns the end of
+    /// the page, and whether the logger sent no message at all.
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, PageEnd, bool) {
+        let query = BacklogQuery { after: cursor.after.clone(), limit };
+        let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
+        if let Some(error) = &answer.error {
+            seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
+        }
+        let received = answer.messages.len() as u64;
+        self.intake.status.edit().received += received;
+        let mut throws: Vec<_> =
+            self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
+        let read = throws.len();
+        keep_order(&mut throws, cursor.after.as_ref());
+        let ignored = answer.ignored + (read - throws.len()) as u64;
+        self.intake.status.edit().duplicates += (read - throws.len()) as u64;
+        self.intake.status.edit().ignored += ignored;
+        if ignored > 0 {
+            seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
+        }
+        ((!throws.is_empty()).then_some(throws), answer.ending, received == 0)
+    }
+}
+
+/// Number of throws in the next page: at most `size`, at most [`PAGE_BYTES`] of samples, at most the missing throws,
+/// and at least one.
+fn page_limit(cursor: &Cursor, size: usize) -> usize {
+    let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
+    let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
+    let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
+    size.min(fits).min(missing).max(1)
+}
+
+/// Removes throws whose number is not above that of the throw before them in the same boot.
+fn keep_order(throws: &mut Vec<Throw>, after: Option<&ThrowRef>) {
+    let mut last = after.cloned();
+    throws.retain(|throw| {
+        let follows =
+            last.as_ref().is_none_or(|last| last.boot_id != throw.id.boot_id || last.throw_no < throw.id.throw_no);
+        if follows {
+            last = Some(throw.id.clone());
+        }
+        follows
+    });
+}

@@ -1,0 +1,378 @@
+//! Receives, decodes and stores throws. A message that is not a valid throw goes to quarantine with its reason. Storing
+//! is retried until it succeeds or the daemon must end.
+
+pub(super) mod backlog;
+pub(super) mod logger_clocks;
+pub(super) mod presence;
+pub(super) mod schedule;
+
+use std::{
+    collections::{HashMap, HashSet},
+    hash::{DefaultHasher, Hash, Hasher},
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::Arc,
+    time::Duration,
+};
+
+use jiff::Timestamp;
+use parking_lot::Mutex;
+use tokio::{sync::Notify, task, time};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    clock,
+    config::Monitor,
+    supervision::{heartbeat::TaskName, status::Status},
+};
+use crate::{
+    bus::{Inbox, Message},
+    store::{QUARANTINED_BYTES, QuarantinedMessage, Spooled, Store, StoreError, seldom},
+    throw::{MachineId, Throw},
+    wire::{self, Encoding},
+};
+
+/// Largest batch \[messages\]. A large batch needs one disk sync for all its quarantined messages. A small batch keeps
+/// the next one waiting for less than a second.
+const BATCH: usize = 256;
+/// Least time from the start of a batch to the next. The throws of a batch share disk syncs, statements and wake-ups,
+/// which otherwise cost half of the processor time at 400 throws/s. A throw after a pause is stored at once.
+const PACE: Duration = Duration::from_millis(20);
+/// The same after a batch of more than [`FEW`] messages.
+const BUSY_PACE: Duration = Duration::from_millis(50);
+/// Messages in a batch of a fleet with 200 throws/s, within [`PACE`].
+const FEW: usize = 4;
+/// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_millis(50);
+/// Longest pause after a failed write: the delay until freed disk space is used.
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+/// Largest number of remembered hashes of quarantined messages; a larger set is cleared.
+const REFUSED_BEFORE: usize = 10_000;
+
+/// Time after a live throw for which a logger without a liveliness token counts as connected. It is longer than the
+/// wait until missing throws are written off (5 s), and shorter than most cuts of a link.
+const LIVE: Duration = Duration::from_mins(1);
+
+/// A decoded throw with its machine and the time of reception.
+pub(super) type Received = (MachineId, Throw, Timestamp);
+
+/// Decodes live messages and pages of backlogs, and quarantines invalid messages and throws of machines that are not
+/// allowed.
+pub(super) struct Intake {
+    pub(super) store: Store,
+    pub(super) status: Arc<Status>,
+    /// Known machines, at most `max_machines`, with the time of the last live throw since the start.
+    pub(super) machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
+    pub(super) max_machines: usize,
+    pub(super) max_payload_bytes: usize,
+    pub(super) monitor: Monitor,
+    /// Hashes of quarantined messages from backlogs: the same page may be queried again and again.
+    pub(super) refused_before: Mutex<HashSet<u64>>,
+}
+
+impl Intake {
+    /// Decodes messages in order, and quarantines those that are no valid throw. `live` is false for pages of backlogs.
+    pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
+        let (limit, count) = (self.max_payload_bytes, messages.len() as u64);
+        // Decoding a large message takes milliseconds, too long for an async worker.
+        let decoded = task::spawn_blocking(move || {
+            let received_at = clock::now();
+            let decode = |message: &Message| decode(message, received_at, limit);
+            messages.into_iter().map(|message| guarded(message, received_at, decode)).collect::<Vec<_>>()
+        });
+        let decoded = match decoded.await {
+            Ok(decoded) => decoded,
+            Err(error) => {
+                tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
+                self.status.edit().lost += count;
+                return Vec::new();
+            }
+        };
+        let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
+        for outcome in decoded {
+            match outcome.and_then(|received| self.admit(received, live)) {
+                Ok(received) => throws.push(received),
+                Err(why) => refused.push(why),
+            }
+        }
+        if live {
+            for refused in &refused {
+                if let Ok((machine, _)) = wire::parse_key(&refused.key) {
+                    let is_known = self.knows(&machine);
+                    self.status.count_invalid(machine, is_known, &refused.reason);
+                }
+            }
+        } else {
+            let all = refused.len();
+            refused.retain(|refused| self.is_first_refusal(refused));
+            self.status.edit().duplicates += (all - refused.len()) as u64;
+        }
+        self.quarantine(refused).await;
+        throws
+    }
+
+    /// Whether a live throw of a machine was received in the last minute.
+    pub(super) fn is_live(&self, machine: &MachineId) -> bool {
+        self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
+    }
+
+    /// Whether a message from a backlog is quarantined for the first time.
+    fn is_first_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> bool {
+        let mut before = self.refused_before.lock();
+        if before.len() >= REFUSED_BEFORE {
+            before.clear();
+        }
+        let mut hasher = DefaultHasher::new();
+        (key, bytes, beginning).hash(&mut hasher);
+        before.insert(hasher.finish())
+    }
+
+    /// Whether a throw of a machine was ever received.
+    pub(super) fn knows(&self, machine: &MachineId) -> bool {
+        self.machines.lock().contains_key(machine)
+    }
+
+    /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
+    /// quarantine.
+    fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, QuarantinedMessage> {
+        let mut known = self.machines.lock();
+        // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
+        let reason = if let Some(reason) = self.monitor.reserves(&machine) {
+            reason
+        } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
+            self.status.machines_refused.add(1);
+            format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
+        } else {
+            let last = known.entry(machine.clone()).or_default();
+            *last = live.then(time::Instant::now).or(*last);
+            if live {
+                self.status.count_valid(&machine);
+            }
+            return Ok((machine, throw, received_at));
+        };
+        Err(QuarantinedMessage::throw(&machine, &throw, reason, received_at))
+    }
+
+    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) {
+        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return };
+        // One log line for the batch, so that a flood of messages does not flood the log.
+        let count = refused.len() as u64;
+        seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
+        match self.store.quarantine(refused).await {
+            Ok(()) => self.status.edit().quarantined += count,
+            Err(error) => {
+                seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
+                self.status.edit().lost += count;
+            }
+        }
+    }
+}
+
+/// The receiving loop of live throws.
+pub(super) struct ReceiveLoop {
+    pub(super) inbox: Inbox,
+    pub(super) intake: Arc<Intake>,
+    pub(super) spooled: Arc<Notify>,
+    pub(super) missing: Arc<Notify>,
+    /// Cancelled when the daemon must end: unstored messages are then lost, and are logged and counted as lost.
+    pub(super) give_up: CancellationToken,
+    /// Number of received messages that are not decoded yet.
+    pub(super) undecoded: u64,
+    pub(super) unstored: Vec<Received>,
+    /// Whether the last write failed. The log then has one line about it, and not one for each retry.
+    pub(super) storing_fails: bool,
+}
+
+impl ReceiveLoop {
+    /// Runs until `stop`, then stores the rest of the queue. Messages that are not stored at `give_up` are lost.
+    pub(super) async fn run(mut self, stop: CancellationToken) {
+        let give_up = self.give_up.clone();
+        tokio::select! {
+            biased;
+            () = self.receive(stop) => {}
+            () = give_up.cancelled() => self.log_lost().await,
+        }
+    }
+
+    async fn receive(&mut self, stop: CancellationToken) {
+        let mut batch = Vec::with_capacity(BATCH);
+        let mut beat = time::interval(Duration::from_secs(1));
+        let mut open = true;
+        loop {
+            let count = tokio::select! {
+                biased;
+                () = stop.cancelled(), if open => {
+                    self.inbox.close().await;
+                    open = false;
+                    continue;
+                }
+                count = self.inbox.receive(&mut batch, BATCH) => count,
+                _ = beat.tick() => {
+                    self.intake.status.heartbeats.beat(TaskName::Receive);
+                    continue;
+                }
+            };
+            if count == 0 {
+                return;
+            }
+            let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
+            self.undecoded = count as u64;
+            self.unstored = self.intake.read(std::mem::take(&mut batch), true).await;
+            self.undecoded = 0;
+            self.spool().await;
+            self.missing.notify_one();
+            self.intake.status.heartbeats.beat(TaskName::Receive);
+            if open {
+                time::sleep_until(next).await;
+            }
+        }
+    }
+
+    /// Stores the throws of a batch, with retries.
+    async fn spool(&mut self) {
+        let mut pause = FIRST_PAUSE;
+        while !self.unstored.is_empty() {
+            let answers = self.intake.store.spool_all(&self.unstored).await;
+            let mut error = None;
+            for (received, answer) in std::mem::take(&mut self.unstored).into_iter().zip(answers) {
+                match answer {
+                    Ok(spooled) => self.count(spooled),
+                    Err(why) => {
+                        error = Some(why);
+                        self.unstored.push(received);
+                    }
+                }
+            }
+            self.spooled.notify_one();
+            if let Some(error) = error {
+                self.intake.status.heartbeats.beat(TaskName::Receive);
+                if !std::mem::replace(&mut self.storing_fails, true) {
+                    tracing::error!(%error, "storing throws failed; retrying");
+                }
+                self.quarantine_the_unstorable(&error).await;
+            }
+            if self.unstored.is_empty() {
+                // The database has stored or quarantined every throw of the batch.
+                if std::mem::take(&mut self.storing_fails) {
+                    tracing::info!("the database accepts throws again; waiting throws are stored");
+                }
+                return;
+            }
+            time::sleep(pause).await;
+            pause = (2 * pause).min(LONGEST_PAUSE);
+        }
+    }
+
+    fn count(&self, spooled: Spooled) {
+        match spooled {
+            Spooled::New(_) => self.intake.status.edit().stored += 1,
+            Spooled::Duplicate => self.intake.status.edit().duplicates += 1,
+        }
+    }
+
+    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
+    /// upper bound.
+    async fn log_lost(&mut self) {
+        for (machine, throw, _) in &self.unstored {
+            tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
+        }
+        self.intake.status.edit().lost += self.undecoded + self.unstored.len() as u64;
+        self.inbox.close().await;
+        let mut queued = Vec::new();
+        while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
+        self.intake.status.edit().lost += queued.len() as u64;
+        let messages = self.undecoded + queued.len() as u64;
+        if messages > 0 {
+            tracing::error!(messages, "received messages could not be stored: they are LOST");
+        }
+    }
+
+    /// After a refusal by SQLite (constraint, type), stores each throw alone. A throw that SQLite refuses again goes to
+    /// quarantine. After any other error a throw is retried later.
+    async fn quarantine_the_unstorable(&mut self, error: &StoreError) {
+        if !matches!(error, StoreError::Refused(_)) {
+            return;
+        }
+        // A throw stays in `unstored` until it is stored, as `give_up` can end this loop at each `await`.
+        let mut at = 0;
+        while let Some((machine, throw, received_at)) = self.unstored.get(at) {
+            self.intake.status.heartbeats.beat(TaskName::Receive);
+            let is_done = match self.intake.store.spool(machine, throw, *received_at).await {
+                Ok(spooled) => {
+                    self.count(spooled);
+                    true
+                }
+                Err(error @ StoreError::Refused(_)) => {
+                    let reason = format!("the database rejects it: {error}");
+                    let refused = QuarantinedMessage::throw(machine, throw, reason, *received_at);
+                    let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
+                    self.intake.status.edit().quarantined += u64::from(is_kept);
+                    is_kept
+                }
+                Err(_) => false,
+            };
+            if is_done {
+                self.unstored.remove(at);
+            } else {
+                at += 1;
+            }
+        }
+    }
+}
+
+/// Decodes a message. A message that makes the decoder panic goes to quarantine like any invalid message, and the rest
+/// of its batch is kept.
+fn guarded(
+    message: Message,
+    received_at: Timestamp,
+    decode: impl Fn(&Message) -> Result<Received, String>,
+) -> Result<Received, QuarantinedMessage> {
+    let with_id = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(with_id)));
+    let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
+    decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
+        let Message { key, payload: mut beginning, bytes, .. } = message;
+        beginning.truncate(QUARANTINED_BYTES);
+        QuarantinedMessage { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
+    })
+}
+
+fn encoding(message: &Message) -> Encoding {
+    Encoding::of(&message.content_type, &message.payload)
+}
+
+fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Received, String> {
+    let Message { key, payload, bytes, .. } = message;
+    if *bytes > limit {
+        return Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"));
+    }
+    let (machine, _) = wire::parse_key(key).map_err(|error| error.to_string())?;
+    let throw = wire::decode_throw(encoding(message), payload).map_err(|error| error.to_string())?;
+    Ok((machine, throw, received_at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_that_makes_the_decoder_panic_costs_no_other() {
+        let message = |key: &str| Message {
+            key: key.to_owned(),
+            content_type: String::new(),
+            payload: vec![7; 2 * QUARANTINED_BYTES],
+            bytes: 2 * QUARANTINED_BYTES,
+        };
+        let decoded = ["good", "poison", "good"].map(|key| {
+            guarded(message(key), Timestamp::UNIX_EPOCH, |message| {
+                assert!(message.key != "poison", "a defect of the decoder");
+                Err("read".to_owned())
+            })
+        });
+        let reasons = decoded.map(|refused| refused.unwrap_err().reason);
+        assert!(
+            reasons[1].contains("the decoder failed") && [0, 2].iter().all(|at| reasons[*at] == "read"),
+            "{reasons:?}"
+        );
+    }
+}

@@ -1,0 +1,8 @@
+//! Supervision: the tasks and their heartbeats, the watchdog of systemd, the lock of the database, and the status.
+
+pub(super) mod heartbeat;
+pub(super) mod lock;
+pub(super) mod peers;
+pub(super) mod status;
+pub(super) mod tasks;
+pub(super) mod watchdog;

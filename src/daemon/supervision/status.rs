@@ -1,0 +1,324 @@
+//! The status of the daemon: counters and states, as JSON and as a line of text.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::{Arc, atomic::Ordering::Relaxed},
+};
+
+use parking_lot::{Mutex, MutexGuard};
+use serde::{Deserialize, Serialize};
+
+use super::heartbeat::Heartbeats;
+use crate::{
+    bus::{InboxCounters, OutletCounters},
+    diagnose::{MachineState, Severity},
+    store::{DiskLevel, RecentCount, Store, Window, seldom},
+    throw::{MachineId, counted},
+};
+
+/// Number of consecutive invalid messages of a machine that raises an alarm; a few may be accidents.
+const INVALID_IN_A_ROW: u32 = 5;
+/// Largest number of unknown machines whose invalid messages are counted.
+const UNKNOWN: usize = 64;
+
+/// Counters and states that all loops share.
+#[derive(Debug, Default)]
+pub(crate) struct Status {
+    pub heartbeats: Heartbeats,
+    /// The fields of the report that the loops write; [`StatusSources::report`] adds the others. Here `received` counts
+    /// only the messages from backlogs. `fleet_counts` is renewed every few seconds and after every command.
+    report: Mutex<StatusReport>,
+    /// Number of rejected throws by the code of the reason.
+    rejected: Mutex<BTreeMap<String, u64>>,
+    /// Number of invalid messages of a machine since its last valid throw, and the last reason.
+    invalid: Mutex<HashMap<MachineId, (u32, String)>>,
+    pub(crate) machines_refused: RecentCount,
+    pub(crate) alarm_events_lost: RecentCount,
+}
+
+/// Number of machines in each state, and of shelved alarms.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct FleetCounts {
+    /// Number of machines in each state; states without machines are left out.
+    pub machines: BTreeMap<MachineState, u64>,
+    /// Number of shelved alarms.
+    pub shelved_alarms: u64,
+    /// Number of open alarms about the daemon itself: disk, database, refused data.
+    #[serde(default)]
+    pub own_alarms: u64,
+}
+
+impl FleetCounts {
+    /// Number of machines in a state.
+    pub fn count(&self, state: MachineState) -> u64 {
+        self.machines.get(&state).copied().unwrap_or(0)
+    }
+
+    /// Whether every machine is healthy or learning, no alarm is shelved, and no alarm about the daemon itself is open.
+    pub fn is_well(&self) -> bool {
+        self.machines.keys().all(|state| state.is_well()) && self.shelved_alarms + self.own_alarms == 0
+    }
+}
+
+/// The status, as in `pointsd status --json`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct StatusReport {
+    /// Program version.
+    pub version: String,
+    /// Time since the start \[s\].
+    pub uptime_s: u64,
+    /// The database file.
+    pub database: String,
+    /// State of the disk of the database.
+    pub disk: DiskLevel,
+    /// Whether the database is being copied to a new file, because another program keeps reading an old state of it.
+    /// Writes wait meanwhile.
+    #[serde(default)]
+    pub copying: bool,
+    /// Size of the write-ahead log \[bytes\].
+    pub wal_bytes: u64,
+    /// Whether the zenoh session has a link to another session.
+    pub connected: bool,
+    /// Number of loggers that have a liveliness token now.
+    pub loggers: usize,
+    /// Machines whose loggers are connected and have sent no throw yet; at most 20.
+    #[serde(default)]
+    pub without_throw: Vec<String>,
+    /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
+    #[serde(default)]
+    pub refused: Vec<String>,
+    /// Number of loggers, of the last 32, that date their throws a day or more after this computer; 0 if they are not
+    /// the majority.
+    #[serde(default)]
+    pub loggers_ahead: usize,
+    /// Number of loggers, of the last 32, that date their throws a day or more before this computer, all by the same
+    /// time; 0 if they are not the majority.
+    #[serde(default)]
+    pub loggers_behind: usize,
+    /// Messages received.
+    pub received: u64,
+    /// Messages dropped because the queue of received messages was full.
+    pub dropped: u64,
+    /// Replies of loggers that do not match the query for a backlog.
+    #[serde(default)]
+    pub ignored: u64,
+    /// Missing throws that may be in the backlogs of their loggers.
+    #[serde(default, alias = "behind")]
+    pub backlog: u64,
+    /// Throws stored.
+    pub stored: u64,
+    /// Repeated messages: throws that are stored already, and messages from backlogs that are in quarantine already.
+    pub duplicates: u64,
+    /// Messages in quarantine since the start.
+    pub quarantined: u64,
+    /// Received messages that could not be stored, since the start.
+    pub lost: u64,
+    /// Throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
+    #[serde(default)]
+    pub machines_refused: u64,
+    /// Throws identified and diagnosed.
+    pub judged: u64,
+    /// Judged throws that were rejected, so that no estimate of them was evaluated.
+    pub not_evaluated: u64,
+    /// Alarm events since the start.
+    pub alarm_events: u64,
+    /// Alarm events that the database rejected, since the start.
+    #[serde(default)]
+    pub alarm_events_lost: u64,
+    /// Published messages.
+    pub published: u64,
+    /// Health messages dropped because the publishing queue was full.
+    pub unpublished: u64,
+    /// Whether the webhook did not accept the last message.
+    #[serde(default)]
+    pub webhook_fails: bool,
+    /// Alarm events that the webhook refused.
+    #[serde(default)]
+    pub webhook_refused: u64,
+    /// Names of the loops without a fresh heartbeat.
+    pub silent: Vec<String>,
+    /// States of the machines: `machines` and `shelved_alarms` in JSON.
+    #[serde(flatten)]
+    pub fleet_counts: FleetCounts,
+    /// Open maintenance windows and shelvings; only in the reply to a `status` query.
+    #[serde(default)]
+    pub windows: Vec<Window>,
+}
+
+impl Status {
+    /// The report, for changes by a loop. It is locked until the returned guard is dropped.
+    pub(crate) fn edit(&self) -> MutexGuard<'_, StatusReport> {
+        self.report.lock()
+    }
+
+    /// Counts a rejected throw under the code of its reason.
+    pub(crate) fn count_rejected(&self, reason: &str) {
+        self.edit().not_evaluated += 1;
+        *self.rejected.lock().entry(reason.to_owned()).or_default() += 1;
+    }
+
+    /// Counts a message of a machine that is no valid throw. At most [`UNKNOWN`] unknown machines are counted, as any
+    /// sender can invent names.
+    pub(crate) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str) {
+        let mut invalid = self.invalid.lock();
+        if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {
+            return;
+        }
+        let (count, last) = invalid.entry(machine).or_default();
+        *count = count.saturating_add(1);
+        reason.clone_into(last);
+    }
+
+    /// Resets the count of invalid messages of a machine, after a valid throw.
+    pub(crate) fn count_valid(&self, machine: &MachineId) {
+        self.invalid.lock().remove(machine);
+    }
+
+    /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
+    /// they were taken last, with the number of messages and the last reason.
+    pub(crate) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
+        let mut invalid = self.invalid.lock();
+        invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
+    }
+
+    /// Sentences about refused machines and lost alarm events, for the alarm about the daemon itself.
+    pub(crate) fn trouble(&self, max_machines: usize) -> Vec<(Severity, String)> {
+        let refused = self.machines_refused.shown().map(|refused| {
+            format!(
+                "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
+                 {max_machines}. Look in the quarantine who sends them"
+            )
+        });
+        // Without a number: each new number would be a new alarm event, which the database may reject too.
+        let lost = self.alarm_events_lost.shown().map(|_| {
+            "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
+                .to_owned()
+        });
+        refused.into_iter().chain(lost).map(|sentence| (Severity::Critical, sentence)).collect()
+    }
+
+    /// Number of rejected throws by the code of the reason.
+    pub(crate) fn rejected(&self) -> BTreeMap<String, u64> {
+        self.rejected.lock().clone()
+    }
+}
+
+/// The sources of a status report.
+#[derive(Clone)]
+pub(crate) struct StatusSources {
+    pub(crate) status: Arc<Status>,
+    pub(crate) inbox: Arc<InboxCounters>,
+    pub(crate) outlet: Arc<OutletCounters>,
+    pub(crate) store: Store,
+}
+
+impl StatusSources {
+    pub(crate) fn report(&self) -> StatusReport {
+        let status = &self.status;
+        let copying = self.store.is_copying();
+        let report = status.edit().clone();
+        StatusReport {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            uptime_s: status.heartbeats.uptime().as_secs(),
+            database: self.store.path().display().to_string(),
+            disk: self.store.disk_level(),
+            copying,
+            wal_bytes: self.store.wal_bytes(),
+            received: self.inbox.received.load(Relaxed) + report.received,
+            dropped: self.inbox.dropped.load(Relaxed),
+            machines_refused: status.machines_refused.count(),
+            alarm_events_lost: status.alarm_events_lost.count(),
+            published: self.outlet.published.load(Relaxed),
+            unpublished: self.outlet.dropped.load(Relaxed),
+            silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
+            ..report
+        }
+    }
+
+    /// The report with the open windows: the reply to a query.
+    pub(crate) async fn answer(&self) -> StatusReport {
+        let mut report = self.report();
+        match self.store.reader().windows(None).await {
+            Ok(windows) => report.windows = windows,
+            // The rest of the status is most important when the database does not answer.
+            Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
+        }
+        report
+    }
+}
+
+impl StatusReport {
+    /// Problems of the daemon itself: disk, loops, clock, webhook, lost or refused messages. The dashboard shows the
+    /// same sentences.
+    pub fn problems(&self) -> Vec<String> {
+        let mut problems = Vec::new();
+        let mut add = |is_so: bool, problem: &str| problems.extend(is_so.then(|| problem.to_owned()));
+        add(self.disk == DiskLevel::Low, "DISK LOW: old traces are dropped, free some space");
+        add(self.disk == DiskLevel::Full, "DISK FULL: nothing can be stored, free some space");
+        add(self.disk == DiskLevel::Failing, "DATABASE FAILING: writes do not succeed");
+        add(self.copying, "COPYING THE DATABASE: a program keeps reading an old state, and writes wait");
+        add(!self.silent.is_empty(), &format!("HANGING: {}", self.silent.join(", ")));
+        add(self.loggers_ahead > 0, "CLOCK BEHIND: most loggers date their throws a day or more after this computer");
+        add(
+            self.loggers_behind > 0,
+            "CLOCK AHEAD: most loggers date their throws a day or more before this computer, all by the same time",
+        );
+        add(!self.refused.is_empty(), &format!("EVERY MESSAGE REFUSED: {}", self.refused.join("; ")));
+        add(self.webhook_fails, "WEBHOOK FAILS: alarms wait for its receiver");
+        let refused = counted(self.webhook_refused, "alarm event");
+        add(self.webhook_refused > 0, &format!("WEBHOOK REFUSED {refused}: not sent again, look in the log"));
+        let rejected = counted(self.alarm_events_lost, "alarm event");
+        add(self.alarm_events_lost > 0, &format!("{rejected} LOST: the database rejects them, look in the log"));
+        let lost = self.dropped + self.lost;
+        add(lost > 0, &format!("{} LOST: received and not stored", counted(lost, "message")));
+        problems
+    }
+
+    /// The status as one line of text, problems first.
+    pub fn line(&self) -> String {
+        self.parts().join("; ")
+    }
+
+    /// The parts of [`Self::line`]: each problem, then the counts.
+    pub fn parts(&self) -> Vec<String> {
+        let mut parts = self.problems();
+        if !self.connected {
+            parts.push("not connected".to_owned());
+        }
+        let states: Vec<String> =
+            [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
+                .into_iter()
+                .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
+                .filter(|(count, _)| *count > 0)
+                .map(|(count, state)| format!("{count} {state}"))
+                .collect();
+        if !states.is_empty() {
+            parts.push(format!("machines: {}", states.join(", ")));
+        }
+        if self.fleet_counts.own_alarms > 0 {
+            parts.push(format!(
+                "{} OF THE DAEMON ITSELF",
+                counted(self.fleet_counts.own_alarms, "alarm").to_uppercase()
+            ));
+        }
+        if self.fleet_counts.shelved_alarms > 0 {
+            parts.push(format!("{} shelved", counted(self.fleet_counts.shelved_alarms, "alarm")));
+        }
+        if !self.without_throw.is_empty() {
+            parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));
+        }
+        if self.backlog > 0 {
+            let are = if self.backlog == 1 { "is" } else { "are" };
+            parts.push(format!("{} {are} still in the backlogs of loggers", counted(self.backlog, "throw")));
+        }
+        parts.push(format!(
+            "{}, {} stored, {} judged ({} not evaluated), {} in quarantine",
+            counted(self.loggers as u64, "logger"),
+            counted(self.stored, "throw"),
+            self.judged,
+            self.not_evaluated,
+            self.quarantined
+        ));
+        parts
+    }
+}

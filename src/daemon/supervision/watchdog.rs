@@ -1,0 +1,94 @@
+//! Notifications to systemd: the watchdog, fed only while all heartbeats are fresh, and the status line.
+
+use std::time::Duration;
+
+use sd_notify::NotifyState;
+use tokio::time;
+
+use super::{heartbeat::TaskName, status::StatusSources};
+use crate::store::{DiskLevel, StoreError};
+
+/// Longest time between two checks of the heartbeats; a third of the watchdog limit of systemd, if that is shorter.
+/// Also the time between two probes of the writer.
+const CHECK_EVERY: Duration = Duration::from_secs(5);
+/// Time between two routine status lines in the log.
+const STATUS_EVERY: Duration = Duration::from_mins(10);
+
+/// Time between two extensions of the start timeout of systemd.
+const EXTEND_EVERY: Duration = Duration::from_secs(10);
+/// Time of each extension \[µs\].
+const EXTEND_BY_USEC: u32 = 60_000_000;
+/// Largest number of extensions, one hour in total. A longer start counts as hanging: systemd then ends the daemon, and
+/// a restart may help.
+const EXTENSIONS: u32 = 360;
+
+/// Sends states to systemd.
+pub(crate) fn notify(states: &[NotifyState<'_>]) {
+    // Without systemd this fails or does nothing.
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::debug!(%error, "notifying systemd failed");
+    }
+}
+
+/// Extends the start timeout of systemd during work that may take minutes: a check of a large database, a migration.
+pub(crate) async fn with_start_extension<T>(what: &str, work: impl Future<Output = T>) -> T {
+    let ask = async {
+        let mut pace = time::interval(EXTEND_EVERY);
+        for _ in 0..EXTENSIONS {
+            pace.tick().await;
+            notify(&[NotifyState::ExtendTimeoutUsec(EXTEND_BY_USEC), NotifyState::Status(what)]);
+        }
+        std::future::pending().await
+    };
+    tokio::select! {
+        done = work => done,
+        never = ask => never,
+    }
+}
+
+/// Feeds the watchdog while all heartbeats are fresh, updates the status line, and probes the writer of the database.
+pub(crate) async fn watch(sources: StatusSources) {
+    let period = sd_notify::watchdog_enabled()
+        .map_or(CHECK_EVERY, |limit| (limit / 3).min(CHECK_EVERY))
+        .max(Duration::from_millis(100));
+    let mut check = time::interval(period);
+    let mut routine = time::interval(STATUS_EVERY);
+    routine.tick().await;
+    let mut trouble = String::new();
+    let mut probe = std::pin::pin!(probe_writer(sources.clone()));
+    loop {
+        tokio::select! {
+            _ = check.tick() => {}
+            _ = routine.tick() => tracing::info!("{}", sources.report().line()),
+            () = &mut probe => return,
+        }
+        let report = sources.report();
+        let line = report.line();
+        if report.silent.is_empty() {
+            notify(&[NotifyState::Watchdog, NotifyState::Status(&line)]);
+        } else {
+            notify(&[NotifyState::Status(&line)]);
+        }
+        let now = format!("{:?} {:?}", report.disk, report.silent);
+        if now != trouble {
+            if report.disk != DiskLevel::Ample || !report.silent.is_empty() {
+                tracing::error!("{line}");
+            } else if !trouble.is_empty() {
+                tracing::info!("{line}");
+            }
+            trouble = now;
+        }
+    }
+}
+
+/// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
+async fn probe_writer(sources: StatusSources) {
+    let mut pace = time::interval(CHECK_EVERY);
+    loop {
+        pace.tick().await;
+        if matches!(sources.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
+            return;
+        }
+        sources.status.heartbeats.beat(TaskName::Write);
+    }
+}

@@ -1,0 +1,81 @@
+//! Result of a rule over the last throws, and its alarm.
+
+use super::{Alarms, rule::Rule, step::Step};
+use crate::diagnose::{
+    event::{AlarmEvent, Cause, SensorChannel},
+    text,
+};
+
+/// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
+const OVER_BELOW: f64 = 0.5;
+
+/// Counts the consecutive throws in which a fault has ended; `size` is the measured quantity as part of its limit. If
+/// it is `None`, the count stays.
+pub(crate) fn count_over(over: &mut u32, size: Option<f64>) {
+    *over = match size {
+        Some(size) if size < OVER_BELOW => over.saturating_add(1),
+        Some(_) => 0,
+        None => *over,
+    };
+}
+
+/// Result of a rule over the last throws.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Found {
+    /// A fault.
+    Fault(Box<AlarmEvent>),
+    /// A fault that is much larger than at its last report.
+    Larger(Box<AlarmEvent>),
+    /// No fault, for long enough to end an alarm.
+    Nothing,
+    /// The last throws show neither a fault nor its end.
+    Unclear,
+}
+
+impl Found {
+    /// Raises, escalates or ends the alarm of `rule`. A fault that an active alarm explains raises no alarm.
+    pub(crate) fn apply(self, rule: Rule, step: &mut Step) {
+        let Step { alarms, name, .. } = step;
+        match (alarms.owned_by(rule), self) {
+            (Some(cause), Self::Nothing) => {
+                let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
+                let text =
+                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
+                step.clear(cause, text);
+            }
+            (Some(cause), Self::Fault(event) | Self::Larger(event))
+                if alarms.severity(cause).is_some_and(|severity| event.severity > severity) =>
+            {
+                alarms.escalate(rule, AlarmEvent { cause, ..*event });
+            }
+            (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
+            (None, Self::Fault(event) | Self::Larger(event))
+                if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
+            {
+                alarms.raise(rule, *event);
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Ends the alarm of a rule that cannot name the faulty part, if another active alarm names the part or the sensor.
+pub(crate) fn withdraw_explained(step: &mut Step) {
+    let alarms = &step.alarms;
+    let part = alarms.active().find(|event| explains(event, alarms)).map(|event| event.cause);
+    let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule));
+    if let (Some(part), Some(unnamed)) = (part, unnamed) {
+        step.clear(unnamed, text::explained(step.name, part));
+    }
+}
+
+/// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed
+/// supply does not count: the features are compared without the change that it explains. Nor does an offset of a
+/// sensor, which does not change them.
+fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
+    use SensorChannel::{Clock, Current, Position};
+    Cause::PHYSICAL.contains(&event.cause)
+        || event.cause == Cause::Sensor
+            && matches!(event.channel, Some(Current | Position | Clock))
+            && alarms.rule(Cause::Sensor) != Some(Rule::Offset)
+}

@@ -1,0 +1,408 @@
+//! The life cycle of alarms, after ISA-18.2 / IEC 62682 and OPC UA Part 9.
+//!
+//! A machine has one alarm per cause. An occurrence of the alarm lasts from its raise until its state is `normal`. If
+//! the alarm is raised again while it is `cleared_unacknowledged`, the same occurrence continues. The time `raised_at`
+//! identifies an occurrence; it is unique for machine and cause, also if the clock is set back.
+
+pub(super) mod command;
+pub(super) mod found;
+pub(super) mod rule;
+pub(super) mod step;
+
+use std::mem;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use self::{command::CommandError, rule::Rule};
+use super::{
+    event::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity},
+    text,
+};
+
+/// The operator whose command causes an event, and the reason given; both `None` if the monitor causes it.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Actor<'a> {
+    pub(super) by: Option<&'a str>,
+    pub(super) why: Option<&'a str>,
+}
+
+/// State of an occurrence, from its condition and the operators' commands.
+///
+/// ```text
+///            raise             acknowledge
+///   Normal --------> Active --------------> Active
+///     ^  ^        (not seen) <------------  (acknowledged)
+///     |  |           |   ^    gets critical    |
+///     |  |     clear |   | raise               | clear
+///     |  |           v   |                     |
+///     |  '-------- Cleared                     |
+///     | acknowledge                            |
+///     '----------------------------------------'
+///
+///   shelve: any state -> Shelved, until the given time, `unshelve` or rebaseline. The shelved state is kept beneath,
+///   and events during the shelving change it. Maintenance changes no state; its events show `out_of_service`.
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum State {
+    /// The condition exists.
+    Active {
+        /// `None` until an operator acknowledges the alarm, and again after an escalation.
+        acknowledged: Option<Acknowledgement>,
+    },
+    /// The condition ended before an acknowledgement.
+    Cleared,
+    /// Acknowledged and cleared: the occurrence is over.
+    Normal,
+    /// Silenced by an operator.
+    Shelved {
+        /// End of the shelving.
+        until: Timestamp,
+        /// The operator who shelved it.
+        by: String,
+        /// The operator's reason.
+        why: String,
+        /// The state without the shelving: one of the other three.
+        beneath: Box<State>,
+    },
+}
+
+/// Operator and time of an acknowledgement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Acknowledgement {
+    pub(super) by: String,
+    pub(super) at: Timestamp,
+}
+
+impl State {
+    /// The state without shelving.
+    fn beneath(&self) -> &Self {
+        if let Self::Shelved { beneath, .. } = self { beneath } else { self }
+    }
+
+    fn beneath_mut(&mut self) -> &mut Self {
+        if let Self::Shelved { beneath, .. } = self { beneath } else { self }
+    }
+
+    fn is_active(&self) -> bool {
+        matches!(self.beneath(), Self::Active { .. })
+    }
+
+    fn word(&self) -> AlarmState {
+        match self {
+            Self::Active { acknowledged: None } => AlarmState::ActiveUnacknowledged,
+            Self::Active { acknowledged: Some(_) } => AlarmState::ActiveAcknowledged,
+            Self::Cleared => AlarmState::ClearedUnacknowledged,
+            Self::Normal => AlarmState::Normal,
+            Self::Shelved { .. } => AlarmState::Shelved,
+        }
+    }
+}
+
+/// An occurrence of an alarm, from the raise until it is normal again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Alarm {
+    pub(super) state: State,
+    /// The rule that owns the alarm: only this rule may clear it.
+    #[serde(default, skip_serializing_if = "is_usual")]
+    pub(super) rule: Rule,
+    /// Latest event, with cause, severity and identity.
+    pub(super) last: AlarmEvent,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
+fn is_usual(rule: &Rule) -> bool {
+    *rule == Rule::Usual
+}
+
+/// The open alarms of one machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Alarms {
+    pub(super) open: Vec<Alarm>,
+    /// Latest `raised_at` so far.
+    pub(super) latest: Option<Timestamp>,
+    /// Number of occurrences so far, of all causes.
+    pub(super) occurrences: u64,
+    pub(super) out_of_service: bool,
+    /// The events since the last [`Self::take_events`].
+    #[serde(skip)]
+    pub(super) new: Vec<AlarmEvent>,
+}
+
+impl Alarms {
+    /// Removes and returns the new events, in order. A monitor calls this at the end of every step, so that no snapshot
+    /// contains new events.
+    pub(super) fn take_events(&mut self) -> Vec<AlarmEvent> {
+        mem::take(&mut self.new)
+    }
+
+    fn find(&self, cause: Cause) -> Option<usize> {
+        self.open.iter().position(|alarm| alarm.last.cause == cause)
+    }
+
+    /// Adds an event with the present state of the alarm at `index`, during maintenance with the state `OutOfService`;
+    /// removes the alarm if the event has the state `Normal`.
+    fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) {
+        let alarm = &mut self.open[index];
+        let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
+        alarm.last.event_no += 1;
+        alarm.last.event_at = at;
+        alarm.last.state = state;
+        alarm.last.by = actor.by.map(str::to_owned);
+        alarm.last.why = actor.why.map(str::to_owned);
+        alarm.last.acknowledged_by = match alarm.state.beneath() {
+            State::Active { acknowledged: Some(acknowledged) } => Some(acknowledged.by.clone()),
+            _ => None,
+        };
+        if let Some(text) = text {
+            // An operator's command may only append a sentence to the text of an earlier event, which keeps its time.
+            if actor.by.is_none() || !text.starts_with(&alarm.last.text) {
+                alarm.last.text_at = Some(at);
+            }
+            alarm.last.text = text;
+        }
+        self.new.push(if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() });
+    }
+
+    /// A unique `raised_at`: `at`, if it is later than all before it. After the clock was set back, it is the
+    /// millisecond of `at`, with the number of occurrences (modulo 1000) as microseconds.
+    fn unique(&mut self, at: Timestamp) -> Timestamp {
+        self.occurrences += 1;
+        let unique = if self.latest.is_none_or(|latest| at > latest) {
+            at
+        } else {
+            let count = i64::try_from(self.occurrences % 1000).unwrap_or_default();
+            Timestamp::from_microsecond(at.as_millisecond() * 1000 + count).unwrap_or(at)
+        };
+        self.latest = self.latest.max(Some(unique));
+        unique
+    }
+
+    /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
+    /// not change, with one exception: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
+    /// part. Returns whether the alarm changed.
+    pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let cause = event.cause;
+        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
+        if self.is_active(cause) && !takes_over {
+            return false;
+        }
+        let index = self.find(cause).unwrap_or_else(|| {
+            let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
+            self.open.push(Alarm { state: State::Cleared, rule, last });
+            self.open.len() - 1
+        });
+        self.activate(Some(index), rule, event)
+    }
+
+    /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
+    /// another rule, it changes to the new fault if that `is_new`. So one alarm does not hide another fault.
+    pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
+        let cause = event.cause;
+        let owner = self.rule(cause);
+        let other = self.find_active(cause).is_some_and(|active| active.channel != event.channel)
+            || cause == Cause::Supply && owner.is_some_and(|owner| owner != rule)
+            || owner == Some(Rule::Offset);
+        let index = self.find(cause).filter(|_| other && is_new);
+        if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
+    }
+
+    /// The sensor that the active sensor alarm names.
+    pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
+        self.find_active(Cause::Sensor)?.channel
+    }
+
+    /// Escalates an active alarm to the severity of `event`, if that is higher; the alarm needs a new acknowledgement
+    /// then. Returns whether it escalated.
+    pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
+        self.activate(self.find(event.cause).filter(|_| worse), rule, event)
+    }
+
+    /// Replaces evidence and severity of an active alarm whose drift changed its sign; the alarm needs a new
+    /// acknowledgement.
+    pub(super) fn change_sign(&mut self, event: AlarmEvent) {
+        self.activate(self.find(event.cause).filter(|_| self.is_active(event.cause)), Rule::Usual, event);
+    }
+
+    /// Raises an alarm that is not active, and escalates one that is.
+    pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
+        if self.is_active(event.cause) { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
+    }
+
+    /// Replaces the evidence of an active alarm, and keeps its state.
+    pub(super) fn update(&mut self, event: AlarmEvent) {
+        if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
+            self.renew(index, Rule::Usual, event);
+        }
+    }
+
+    fn activate(&mut self, index: Option<usize>, rule: Rule, event: AlarmEvent) -> bool {
+        if let Some(index) = index {
+            *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+            self.renew(index, rule, event);
+        }
+        index.is_some()
+    }
+
+    fn renew(&mut self, index: usize, rule: Rule, event: AlarmEvent) {
+        let alarm = &mut self.open[index];
+        let at = event.event_at;
+        let AlarmEvent { raised_at, event_no, .. } = alarm.last;
+        alarm.rule = rule;
+        alarm.last = AlarmEvent { raised_at, event_no, text_at: Some(at), ..event };
+        self.event(index, at, Actor::default(), None);
+    }
+
+    /// Takes over an open alarm of a monitor whose snapshot was lost. The alarm becomes a cleared one; it ends at once
+    /// if its cause has an open alarm already.
+    pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
+        let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
+        self.open.push(Alarm { state, rule: Rule::Usual, last });
+        self.event(self.open.len() - 1, at, Actor::default(), Some(text));
+    }
+
+    /// Adds an event with a text to an open alarm, without a change of its state.
+    pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) {
+        if let Some(index) = self.find(cause) {
+            self.event(index, at, Actor::default(), Some(text));
+        }
+    }
+
+    /// Clears the alarm of `cause`, if it is active.
+    pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) {
+        let Some(index) = self.find(cause) else { return };
+        let alarm = &mut self.open[index];
+        let State::Active { acknowledged } = alarm.state.beneath() else { return };
+        let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
+        *alarm.state.beneath_mut() = cleared;
+        alarm.last.limit_in_throws = None;
+        // The throw may have been made before the raise, and received after it.
+        let at = at.max(alarm.last.raised_at);
+        self.event(index, at, Actor::default(), Some(text));
+    }
+
+    /// Acknowledges an alarm; a cleared alarm ends with this.
+    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let state = self.open[index].state.beneath_mut();
+        *state = match state {
+            State::Active { acknowledged: Some(before) } => {
+                return Err(CommandError::AlreadyAcknowledged { cause, by: before.by.clone() });
+            }
+            State::Active { acknowledged: None } => {
+                State::Active { acknowledged: Some(Acknowledgement { by: by.to_owned(), at }) }
+            }
+            _ => State::Normal,
+        };
+        self.event(index, at, Actor { by: Some(by), why: None }, None);
+        Ok(())
+    }
+
+    /// Shelves an alarm until a time; a second shelving replaces the time.
+    pub(super) fn shelve(
+        &mut self,
+        cause: Cause,
+        until: Timestamp,
+        actor: Actor,
+        at: Timestamp,
+    ) -> Result<(), CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let state = &mut self.open[index].state;
+        let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
+        *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
+        self.event(index, at, actor, None);
+        Ok(())
+    }
+
+    /// Ends the shelving.
+    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<(), CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let state = &mut self.open[index].state;
+        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved { cause }) };
+        *state = (**beneath).clone();
+        self.event(index, at, actor, None);
+        Ok(())
+    }
+
+    /// Ends the shelvings that are due.
+    pub(super) fn unshelve_due(&mut self, now: Timestamp) {
+        let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
+        let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
+        for cause in due {
+            let _ = self.unshelve(cause, Actor::default(), now);
+        }
+    }
+
+    /// Takes the machine out of service or back into it, and adds an event to every open alarm.
+    pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) {
+        self.out_of_service = out;
+        let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
+        for cause in open {
+            let Some(index) = self.find(cause) else { continue };
+            let Alarm { state, last, .. } = &self.open[index];
+            let is_unchecked = !out && state.is_active();
+            let text = is_unchecked.then(|| text::before_maintenance(&last.text));
+            self.event(index, at, actor, text);
+        }
+    }
+
+    /// Ends an alarm of any state, as acknowledged by `actor`.
+    pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) {
+        if let Some(index) = self.find(cause) {
+            self.open[index].state = State::Normal;
+            self.event(index, at, actor, Some(text));
+        }
+    }
+
+    pub(super) fn is_active(&self, cause: Cause) -> bool {
+        self.find_active(cause).is_some()
+    }
+
+    /// The rule that owns the active alarm of `cause`.
+    pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
+        self.active_alarms().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
+    }
+
+    /// The cause of the active alarm that `rule` owns.
+    pub(super) fn owned_by(&self, rule: Rule) -> Option<Cause> {
+        self.active_alarms().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
+    }
+
+    /// Sets the owner of the alarm of `cause`, which snapshots of earlier versions store elsewhere.
+    pub(super) fn set_rule(&mut self, cause: Cause, rule: Rule) {
+        if let Some(index) = self.find(cause) {
+            self.open[index].rule = rule;
+        }
+    }
+
+    fn find_active(&self, cause: Cause) -> Option<&AlarmEvent> {
+        self.active().find(|event| event.cause == cause)
+    }
+
+    /// Severity of an active alarm.
+    pub(super) fn severity(&self, cause: Cause) -> Option<Severity> {
+        self.find_active(cause).map(|event| event.severity)
+    }
+
+    fn active_alarms(&self) -> impl Iterator<Item = &Alarm> {
+        self.open.iter().filter(|alarm| alarm.state.is_active())
+    }
+
+    /// The latest events of the active alarms, oldest first.
+    pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
+        self.active_alarms().map(|alarm| &alarm.last)
+    }
+
+    /// The active alarms about a drift of the coefficients, oldest first.
+    pub(super) fn drifts(&self) -> impl Iterator<Item = &AlarmEvent> {
+        let is_of_coefficients = |alarm: &&Alarm| alarm.last.cause.is_drift() && !alarm.rule.knows_no_part();
+        self.active_alarms().filter(is_of_coefficients).map(|alarm| &alarm.last)
+    }
+
+    /// The latest event of every open alarm, oldest first.
+    pub(super) fn events(&self) -> impl Iterator<Item = &AlarmEvent> {
+        self.open.iter().map(|alarm| &alarm.last)
+    }
+}

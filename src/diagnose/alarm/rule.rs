@@ -1,0 +1,34 @@
+//! The rule that owns an alarm. Several rules raise the same alarm; only its owner ends it.
+
+use serde::{Deserialize, Serialize};
+
+/// The rule that owns an active alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Rule {
+    /// The usual rule of the cause. For a drift: the rule of the means of coefficients over windows of throws.
+    #[default]
+    Usual,
+    /// Changed features of throws without coefficients.
+    Features,
+    /// A changed acceleration at the start of the movement.
+    Start,
+    /// Departures of single throws.
+    Intermittent,
+    /// Dates of throws that a correct clock cannot give.
+    Dates,
+    /// Gauges that show a faulty sensor.
+    Gauges,
+    /// An offset of a sensor.
+    #[serde(rename = "rest")]
+    Offset,
+    /// A changed resistance of the motor and its line to the supply.
+    Circuit,
+}
+
+impl Rule {
+    /// Whether the rule cannot name the faulty part: its alarm ends when another rule names one.
+    pub(crate) const fn knows_no_part(self) -> bool {
+        matches!(self, Self::Features | Self::Start)
+    }
+}

@@ -1,0 +1,441 @@
+//! The drift alarms of a machine: their events, and the present drifts.
+
+use std::ops::Range;
+
+use jiff::Timestamp;
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Drift,
+    cause::{Attribution, Known, Naming, explained},
+    condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
+    course::{Course, LimitForecast},
+    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
+    history::History,
+    intermittent::Intermittent,
+    latest_throw::LatestThrow,
+    origin::Origin,
+    window::Window,
+};
+use crate::{
+    diagnose::{
+        alarm::{Alarms, found::Found, rule::Rule, step::Step},
+        event::{AlarmEvent, Cause, RunnerUp, Severity},
+        gauges::Gauges,
+        settings::Settings,
+        text,
+        track::Suspicion,
+        verdict::Drifting,
+    },
+    throw::{Direction, ThrowRef},
+};
+
+/// The causes that come from a drift, in the order of [`DriftAlarms::conditions`].
+pub(crate) const DRIFTS: [Cause; 5] =
+    [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
+/// Part of the limit of T from which a drift is suspected. Its throws are evidence, and are not added to a baseline.
+const SUSPECTED_FROM: f64 = 0.5;
+/// Factor on [`SUSPECTED_FROM`] and [`FORGOTTEN_BELOW`] while a baseline fills: its few throws make the limit high, and
+/// a fault must not be learned.
+const SUSPECTED_EARLIER: f64 = 0.8;
+/// Part of the limit of T below which a suspicion ends.
+const FORGOTTEN_BELOW: f64 = 0.25;
+
+/// Rise of the friction when wet rails dry, as a logarithm: rain lowers the friction by hardly more than 30 %.
+const DRYING: Range<f64> = 0.0..0.36;
+/// Number of consecutive throws that must show that a drift is in one direction only, before its alarm says so: three
+/// throws of each direction.
+const ONE_SIDED_THROWS: u8 = 6;
+
+/// Least present size of a part that is named, in standard deviations, so that its 95 % interval excludes 0.
+const SHOWN_SD: f64 = 1.96;
+
+/// Plausible range of the size from the course as part of the size without the error of the model.
+const MODEL_ERROR: Range<f64> = 0.5..2.0;
+
+/// Part of a warning limit from which a change that the machine shares with its site is reported.
+const SHARED_FROM: f64 = 0.5;
+
+/// The first throw of a suspected drift.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Onset {
+    pub(crate) first: ThrowRef,
+    /// Number of the throw among those of the machine.
+    pub(crate) order: u64,
+}
+
+/// State of the drift alarms between throws.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub(crate) struct DriftAlarms {
+    pub(crate) history: History,
+    pub(crate) onset: Option<Onset>,
+    pub(crate) conditions: [Condition; 5],
+    /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
+    pub(crate) now: Vec<Drifting>,
+    /// Number of throws since the last one that was judged.
+    pub(crate) unjudged: u32,
+    pub(crate) intermittent: Intermittent,
+    /// Time and number of the first throw of a fall of friction that still lasts.
+    pub(crate) fallen: Option<(Timestamp, u64)>,
+    /// A slow change of the friction \[%\] that raises no alarm, as it may come from the season.
+    pub(crate) season_pct: Option<f64>,
+    /// The change of (ln b0, ln a1, ln a0) at the last throw that the other machines of the site have too; it is
+    /// subtracted from the throw.
+    pub(crate) shared: [f32; 3],
+    /// For each cause, the number of consecutive throws in which its drift was known to be in one direction only.
+    pub(crate) one_sided: [u8; 5],
+}
+
+impl DriftAlarms {
+    /// Applies the latest throw, with its residual.
+    pub(crate) fn judge(&mut self, latest: LatestThrow, residual: &Vector3<f64>, step: &mut Step) {
+        let LatestThrow { drift, order, settings, .. } = latest;
+        let name = step.name;
+        self.unjudged = 0;
+        self.history.push(residual, order);
+        self.follow_onset(latest, step);
+        let weather = self.beside_weather(latest);
+        let is_rising = self.intermittent.is_rising();
+        for (index, cause) in DRIFTS.into_iter().enumerate() {
+            let alarms = &*step.alarms;
+            let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+            let weather = self.new_part(cause, latest).unwrap_or(weather);
+            if weather != Claim::Named && reading.claim != Claim::None {
+                reading.claim = weather;
+            }
+            let rule = alarms.rule(cause);
+            if is_rising || rule == Some(Rule::Intermittent) {
+                // Two faulty throws in a row are no drift yet, so an alarm waits longer.
+                reading.patience += LEVELS_FOLLOW;
+            }
+            let active = alarms.severity(cause).filter(|_| !rule.is_some_and(Rule::knows_no_part));
+            if reading.claim == Claim::Named
+                && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
+            {
+                let size = now.relevance(settings);
+                let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
+                reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
+                // The window may contain throws with a larger drift, so the present size decides.
+                reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
+                let least = 1.0 - settings.deadband_pct / 100.0;
+                // A part is named only if its change is significant.
+                let has_changed =
+                    now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
+                let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
+                reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+            }
+            let transition = self.conditions[index].step(reading, active, settings);
+            let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
+            let becomes_one_sided = self.becomes_one_sided(index, direction, alarms);
+            let severity = match transition {
+                Transition::Stay => becomes_one_sided,
+                Transition::Raise(severity) | Transition::Turn(severity) => Some(severity),
+                Transition::Escalate => Some(Severity::Critical),
+                _ => None,
+            };
+            let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
+            match (transition, event) {
+                (Transition::Stay, Some(event)) => {
+                    let text = text::one_direction(&event.text);
+                    step.alarms.update(AlarmEvent { text, ..event });
+                }
+                (Transition::Raise(_), Some(event)) => _ = step.raise(event),
+                (Transition::Turn(_), Some(event)) => step.alarms.change_sign(event),
+                (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
+                // An alarm about an intermittent fault ends by its own rule.
+                (Transition::Clear { .. } | Transition::Withdraw, _) if rule != Some(Rule::Usual) => {}
+                (Transition::Clear { at_once }, _) => {
+                    let shared = self.shared_changes().find(|(of, _)| *of == cause);
+                    let text = match shared {
+                        Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
+                        None => text::cleared(name, cause, at_once),
+                    };
+                    step.clear(cause, text);
+                }
+                // Beside another fault the size is not certain enough for this.
+                (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
+                    step.remark(cause, text::maybe_repaired(name, cause));
+                }
+                (Transition::Withdraw, _) => {
+                    let other = match drift.origin {
+                        Origin::Sensor(_) => Cause::Sensor,
+                        Origin::Supply => Cause::Supply,
+                        _ => drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
+                    };
+                    step.clear(cause, text::withdrawn(name, cause, other));
+                }
+                _ => {}
+            }
+        }
+        self.renew(latest, step.alarms);
+    }
+
+    /// Stores the change `shared` of this throw, which the machine shares with its site; 0 for a coefficient whose
+    /// change is too small for a warning.
+    pub(crate) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
+        let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
+        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
+        let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
+        self.shared = [0, 1, 2].map(kept);
+    }
+
+    /// The changes of the machine that are shared with the site, with their size \[%\].
+    pub(crate) fn shared_changes(&self) -> impl Iterator<Item = (Cause, f64)> {
+        let is_change = |(_, log): &(Cause, f32)| *log != 0.0;
+        Cause::OF_COEFFICIENTS
+            .into_iter()
+            .zip(self.shared)
+            .filter(is_change)
+            .map(|(cause, log)| (cause, percent(log.into())))
+    }
+
+    /// If the active alarm of a cause is about both directions, and the drift is now known to be in one direction only,
+    /// the severity of the alarm. The first throws of a drift do not show this.
+    fn becomes_one_sided(&mut self, index: usize, direction: Option<Direction>, alarms: &Alarms) -> Option<Severity> {
+        let cause = DRIFTS[index];
+        let count = &mut self.one_sided[index];
+        *count = if direction.is_some() { count.saturating_add(1) } else { 0 };
+        let is_known = *count >= ONE_SIDED_THROWS && alarms.rule(cause) == Some(Rule::Usual);
+        let is_of_both = alarms.active().any(|event| event.cause == cause && event.direction.is_none());
+        alarms.severity(cause).filter(|_| is_known && is_of_both)
+    }
+
+    /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults: side,
+    /// departure, covariance of one throw, and whether the baseline is complete. `excused`: a sensor explains the
+    /// drift.
+    pub(crate) fn judge_departure(
+        &mut self,
+        (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
+        excused: bool,
+        step: &mut Step,
+    ) {
+        let settings = step.settings;
+        let is_active = step.alarms.owned_by(Rule::Intermittent).is_some();
+        let states = [self.is_suspicious(step.alarms), is_active];
+        self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
+        let found = if is_active {
+            if self.intermittent.is_over() { Found::Nothing } else { Found::Unclear }
+        } else {
+            let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
+            found.filter(|_| !excused).map_or(Found::Unclear, |found| {
+                let text = text::intermittent(step.name, &found);
+                let event = AlarmEvent {
+                    change_pct: Some(percent(found.explanation.size)),
+                    change_pct_sd: Some(text::sd_pct(&found.explanation)),
+                    ..step.warning(found.cause, text)
+                };
+                Found::Fault(Box::new(event))
+            })
+        };
+        if found == Found::Nothing {
+            self.intermittent.end();
+        }
+        found.apply(Rule::Intermittent, step);
+    }
+
+    /// The reason not to add the last throw to a baseline.
+    pub(crate) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
+        if alarms.active().any(|event| event.cause.is_drift()) {
+            Suspicion::Alarmed
+        } else if drift.is_some_and(Drift::matters) {
+            Suspicion::AboveLimit
+        } else if self.onset.is_some() {
+            Suspicion::Suspected
+        } else {
+            Suspicion::None
+        }
+    }
+
+    /// The drifts with an active alarm. Their level is the mean of throws between the raise of the latest alarm and the
+    /// last throws, which may contain a new fault. Left out are the last 48 throws, the longest window of each
+    /// direction, or the last 24 if there are too few throws.
+    pub(crate) fn known<'a>(&self, alarms: &Alarms, gauges: &'a Gauges) -> Known<'a> {
+        let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
+        let before = |last: u32| self.history.mean(last..raised?);
+        let level = before(2 * LONGEST_WINDOW).or_else(|| before(LONGEST_WINDOW));
+        let causes = alarms.drifts().map(|event| event.cause).collect();
+        Known { causes, level, gauges: Some(gauges), ..Known::default() }
+    }
+
+    /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
+    pub(crate) fn is_suspicious(&self, alarms: &Alarms) -> bool {
+        self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
+    }
+
+    /// Counts a throw that cannot be judged. After 24 of them in a row the present sizes are unknown.
+    pub(crate) fn on_unjudged(&mut self) {
+        self.unjudged = self.unjudged.saturating_add(1);
+        if self.unjudged >= LONGEST_WINDOW {
+            self.now.clear();
+        }
+    }
+
+    /// Discards the history after a new baseline, as its residuals are from the old one.
+    pub(crate) fn forget_history(&mut self) {
+        self.history = History::default();
+        self.onset = None;
+        self.fallen = None;
+        self.season_pct = None;
+    }
+
+    /// Resets the state after a rebaseline or maintenance, except the numbers of throws since the last raises.
+    pub(crate) fn reset(&mut self) {
+        self.forget_history();
+        self.conditions.iter_mut().for_each(Condition::reset);
+        self.intermittent.reset();
+    }
+
+    /// Updates the first throw of the suspected drift.
+    fn follow_onset(&mut self, LatestThrow { drift, order, .. }: LatestThrow, step: &Step) {
+        let earlier = if drift.provisional { SUSPECTED_EARLIER } else { 1.0 };
+        if drift.excess < earlier * FORGOTTEN_BELOW {
+            self.onset = None;
+        } else if drift.excess > earlier * SUSPECTED_FROM && self.onset.is_none() {
+            self.onset = step.throw.map(|first| Onset { first: first.clone(), order });
+        }
+    }
+
+    /// Updates the present drifts after a throw.
+    fn renew(&mut self, latest: LatestThrow, alarms: &Alarms) {
+        let LatestThrow { drift, settings, .. } = latest;
+        let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
+        let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
+        let evidence = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
+        let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
+        let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
+        for alarm in alarms.drifts() {
+            let size = |cause: Cause, window: &Window| {
+                if has_sound_motor && cause == Cause::Friction {
+                    return friction_of_sound_motor(&window.mean, &window.covariance);
+                }
+                let pair = pair.filter(|pair| pair.contains(&cause));
+                let together = pair.map(|pair| explained(pair, window, evidence, settings));
+                let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
+                part.unwrap_or_else(|| explained([cause], window, evidence, settings).parts[0])
+            };
+            // The size of a single cause that does not explain the drift means nothing, so a drift without a name is
+            // fitted with three causes.
+            let free = |Window { mean, covariance, .. }: &Window| {
+                fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
+            };
+            let parts = drift.windows().flat_map(|window| match alarm.cause {
+                Cause::Unattributed => free(window),
+                cause if window.shows(cause) => vec![size(cause, window)],
+                _ => Vec::new(),
+            });
+            let named = drift.attribution.as_ref().filter(|_| alarm.cause == Cause::Unattributed);
+            let named = named.and_then(Attribution::main).copied();
+            let largest =
+                named.or_else(|| parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings))));
+            let Some(largest) = largest else {
+                // The last throws do not show this cause, so its last known size stays.
+                let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);
+                now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
+                continue;
+            };
+            let direction = latest.direction(alarm.cause);
+            let (size, course) = latest.size(&largest, direction, &self.history);
+            let drifting = Drifting {
+                cause: alarm.cause,
+                change_pct: percent(size.size),
+                change_pct_sd: text::sd_pct(&size),
+                direction,
+                limit_in_throws: course.and_then(|course| forecast(&size, &course, alarm.severity, settings)),
+            };
+            now.push((alarm.severity, size.relevance(settings), drifting));
+        }
+        self.now = worst_first(now);
+    }
+
+    /// The present direction of the drift of an active alarm; the inner `None` is both directions.
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
+    fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
+        let now = self.now.iter().find(|drifting| drifting.cause == cause);
+        alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
+    }
+
+    fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {
+        let LatestThrow { drift, order, tracks, settings, .. } = latest;
+        let mut attribution = *drift.attribution.as_ref()?;
+        let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
+        let direction = latest.direction(cause);
+        let mut limit_in_throws = None;
+        if let Some((now, course)) = latest.named_part(direction, &self.history)
+            && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming
+        {
+            limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, settings));
+            *main = now;
+        }
+        let alike = match drift.origin {
+            Origin::Either { channel, waits } => Some((channel, waits)),
+            _ => None,
+        };
+        if let (Some(_), Naming::One(_)) = (alike, attribution.naming) {
+            attribution.runner_up = Some(RunnerUp { cause: Cause::Sensor, margin: 0.0 });
+        }
+        let main = attribution.main();
+        let subject = text::subject(step.name, direction);
+        let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
+        let is_drying = |main: &Explanation| main.cause == Cause::Friction && DRYING.contains(&main.size);
+        if tracks.may_have_learned_rain() && main.is_some_and(is_drying) {
+            text += text::RAIN_IN_BASELINE;
+        }
+        Some(AlarmEvent {
+            change_pct: main.map(|main| percent(main.size)),
+            change_pct_sd: main.map(text::sd_pct),
+            direction,
+            runner_up: attribution.runner_up,
+            correlation: Some(attribution.correlation),
+            first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
+            limit_in_throws,
+            ..step.event(cause, severity, text)
+        })
+    }
+}
+
+/// Forecast of the number of throws until the critical limit; `None` for an alarm that is critical already.
+fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
+    let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
+    let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;
+    if limit <= -1.0 {
+        return None;
+    }
+    // The course contains the error of the model in proportion to the size, so the limit is scaled as much.
+    let of_course = course.now().0.ln_1p() / now.size;
+    course.reaches(if MODEL_ERROR.contains(&of_course) { (of_course * limit.ln_1p()).exp_m1() } else { limit })
+}
+
+/// Sorts drifts, with their severity and size relative to the limit, into the order in which they are shown: named
+/// parts before `unattributed`, then the most severe, then the largest.
+fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
+    let is_named = |drifting: &Drifting| drifting.cause != Cause::Unattributed;
+    drifts.sort_by(|(severity, size, one), (other_severity, other_size, other)| {
+        let order = (is_named(other), other_severity).cmp(&(is_named(one), severity));
+        order.then(other_size.total_cmp(size))
+    });
+    drifts.into_iter().map(|(.., drifting)| drifting).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_named_part_comes_before_a_drift_without_a_name() {
+        let drift = |cause: Cause, severity: Severity, size: f64| {
+            let drifting =
+                Drifting { cause, change_pct: size, change_pct_sd: 1.0, direction: None, limit_in_throws: None };
+            (severity, size, drifting)
+        };
+        let drifts = vec![
+            drift(Cause::Unattributed, Severity::Critical, 9.0),
+            drift(Cause::Friction, Severity::Warning, 2.0),
+            drift(Cause::Stiffness, Severity::Warning, 3.0),
+            drift(Cause::Kt, Severity::Critical, 1.0),
+        ];
+        let causes: Vec<Cause> = worst_first(drifts).iter().map(|drift| drift.cause).collect();
+        assert_eq!(causes, [Cause::Kt, Cause::Stiffness, Cause::Friction, Cause::Unattributed]);
+    }
+}

@@ -1,0 +1,585 @@
+//! Attribution of a drift to a cause.
+//!
+//! Each explanation of the drift, by one cause or by two, has a score; see [`super::explain`]. A single cause is named
+//! if its score leads over every other cause by a margin; with a smaller lead, the two best causes are too close to
+//! call. A pair of causes is named if no single cause is nearly as good.
+//!
+//! The paper's cross-correlation rule changes the margin between inertia and the other causes. It does not if the
+//! scatter of the throws would hide a change of inertia of this size from the rule.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{
+    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
+    window::Window,
+};
+use crate::diagnose::{
+    baseline::{Baseline, usual_friction_over_spring},
+    event::{Cause, RunnerUp},
+    gauges::{AtStart, BackEmf, Gauges, Level},
+    settings::Settings,
+    statistics::correlation::Correlation,
+};
+
+/// Lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
+pub(crate) const CLOSE: f64 = 6.0;
+/// Lead without doubt, needed for critical severity: odds of 1000 to 1.
+pub(crate) const DECISIVE: f64 = 13.8;
+/// Factor of the cross-correlation rule on the margin: divides it if the rule agrees with the named cause, multiplies
+/// it if the rule speaks against it.
+const RULE_WEIGHT: f64 = 1.5;
+/// Bonus on the score of an explanation whose causes all have an alarm, for each cause, and of every pair while there
+/// is an unattributed alarm, so that the name does not alternate from throw to throw.
+const ALARM_BONUS: f64 = 4.0;
+/// Lead of a pair without the alarmed cause over the best pair with it, from which the alarm is doubted.
+const DOUBTING_LEAD: f64 = 20.0;
+/// Change of b0 since [`Known::level`] from which it is a new fault of the motor, as part of the motor's warning limit.
+const NEW_MOTOR_FAULT: f64 = 0.5;
+/// Least change of the back-EMF that decides about the motor beside a known or new fault of it, as part of the change
+/// of the motor.
+const CHANGED: f64 = 0.5;
+/// Least significance of this change \[standard deviations\].
+const CHANGED_SD: f64 = 3.0;
+/// Upper bound of the misfit of the back-EMF, so that a change of the supply does not decide alone.
+const MOST_BACK_EMF_MISFIT: f64 = 40.0;
+/// Range of the part of a change of the motor that shows in the acceleration per ampere at the start.
+const MOTOR_AT_START: Range<f64> = 0.4..1.1;
+/// The same on a machine with a late brake. It is released when the acceleration is measured, and a faster motor then
+/// starts with less current.
+const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
+/// Largest part of a rise of friction that lowers this acceleration: dry friction behind the play of a soft drive.
+const FRICTION_AT_START: f64 = 0.4;
+/// Upper bound of the misfit of this acceleration, so that a brake or play that changes at the same time does not
+/// decide alone.
+const MOST_START_MISFIT: f64 = 20.0;
+/// Penalty of the explanation that a motor lost torque and kept its back-EMF: odds of 1 to 5 against weak magnets.
+const TORQUE_ALONE: f64 = 3.0;
+/// Standard deviation of such a loss of torque, as a logarithm: commutation loses a part of the torque, not most of it.
+const TORQUE_ALONE_SD: f64 = 0.3;
+/// Change of ln b0 below which a rise of friction may hide a loss of torque, and change of the back-EMF below which the
+/// magnets are weak: the default warning limit of the motor.
+const LOST_TORQUE: f64 = -0.05;
+/// Change of ln(a0/b0) from which a rise of friction may hide a stiffer spring: about the default warning limit of the
+/// stiffness.
+const RISEN_STIFFNESS: f64 = 0.1;
+/// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
+const MATTERS: f64 = 0.75;
+/// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
+const SHOWN_SD: f64 = 2.0;
+
+/// The drifts of a machine that have an alarm, with its gauges and baselines.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Known<'a> {
+    /// The causes with an active alarm.
+    pub(crate) causes: Vec<Cause>,
+    /// Mean change of (ln b0, ln a1, ln a0) over the throws since these alarms were raised, without the last throws;
+    /// `None` with too few throws.
+    pub(crate) level: Option<Vector3<f64>>,
+    /// The gauges, which distinguish dry friction from a weak motor.
+    pub(crate) gauges: Option<&'a Gauges>,
+    /// The baselines of both directions.
+    pub(crate) baselines: [Option<&'a Baseline>; 2],
+}
+
+impl Known<'_> {
+    /// Whether the change `back_emf` decides whether the motor has a part in the drift of `window`. A fault of the
+    /// motor may change the torque without the back-EMF, so beside a known or a new fault of the motor a small change
+    /// decides nothing. A new fault is a change since the level that is mostly a change of b0.
+    fn is_decided_by(&self, back_emf: &BackEmf, window: &Window, settings: &Settings) -> bool {
+        let is_new = self.level.is_some_and(|level| {
+            let since = window.mean - level;
+            // A window of ratios has another scale than the level. A change of the motor changes both ratios alike.
+            let scale = if window.shows(Cause::Inertia) { 0.0 } else { f64::midpoint(since.y, since.z) };
+            let since = since.add_scalar(-scale);
+            relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
+        });
+        let is_known = self.causes.contains(&Cause::Kt);
+        if !is_new && !is_known {
+            return true;
+        }
+        let motor = |mean: &Vector3<f64>| single(Cause::Kt, mean, &window.covariance, settings).size.abs();
+        // Beside a known fault of the motor, another fault looks like a larger one of the motor.
+        let before = self.level.filter(|_| is_known).map(|level| motor(&level));
+        let others = self.causes.iter().filter(|cause| Cause::PHYSICAL.contains(cause) && **cause != Cause::Kt);
+        let beside = others.map(|other| {
+            let fit = fit(PLAIN_LEAKS, [Cause::Kt, *other], &window.mean, &window.covariance, settings);
+            fit.size_of(Cause::Kt).abs()
+        });
+        let motor = beside.chain(before).fold(motor(&window.mean), f64::min);
+        let change = back_emf.level.value.abs();
+        change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd
+    }
+}
+
+/// The causes of a drift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Naming {
+    /// One cause explains the drift, clearly better than all others.
+    One(Explanation),
+    /// Two causes explain the drift about equally well, the better first.
+    Either(Explanation, Explanation),
+    /// No single cause explains the drift, but these two together do.
+    Both(Explanation, Explanation),
+    /// One cause in addition to a known one, which has an alarm.
+    Another { new: Explanation, known: Explanation },
+    /// A known cause, which has an alarm, and a further change: by one of two causes, the better first, or by none of
+    /// the four.
+    Beside { known: Explanation, first: Explanation, second: Explanation },
+    /// No one or two causes explain the drift; these two together do best.
+    Neither(Explanation, Explanation),
+}
+
+/// Another explanation that cannot be ruled out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Rival {
+    Alone(Cause),
+    Together(Cause, Cause),
+}
+
+/// Evidence of the gauges that decides whether the motor has changed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct MotorEvidence {
+    back_emf: BackEmf,
+    /// Friction over the force of the spring at the end of the stroke, from the baselines.
+    friction_over_spring: f64,
+}
+
+/// A drift with its cause, and the figures for and against it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Attribution {
+    pub(crate) naming: Naming,
+    /// The rival of a naming with two causes, if one is nearly as good.
+    pub(crate) rival: Option<Rival>,
+    pub(crate) runner_up: Option<RunnerUp>,
+    pub(crate) correlation: Correlation,
+    /// Verdict of the cross-correlation rule on inertia; `None` if scatter would hide it.
+    rule: Option<bool>,
+    /// Changes of (ln b0, ln a1, ln a0).
+    pub(crate) mean: Vector3<f64>,
+    /// Whether only the ratios of the coefficients are known.
+    of_ratios: bool,
+    /// Size relative to the warning limit; relevant above 1.
+    pub(crate) relevance: f64,
+    /// Lead of a single named cause over all explanations without it, as twice the logarithm of the odds.
+    pub(crate) lead: f64,
+    /// Evidence of the gauges, if it decides whether the motor changed.
+    pub(super) decides: Option<MotorEvidence>,
+    /// Change of the back-EMF, if a gauge shows it and not only a shorter duration.
+    back_emf: Option<Level>,
+}
+
+/// A drift to attribute.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Case<'a> {
+    /// The window with the drift.
+    pub(crate) window: &'a Window,
+    /// Covariance of one throw of the machine.
+    pub(crate) of_one_throw: &'a Matrix3<f64>,
+    pub(crate) known: &'a Known<'a>,
+    pub(crate) settings: &'a Settings,
+}
+
+/// The explanations of a drift, of each kind the best first.
+struct Explanations {
+    singles: [Fit<1>; 4],
+    pairs: [Fit<2>; 6],
+    /// By motor, friction and stiffness together, which explain any drift.
+    any: Fit<3>,
+}
+
+impl Attribution {
+    /// Attributes the drift of a window.
+    pub(crate) fn of(case: &Case) -> Self {
+        let Case { window, of_one_throw, known, settings } = *case;
+        let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
+        let decides = shown.filter(|shown| known.is_decided_by(shown, window, settings)).map(|back_emf| {
+            MotorEvidence { back_emf, friction_over_spring: usual_friction_over_spring(known.baselines) }
+        });
+        let all = Explanations::of(window, &known.causes, decides, settings);
+        let [best, next, ..] = &all.singles;
+        let [a, b] = all.pairs[0].parts;
+        let correlation = Correlation::of(of_one_throw, &window.mean);
+        let attribution = Self {
+            naming: Naming::Neither(a, b),
+            rival: None,
+            runner_up: None,
+            correlation,
+            rule: rule_verdict(&correlation, window, of_one_throw, settings),
+            mean: window.mean,
+            of_ratios: !window.shows(Cause::Inertia),
+            relevance: all.any.relevance(settings),
+            lead: 0.0,
+            decides,
+            back_emf: shown.and_then(BackEmf::of_motor),
+        };
+        if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
+            return attribution.beside_something(&all, known, settings);
+        }
+        if let Some(both) = attribution.both(&all, settings) {
+            return both.beside_known(&all, case);
+        }
+        let margin = next.score - best.score;
+        let (main, second) = (all.freed_best(), next.parts[0]);
+        let attribution = Self { runner_up: Some(RunnerUp { cause: second.cause, margin }), ..attribution };
+        if margin < attribution.margin_needed(main.cause, second.cause) {
+            let relevance = main.relevance(settings).max(second.relevance(settings));
+            return Self { naming: Naming::Either(main, second), relevance, ..attribution };
+        }
+        let pairs_without = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
+        let lead = pairs_without.map(|pair| pair.score - best.score).fold(margin, f64::min);
+        let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
+        one.since_known(&all, case).unwrap_or(one)
+    }
+
+    /// The attribution to two causes together, if no single cause is clearly better.
+    fn both(self, all: &Explanations, settings: &Settings) -> Option<Self> {
+        let [best, ..] = &all.singles;
+        let cause = best.parts[0].cause;
+        let plausible = all.pairs.iter().filter(|pair| pair.score < all.pairs[0].score + CLOSE);
+        let is_sufficient_alone = |pair: &Fit<2>| pair.score > best.score - CLOSE;
+        // If the gauges decide about the motor, a second cause whose size may be zero is not named beside one that is
+        // sufficient alone.
+        let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
+        let matters = |pair: &&Fit<2>| {
+            let only_shown = self.decides.is_some() && is_sufficient_alone(pair);
+            pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
+        };
+        let best_without = all.pairs.first().filter(|pair| !pair.includes(cause));
+        let pair = plausible.clone().find(matters).or(best_without)?;
+        let of_far_end = self.decides.is_some() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
+        if pair.score >= best.score + CLOSE || of_far_end {
+            return None;
+        }
+        let rival = if is_sufficient_alone(pair) {
+            Some(Rival::Alone(cause))
+        } else {
+            let other = all.pairs.iter().find(|other| *other != pair && other.score < pair.score + CLOSE);
+            other.map(|other| Rival::Together(other.parts[0].cause, other.parts[1].cause))
+        };
+        let [a, b] = larger_first(pair, settings);
+        let relevance = plausible.map(|pair| pair.relevance(settings)).fold(0.0, f64::max);
+        Some(Self { naming: Naming::Both(a, b), rival, relevance, ..self })
+    }
+
+    /// Names the other of two causes, if one of them has an alarm and no other explanation is nearly as good. If both
+    /// have alarms, it names the larger one. If other explanations are as good, the change since the level of the known
+    /// drifts may still have a single cause. For example, friction that leaks and a second cause can look like friction
+    /// without a leak and a third cause, but the level shows the leak.
+    fn beside_known(self, all: &Explanations, case: &Case) -> Self {
+        let Case { known, settings, .. } = *case;
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let Some(pair) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
+        let [a, b] = larger_first(pair, settings);
+        let (new, old) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
+        let without_new = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
+        let without_new =
+            without_new.map(|pair| pair.score + if pair.includes(old.cause) { 0.0 } else { DOUBTING_LEAD });
+        let alone = all.singles.iter().map(|single| single.score);
+        let lead = without_new.chain(alone).map(|score| score - pair.score).fold(f64::INFINITY, f64::min);
+        let another = |new: Explanation, lead: f64| {
+            let naming = Naming::Another { new, known: old };
+            Self { naming, rival: None, relevance: new.relevance(settings), lead, ..self }
+        };
+        if lead >= CLOSE || is_open(&new) {
+            return another(new, lead);
+        }
+        let since = self.since_known(all, case);
+        since.unwrap_or_else(|| self.beside_something(all, known, settings))
+    }
+
+    /// Names a second cause by the change since the level of the known drifts. Without the level, two faults one after
+    /// the other may look like a single fault of a third part or of the second one. `None` if that change has no clear
+    /// name, or if one cause explains level and change, so that the known name was wrong.
+    fn since_known(self, all: &Explanations, case: &Case) -> Option<Self> {
+        let Case { window, known, settings, .. } = *case;
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let level = known.level?;
+        let named = |mean, covariance| {
+            Self::of(&Case { window: &Window { mean, covariance, ..*window }, known: &Known::default(), ..*case })
+        };
+        // The level is less uncertain than the window, and has the same baseline, so twice the covariance is an upper
+        // bound.
+        let since = named(window.mean - level, 2.0 * window.covariance);
+        let Naming::One(found) = since.naming else { return None };
+        if is_open(&found) || since.relevance < MATTERS {
+            return None;
+        }
+        if let Naming::One(main) = &self.naming {
+            let is_known = || matches!(&named(level, window.covariance).naming, Naming::One(before) if is_open(before));
+            // A known fault that grows changes the coefficients in the direction of its own cause.
+            let is_growth = is_open(main) && since.runner_up.is_some_and(|next| next.margin < DECISIVE);
+            if is_growth || main.cause == found.cause && !is_known() {
+                return None;
+            }
+        }
+        // The sizes are those of a fit of both causes together.
+        let pair = all.pairs.iter().find(|pair| pair.includes(found.cause) && pair.parts.iter().any(is_open))?;
+        let [a, b] = pair.parts;
+        let (new, known) = if a.cause == found.cause { (a, b) } else { (b, a) };
+        let naming = Naming::Another { new, known };
+        Some(Self { naming, rival: None, relevance: new.relevance(settings), lead: since.lead, ..self })
+    }
+
+    /// If the attribution names no cause that has an alarm, keeps the name of such a cause, and names the two causes
+    /// that explain the rest best. If two other causes contradict the alarm clearly, the attribution stays, which casts
+    /// doubt on the alarm.
+    fn beside_something(self, all: &Explanations, known: &Known, settings: &Settings) -> Self {
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let keeps_one = matches!(&self.naming, Naming::Both(a, b) if is_open(a) || is_open(b));
+        let mut with_known = all.pairs.iter().filter_map(|pair| match &pair.parts {
+            [known, new] | [new, known] if is_open(known) && !is_open(new) => Some((pair.score, *known, *new)),
+            _ => None,
+        });
+        let (Some((score, old, first)), Some((_, _, second))) = (with_known.next(), with_known.next()) else {
+            return self;
+        };
+        let is_doubted = matches!(self.naming, Naming::Both(..)) && score > all.pairs[0].score + DOUBTING_LEAD;
+        if keeps_one || is_doubted {
+            return self;
+        }
+        let relevance = first.relevance(settings).max(second.relevance(settings));
+        Self { naming: Naming::Beside { known: old, first, second }, rival: None, relevance, lead: 0.0, ..self }
+    }
+
+    /// The lead that `best` needs over `next`. The cross-correlation rule distinguishes only inertia from the other
+    /// causes.
+    fn margin_needed(&self, best: Cause, next: Cause) -> f64 {
+        match (self.rule, best == Cause::Inertia, next == Cause::Inertia) {
+            (Some(true), true, _) | (Some(false), _, true) => CLOSE / RULE_WEIGHT,
+            (Some(false), true, _) => CLOSE * RULE_WEIGHT,
+            (Some(true), _, true) => DECISIVE,
+            _ => CLOSE,
+        }
+    }
+
+    /// The cause of the alarm.
+    pub(crate) fn cause(&self) -> Cause {
+        match self.naming {
+            Naming::One(e) | Naming::Another { new: e, .. } => e.cause,
+            _ => Cause::Unattributed,
+        }
+    }
+
+    /// The largest part; of two that are too close to call, the better.
+    pub(crate) fn main(&self) -> Option<&Explanation> {
+        match &self.naming {
+            Naming::One(main)
+            | Naming::Either(main, _)
+            | Naming::Both(main, _)
+            | Naming::Another { new: main, .. }
+            | Naming::Beside { first: main, .. } => Some(main),
+            Naming::Neither(..) => None,
+        }
+    }
+
+    /// The part that is named together with `cause`.
+    pub(crate) fn beside(&self, cause: Cause) -> Option<Cause> {
+        let (Naming::Both(a, b) | Naming::Another { new: a, known: b } | Naming::Beside { known: a, first: b, .. }) =
+            &self.naming
+        else {
+            return None;
+        };
+        [(a, b), (b, a)].into_iter().find(|(one, _)| one.cause == cause).map(|(_, other)| other.cause)
+    }
+
+    /// Whether the back-EMF shows that the motor is no part of the drift.
+    pub(super) fn has_sound_motor(&self) -> bool {
+        self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
+    }
+
+    /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
+    /// would be the same. Dry friction lowers b0 as much as a loss of torque that leaves the back-EMF, and where it
+    /// grows along the stroke, it raises a0/b0 as a stiffer spring does.
+    pub(crate) fn may_hide(&self) -> Option<Cause> {
+        let is_of_friction =
+            matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
+        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?.back_emf;
+        if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
+            return Some(Cause::Kt);
+        }
+        (self.mean.z - self.mean.x > RISEN_STIFFNESS).then_some(Cause::Stiffness)
+    }
+
+    /// Change of the back-EMF, if it shows that weak magnets are not the reason of a lost torque: gear, clutch and
+    /// brushes lose torque without a change of the back-EMF.
+    pub(crate) fn sound_magnets(&self) -> Option<Level> {
+        let named = match &self.naming {
+            Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
+            Naming::Either(a, b) | Naming::Both(a, b) => [Some(a), Some(b)],
+            Naming::Beside { first, second, .. } => [Some(first), Some(second)],
+            Naming::Neither(..) => [None, None],
+        };
+        let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
+        let is_weaker = |level: &Level| level.value < -CHANGED_SD * level.sd && level.value < LOST_TORQUE;
+        self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs() && !is_weaker(level))
+    }
+
+    /// Whether the back-EMF shows that the motor changed, even if the size of the change is uncertain beside another
+    /// part.
+    pub(super) fn has_changed_motor(&self) -> bool {
+        let level = self.decides.and_then(|evidence| evidence.back_emf.of_motor());
+        self.includes(Cause::Kt) && level.is_some_and(|level| level.value.abs() > CHANGED_SD * level.sd)
+    }
+
+    /// Whether the cross-correlation rule contradicts the name of its main part.
+    pub(crate) fn is_contradicted(&self) -> bool {
+        let inertia = self.main().is_some_and(|main| main.cause == Cause::Inertia);
+        self.rule.is_some_and(|rule_verdict| rule_verdict != inertia)
+    }
+
+    /// Whether `cause` is part of the attribution.
+    pub(super) fn includes(&self, cause: Cause) -> bool {
+        match &self.naming {
+            Naming::One(e) => e.cause == cause,
+            Naming::Another { new, known } => new.cause == cause || known.cause == cause,
+            Naming::Either(a, b) | Naming::Both(a, b) => {
+                cause == Cause::Unattributed || a.cause == cause || b.cause == cause
+            }
+            Naming::Beside { known, first, second } => {
+                cause == Cause::Unattributed || [known, first, second].iter().any(|part| part.cause == cause)
+            }
+            Naming::Neither(..) => cause == Cause::Unattributed,
+        }
+    }
+}
+
+impl Explanations {
+    fn of(window: &Window, open: &[Cause], evidence: Option<MotorEvidence>, settings: &Settings) -> Self {
+        let [a, b, c, d] = Cause::PHYSICAL;
+        let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
+        let of_pair = |pair: [Cause; 2]| {
+            if pair.iter().all(|cause| open.contains(cause)) {
+                2.0 * ALARM_BONUS
+            } else if open.contains(&Cause::Unattributed) {
+                ALARM_BONUS
+            } else {
+                0.0
+            }
+        };
+        Self {
+            singles: ranked(
+                Cause::PHYSICAL.map(|cause| [cause]),
+                window,
+                |[cause]| if open.contains(&cause) { ALARM_BONUS } else { 0.0 },
+                evidence,
+                settings,
+            ),
+            pairs: ranked(pairs, window, of_pair, evidence, settings),
+            any: explained([a, b, c], window, evidence, settings),
+        }
+    }
+
+    /// The best single cause. If the best pair includes it and has a better score, its size is that in the pair.
+    fn freed_best(&self) -> Explanation {
+        let alone = self.singles[0].parts[0];
+        let [pair, ..] = &self.pairs;
+        let with_second = pair.parts.into_iter().find(|part| part.cause == alone.cause);
+        with_second.filter(|_| pair.score < self.singles[0].score).unwrap_or(alone)
+    }
+}
+
+/// Explains the drift of `window` by `causes`. A change of the motor must also explain that of the back-EMF; if only a
+/// shorter duration shows the back-EMF, less friction can explain it as well. A motor may also lose torque alone, for
+/// example by its commutation, and keep its back-EMF and speed. Together with a rise of friction this is not tried, as
+/// dry friction looks the same.
+pub(crate) fn explained<const K: usize>(
+    causes: [Cause; K],
+    window: &Window,
+    evidence: Option<MotorEvidence>,
+    settings: &Settings,
+) -> Fit<K> {
+    let Window { mean, covariance, .. } = window;
+    let Some(MotorEvidence { back_emf, friction_over_spring }) = evidence else {
+        return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
+    };
+    let BackEmf { level, of_duration, at_start } = back_emf;
+    let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
+    // Complete coefficients contain the acceleration at the start in b0.
+    let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
+    let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
+    // With other leaks the motor has another size, which the gauge shows too, so it helps to choose the leaks.
+    let beside = |fit: &Fit<K>| {
+        let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
+        of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
+    };
+    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(friction_over_spring);
+    let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
+    let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
+    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
+        let mut alone = fit(leaks.at_equal_speed(), causes, mean, covariance, settings);
+        alone.score +=
+            of_start(&alone) + misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
+        if alone.score < found.score {
+            return alone;
+        }
+    }
+    found
+}
+
+/// The parts of a pair, the larger one first, relative to the warning limits.
+fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
+    let [a, b] = pair.parts;
+    if a.relevance(settings) < b.relevance(settings) { [b, a] } else { [a, b] }
+}
+
+/// Whether `best` is a rise of friction, and `pair` is friction and a stiffer spring. Friction that grows along the
+/// stroke, as on a rail that bends, looks like a stiffer spring. Dry slide chairs are more common than two faults at
+/// once.
+fn grows_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
+    best.size_of(Cause::Friction) > 0.0 && pair.includes(Cause::Friction) && pair.size_of(Cause::Stiffness) > 0.0
+}
+
+/// Misfit of the acceleration per ampere at the start. A weaker motor lowers this acceleration by about its own change,
+/// friction by much less.
+fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, fit: &Fit<K>) -> f64 {
+    let (motor, friction) = (fit.size_of(Cause::Kt), fit.size_of(Cause::Friction));
+    let shown = if is_prompt { MOTOR_AT_START } else { MOTOR_AFTER_BRAKE };
+    let [a, b] = [shown.start * motor, shown.end * motor];
+    let of_friction = -FRICTION_AT_START * friction;
+    let (least, most) = (a.min(b) + of_friction.min(0.0), a.max(b) + of_friction.max(0.0));
+    level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
+}
+
+/// The explanations with their bonus, the best first. An explanation by a cause that the window does not show is the
+/// last.
+fn ranked<const N: usize, const K: usize>(
+    explanations: [[Cause; K]; N],
+    window: &Window,
+    bonus: impl Fn([Cause; K]) -> f64,
+    evidence: Option<MotorEvidence>,
+    settings: &Settings,
+) -> [Fit<K>; N] {
+    let mut fits = explanations.map(|causes| {
+        let mut fit = explained(causes, window, evidence, settings);
+        fit.score -= bonus(causes);
+        if !causes.iter().all(|cause| window.shows(*cause)) {
+            fit.score = f64::INFINITY;
+        }
+        fit
+    });
+    fits.sort_by(|a, b| a.score.total_cmp(&b.score));
+    fits
+}
+
+/// The single cause that explains the drift of `window` best, without gauges.
+pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
+    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |_| 0.0, None, settings);
+    best.parts[0]
+}
+
+/// Verdict of the cross-correlation rule on inertia; `None` if the scatter of the throws would hide a change of inertia
+/// of this size from the rule.
+fn rule_verdict(
+    correlation: &Correlation,
+    window: &Window,
+    of_one_throw: &Matrix3<f64>,
+    settings: &Settings,
+) -> Option<bool> {
+    let limit = settings.correlation_limit;
+    let size = single(Cause::Inertia, &window.mean, &window.covariance, settings).size;
+    let of_inertia = Correlation::of(of_one_throw, &(direction_of(Cause::Inertia)? * size));
+    let says = correlation.indicates_inertia(limit);
+    (says || of_inertia.indicates_inertia(limit)).then_some(says)
+}

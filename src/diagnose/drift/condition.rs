@@ -1,0 +1,294 @@
+//! The condition of a drift alarm: when it is raised, escalated and cleared, with delays and a deadband counted in
+//! throws.
+//!
+//! An alarm is raised if the diagnosis names its cause, with a size above the limit, for `on_delay_throws` consecutive
+//! throws. If it names no single cause, or an uncertain one, it waits for more throws. The alarm is cleared after one
+//! of these:
+//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the
+//!   limit;
+//! - likely health for 24 throws, the longest window: the size is below half of the limit, and plus two standard
+//!   deviations below the limit, as on a repaired machine whose estimates scatter;
+//! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
+//! - another name for 24 throws: another cause explains the drift.
+//!
+//! So an alarm near its limit does not alternate: without health it lasts at least `hold_throws`.
+
+use serde::{Deserialize, Serialize};
+
+use super::threshold::WINDOWS;
+use crate::diagnose::{event::Severity, settings::Settings};
+
+/// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
+/// cause the difference.
+const NEAR_LEVEL: f64 = 0.75;
+/// Part of the level below which a size has left it: more than half of the drift has ended.
+const LEFT_LEVEL: f64 = 0.5;
+/// Number of throws within which the size falls after a repair: the last few throws of each direction.
+const REPAIR_SHOWS_WITHIN: u32 = 8;
+/// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
+const REPAIRABLE_LEVEL: f64 = 1.5;
+/// Least number of throws of plain health before an alarm is cleared. Sizes are judged from means over up to this
+/// number of throws of a direction; these follow a step with a delay, and still look healthy just after the raise.
+pub(super) const LEVELS_FOLLOW: u32 = 12;
+const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
+/// Number of throws in the longest window of the detection.
+pub(crate) const LONGEST_WINDOW: u32 = 24;
+const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
+
+/// Evidence of a throw for an alarm about a cause.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Claim {
+    /// No evidence.
+    None,
+    /// Counts for the on delay, but does not raise the alarm.
+    Counts,
+    /// The diagnosis names the cause, above its limit.
+    Named,
+}
+
+/// Evidence of a throw for and against an alarm about a cause.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent findings about one throw")]
+pub(crate) struct Reading {
+    /// Evidence for the alarm.
+    pub(super) claim: Claim,
+    /// Size relative to the warning limit if the name is beyond doubt, else 0: a critical alarm must not have a wrong
+    /// name.
+    pub(super) undoubted: f64,
+    /// Number of throws to wait in addition to the on delay.
+    pub(super) patience: u32,
+    /// Whether the size plus two standard deviations is below half of the limit.
+    pub(super) plain_health: bool,
+    /// Whether the size is below half of the limit, and plus two standard deviations below the limit.
+    pub(super) likely_health: bool,
+    /// Whether no drift is detected, or its size is below the limit by the deadband.
+    pub(crate) below: bool,
+    /// Whether another cause explains the drift.
+    pub(super) other_name: bool,
+    /// Whether the drift has this cause and a size above the limit, but the opposite sign to the alarm.
+    pub(super) turned: bool,
+    /// Size in the last few throws relative to the warning limit; `None` if these throws are of the other direction
+    /// than the alarm.
+    pub(crate) latest: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Transition {
+    Stay,
+    Raise(Severity),
+    Escalate,
+    /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
+    Turn(Severity),
+    /// The drift has ended; `at_once`: its size fell within a few throws.
+    Clear {
+        at_once: bool,
+    },
+    /// Most of the drift has ended within a few throws, as after a repair, but a part is left.
+    ProposeRebaseline,
+    /// Another cause explains the drift.
+    Withdraw,
+}
+
+/// State of the alarm about a cause, with the counters \[throws\] of the state.
+///
+/// ```text
+///          named for the on delay and the patience
+///   Quiet -----------------------------------------> Raised --- critical for as long: escalates, stays Raised
+///     ^                                                |    --- named with the opposite sign for as long: turns, stays
+///     '--- healthy, below or otherwise explained ------'
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Condition {
+    /// No alarm.
+    Quiet {
+        onset: Onset,
+        /// Throws since the alarm was last raised; `None` before the first time.
+        since_raised: Option<u32>,
+    },
+    /// The alarm is active. Boxed, as few alarms are.
+    Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
+}
+
+/// Numbers of consecutive throws that speak for an alarm, and for a critical alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Onset {
+    pub(crate) named: u32,
+    pub(crate) critical: u32,
+}
+
+/// Numbers of consecutive throws that speak for the end of an active alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Ending {
+    pub(crate) healthy: u32,
+    #[serde(default)]
+    pub(super) likely_healthy: u32,
+    pub(crate) below: u32,
+    pub(crate) other: u32,
+    #[serde(default)]
+    pub(super) turned: u32,
+    /// Largest recent size relative to the warning limit.
+    pub(crate) level: f64,
+    /// Throws since the size was near `level`. Snapshots of version 1 have another name for this field.
+    #[serde(alias = "below_level")]
+    pub(super) since_level: u32,
+    /// Throws in which the size fell from `level` to less than half of it.
+    pub(super) fell_within: Option<u32>,
+    /// Whether a new baseline was proposed.
+    pub(super) proposed: bool,
+    /// Whether the alarm was raised again soon after it cleared: then it lasts at least `hold_throws`.
+    pub(super) restless: bool,
+}
+
+impl Default for Condition {
+    fn default() -> Self {
+        Self::Quiet { onset: Onset::default(), since_raised: None }
+    }
+}
+
+/// Counts consecutive throws in which something holds.
+pub(crate) fn streak(count: &mut u32, holds: bool) {
+    *count = if holds { count.saturating_add(1) } else { 0 };
+}
+
+impl Condition {
+    /// Applies the evidence of a throw; `active` is the severity of the active alarm.
+    pub(crate) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Transition {
+        let (onset, since_raised) = match *self {
+            Self::Quiet { onset, since_raised } => (onset, since_raised),
+            Self::Raised { onset, since_raised, .. } => (onset, Some(since_raised)),
+        };
+        let onset = onset.after(reading, settings);
+        let since_raised = since_raised.map(|throws| throws.saturating_add(1));
+        let delay = settings.on_delay_throws + reading.patience;
+        let is_critical = onset.critical >= delay;
+        let Some(severity) = active else {
+            if reading.claim == Claim::Named && onset.named >= delay {
+                // Counters from before the raise must not clear the alarm: the sizes in them follow a step with a
+                // delay.
+                let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
+                let ending = Box::new(Ending { restless, ..Ending::default() });
+                *self = Self::Raised { onset, since_raised: 0, ending };
+                return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
+            }
+            *self = Self::Quiet { onset, since_raised };
+            return Transition::Stay;
+        };
+        let before = if let Self::Raised { ending, .. } = self { **ending } else { Ending::default() };
+        let mut ending = before.after(reading);
+        let transition = if ending.turned >= delay {
+            ending = Ending { restless: ending.restless, ..Ending::default() };
+            Transition::Turn(if is_critical { Severity::Critical } else { Severity::Warning })
+        } else if severity == Severity::Warning && is_critical {
+            Transition::Escalate
+        } else {
+            ending.update_level(reading.latest);
+            ending.transition(settings)
+        };
+        let since_raised = since_raised.unwrap_or_default();
+        *self = Self::Raised { onset, since_raised, ending: Box::new(ending) };
+        transition
+    }
+
+    /// Throws since the raise of the active alarm; `None` without one.
+    pub(crate) fn since_raised(&self) -> Option<u32> {
+        if let Self::Raised { since_raised, .. } = self { Some(*since_raised) } else { None }
+    }
+
+    /// Resets all counters after maintenance.
+    pub(crate) fn reset(&mut self) {
+        let onset = Onset::default();
+        *self = match *self {
+            Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
+            Self::Raised { since_raised, ref ending, .. } => {
+                let ending = Box::new(Ending { restless: ending.restless, ..Ending::default() });
+                Self::Raised { onset, since_raised, ending }
+            }
+        };
+    }
+}
+
+impl Onset {
+    fn after(mut self, reading: Reading, settings: &Settings) -> Self {
+        streak(&mut self.named, reading.claim != Claim::None);
+        streak(&mut self.critical, reading.undoubted > settings.critical_factor);
+        self
+    }
+}
+
+impl Ending {
+    fn after(mut self, reading: Reading) -> Self {
+        streak(&mut self.healthy, reading.plain_health);
+        streak(&mut self.likely_healthy, reading.likely_health);
+        streak(&mut self.below, reading.below);
+        streak(&mut self.other, reading.other_name);
+        streak(&mut self.turned, reading.turned);
+        self
+    }
+
+    /// Updates the counters that show whether the size falls at once or slowly.
+    fn update_level(&mut self, latest: Option<f64>) {
+        self.since_level = self.since_level.saturating_add(1);
+        let Some(latest) = latest else { return };
+        if latest >= NEAR_LEVEL * self.level {
+            self.level = self.level.max(latest);
+            (self.since_level, self.fell_within) = (0, None);
+        } else if latest < LEFT_LEVEL * self.level && self.fell_within.is_none() {
+            self.fell_within = Some(self.since_level);
+        }
+    }
+
+    /// Whether the size fell as after a repair: by half within a few throws of each direction.
+    fn fell_at_once(&self) -> bool {
+        self.level >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
+    }
+
+    fn transition(&mut self, settings: &Settings) -> Transition {
+        let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
+        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
+            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
+            || self.below >= settings.hold_throws
+        {
+            Transition::Clear { at_once: self.fell_at_once() }
+        } else if self.other >= at_least(LONGEST_WINDOW) {
+            Transition::Withdraw
+        } else if self.fell_at_once() && !self.proposed && self.since_level >= 2 * LONGEST_WINDOW {
+            self.proposed = true;
+            Transition::ProposeRebaseline
+        } else {
+            Transition::Stay
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Number of throws until an alarm clears, if every throw has this reading.
+    fn cleared_after(reading: Reading) -> Option<u32> {
+        let settings = Settings::default();
+        let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };
+        let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
+        (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
+    }
+
+    #[test]
+    fn an_alarm_ends_the_sooner_the_plainer_its_machine_is_healthy() {
+        let below = Reading {
+            claim: Claim::None,
+            undoubted: 0.0,
+            patience: 0,
+            plain_health: false,
+            likely_health: false,
+            below: true,
+            other_name: false,
+            turned: false,
+            latest: Some(0.2),
+        };
+        let likely = Reading { likely_health: true, ..below };
+        let plain = Reading { plain_health: true, ..likely };
+        assert_eq!([plain, likely, below].map(cleared_after), [Some(LEVELS_FOLLOW), Some(LONGEST_WINDOW), Some(200)]);
+        assert_eq!(cleared_after(Reading { below: false, ..below }), None);
+    }
+}

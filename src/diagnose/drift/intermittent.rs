@@ -1,0 +1,226 @@
+//! Intermittent faults, which some throws show and others do not: a loose contact, a stone in the ballast.
+//!
+//! The mean over a window does not show a fault in every fifth throw. So the rule counts single throws. A throw is a
+//! departure if it is far from the median of the previous throws of its direction: beyond the scatter of the machine,
+//! and beyond a warning limit. Consecutive throws count as one departure at most; a longer run is a step, which the
+//! windows detect. The number of departures in the last throws is compared with the earlier rate of the machine. With a
+//! gamma prior on this rate, the number has a negative binomial distribution.
+
+use std::iter;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+use statrs::function::gamma::ln_gamma;
+
+use super::{
+    cause::CLOSE,
+    explain::{Explanation, single},
+};
+use crate::diagnose::{
+    event::Cause,
+    settings::Settings,
+    statistics::{last::Last, rare::Rare, sym3},
+};
+
+/// Lengths of the two windows of departures \[throws\].
+const COUNTED: [u32; 2] = [50, 100];
+/// A least size of departures, with the prior of their rate.
+#[derive(Debug, Clone, Copy)]
+struct Size {
+    /// Least squared distance from the median, in variances of one throw.
+    far: f64,
+    /// Prior of the rate: number of departures, and number of throws.
+    prior: (f64, f64),
+}
+
+/// Every departure: 1 in 1,000 throws of a usual machine.
+const ANY: Size = Size { far: 16.0, prior: (0.5, 50.0) };
+/// Large departures, of which fewer are enough: 2 in 1,000 throws of Student's t with three degrees of freedom.
+const LARGE: Size = Size { far: 100.0, prior: (0.5, 300.0) };
+/// Most consecutive throws of a direction in a departure; more are a step.
+const LONGEST_RUN: u32 = 2;
+/// Least squared distance of a throw far out, in variances: 5 in 10,000 throws of Gaussian scatter, 2 in 100 throws of
+/// Student's t with three degrees of freedom.
+const FAR_OUT: f64 = 20.0;
+/// Rate of throws far out from which the scatter has heavy tails: between the two rates at [`FAR_OUT`].
+const HEAVY_FROM: f64 = 0.006;
+/// Throws until a throw far out counts for the tails of the scatter: by then, a fault that began with it shows.
+const DECIDED_AFTER: usize = 24;
+/// Number of throws far out in the prior of their rate.
+const TAIL_PRIOR: f64 = 0.5;
+/// Number of throws in this prior.
+const TAIL_PRIOR_THROWS: f64 = 100.0;
+/// Throws of a machine from which its rate is known: a baseline of one direction.
+const KNOWN_FROM: f64 = 50.0;
+/// Consecutive throws whose tests count as one in the budget: their windows overlap, so their counts are nearly equal.
+const OVERLAP: f64 = 10.0;
+
+/// Departures of a machine, and their healthy rate.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Intermittent {
+    /// The last throws; one that ended a departure has the departure as value, in (ln b0, ln a1, ln a0).
+    recent: Rare,
+    /// The unfinished departure of each direction: its first throw, and its number of throws.
+    #[serde(default)]
+    begun: [Option<([f32; 3], u32)>; 2],
+    /// Departures, and throws, of the healthy past before `recent`.
+    past: (f64, f64),
+    /// Large departures in the healthy past.
+    #[serde(default)]
+    past_large: f64,
+    /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
+    tail: (f64, f64),
+    /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
+    undecided: Last<bool, DECIDED_AFTER>,
+}
+
+/// Frequent departures, with their cause.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Departures {
+    /// Throws per departure.
+    pub(crate) one_in: f64,
+    /// Mean of the departures, explained by one cause.
+    pub(crate) explanation: Explanation,
+    /// The named cause; [`Cause::Unattributed`] if two causes explain the mean.
+    pub(crate) cause: Cause,
+}
+
+impl Intermittent {
+    /// Adds a throw of the direction `side` with its `departure` from the median of the previous ones, and the
+    /// covariance of one throw. Until the baseline is `complete`, the throw belongs to the healthy past. While a drift
+    /// is `suspicious`, no throw counts for the tails. While the alarm `is_active`, the healthy rate stays as it is.
+    pub(crate) fn push(
+        &mut self,
+        side: usize,
+        departure: Vector3<f64>,
+        of_one_throw: &Matrix3<f64>,
+        complete: bool,
+        [suspicious, is_active]: [bool; 2],
+        settings: &Settings,
+    ) {
+        let inverse = sym3::inverse(of_one_throw);
+        let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
+        let decided = self.undecided.push(square(departure) > FAR_OUT);
+        if let Some(far_out) = decided.filter(|_| !suspicious) {
+            self.tail.0 += f64::from(u8::from(far_out));
+            self.tail.1 += 1.0;
+        }
+        let far = |d: Vector3<f64>| {
+            let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
+            square(d) > ANY.far && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
+        };
+        #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
+        let ended = if far(departure) {
+            let (first, throws) = self.begun[side].unwrap_or(([0, 1, 2].map(|i| departure[i] as f32), 0));
+            self.begun[side] = Some((first, throws + 1));
+            None
+        } else {
+            let begun = self.begun[side].take().filter(|(_, throws)| *throws <= LONGEST_RUN);
+            begun.map(|(first, _)| first).filter(|first| far(Vector3::from(first.map(f64::from)) - departure))
+        };
+        self.recent.push(ended);
+        if !complete || self.recent.throws() > COUNTED[1] {
+            let is_rising = self.is_rising();
+            let oldest = self.recent.pop_oldest().filter(|_| !is_rising);
+            if !is_active {
+                let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
+                self.past.0 += f64::from(u8::from(oldest.is_some()));
+                self.past_large += f64::from(u8::from(is_large));
+                self.past.1 += 1.0;
+            }
+        }
+    }
+
+    /// Departures more frequent than the healthy rate; `budget`: false alarms per throw.
+    pub(crate) fn found(&self, of_one_throw: &Matrix3<f64>, budget: f64, settings: &Settings) -> Option<Departures> {
+        if self.past.1 < KNOWN_FROM {
+            return None;
+        }
+        let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
+        let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
+        let inverse = sym3::inverse(of_one_throw)?;
+        let shows = |(size, throws): (Size, u32)| {
+            let counted = f64::from(self.recent.throws().min(throws));
+            let last = self.recent.last(throws).map(|(age, d)| (f64::from(*age), Vector3::from(d.map(f64::from))));
+            let all: Vec<_> = last.filter(|(_, d)| (d.transpose() * inverse * d).x > size.far).collect();
+            let enough = |count: usize| count >= 3 && self.chance(size, count, counted) < share;
+            if !enough(all.len()) {
+                return None;
+            }
+            // The departures of a fault are of one kind; those of heavy tails are of all kinds.
+            let kind = |(cause, sign): (Cause, f64)| -> Vec<(f64, Vector3<f64>)> {
+                let is_of_kind = |(_, departure): &&(f64, Vector3<f64>)| {
+                    let part = single(cause, departure, of_one_throw, settings);
+                    sign * part.size > 0.0 && part.relevance(settings) > 1.0
+                };
+                all.iter().filter(is_of_kind).copied().collect()
+            };
+            let kinds = Cause::PHYSICAL.into_iter().flat_map(|cause| [(cause, 1.0), (cause, -1.0)]);
+            let most = kinds.map(kind).max_by_key(Vec::len).filter(|most| enough(most.len()))?;
+            let (count, (newest, _), (oldest, _)) = (most.len() as f64, most.first()?, most.last()?);
+            // Throws per departure, between the first and the last one: the window may have begun before the fault.
+            let one_in = (oldest - newest) / (count - 1.0);
+            Some((one_in, most.iter().map(|(_, departure)| departure).sum::<Vector3<f64>>() / count, count))
+        };
+        let (one_in, mean, count) = tests.find_map(shows)?;
+        let covariance = of_one_throw / count;
+        let mut parts = Cause::PHYSICAL.map(|cause| (single(cause, &mean, &covariance, settings), cause));
+        let misfit = |part: &Explanation| {
+            let model = settings.model_error * part.size;
+            let covariance = covariance + Matrix3::from_diagonal_element((0.5 * model).powi(2));
+            let effect = super::explain::direction_of(part.cause).unwrap_or_default() * part.size;
+            sym3::inverse(&covariance).map_or(f64::INFINITY, |u| ((mean - effect).transpose() * u * (mean - effect)).x)
+        };
+        parts.sort_by(|(a, _), (b, _)| misfit(a).total_cmp(&misfit(b)));
+        let (best, named) = parts[0];
+        let clear = misfit(&parts[1].0) - misfit(&best) > CLOSE;
+        Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
+    }
+
+    pub(crate) fn has_heavy_tails(&self) -> bool {
+        let (far, throws) = self.tail;
+        (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
+    }
+
+    /// Discards the departures when their alarm ends.
+    pub(crate) fn end(&mut self) {
+        self.recent.forget_values();
+    }
+
+    /// Whether departures are as rare again as in the healthy past.
+    pub(crate) fn is_over(&self) -> bool {
+        let count = self.recent.last(COUNTED[0]).count();
+        count == 0 || self.chance(ANY, count, COUNTED[0].into()) > OVER_FROM
+    }
+
+    /// Whether departures are so frequent that they may come from a fault; the healthy rate must not include them.
+    pub(super) fn is_rising(&self) -> bool {
+        let throws = self.recent.throws();
+        let count = self.recent.last(throws).count();
+        count >= 3 && self.chance(ANY, count, throws.into()) < RISING_FROM
+    }
+
+    /// Discards the last throws after a change of the machine; keeps the healthy rate.
+    pub(crate) fn reset(&mut self) {
+        *self = Self { past: self.past, past_large: self.past_large, tail: self.tail, ..Self::default() };
+    }
+
+    /// Probability of at least `count` departures of this size in so many `throws`, with the healthy rate.
+    fn chance(&self, size: Size, count: usize, throws: f64) -> f64 {
+        let past = if size.far > ANY.far { self.past_large } else { self.past.0 };
+        let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
+        let p = throws / (throws + exposure);
+        let k = count as f64;
+        let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
+        // The tail is summed directly, as 1 minus the head would lose its digits; each term follows from the last one.
+        let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
+        iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
+    }
+}
+
+/// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.
+const OVER_FROM: f64 = 0.05;
+/// Probability of the present number of departures below which the rate may be rising: far above a false alarm's.
+const RISING_FROM: f64 = 0.001;
+/// Terms of the sum for the tail of the distribution.
+const TAIL_TERMS: usize = 60;

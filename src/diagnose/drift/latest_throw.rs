@@ -1,0 +1,110 @@
+//! The latest throw, and the size of the drift at this throw.
+
+use jiff::Timestamp;
+
+use super::{
+    Drift,
+    cause::Naming,
+    course::Course,
+    explain::{Explanation, friction_of_sound_motor},
+    history::History,
+};
+use crate::{
+    diagnose::{
+        event::Cause,
+        gauges::{Gauges, Level},
+        settings::Settings,
+        track::Tracks,
+    },
+    throw::Direction,
+};
+
+/// Standard deviation of a size by the error of the model, as part of the size: where half of the friction is dry, the
+/// model overstates a loss of 10 to 20 % of the motor's torque by 1 to 2 % of the loss.
+const SIZE_SHARE: f64 = 0.01;
+/// Lower bound of a coefficient as part of nominal, so that its logarithm is finite.
+const LEAST_LEFT: f64 = 0.01;
+/// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
+/// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
+const DRY: (f64, f64) = (0.5, 0.29);
+/// Dry friction as part of the running load: mean and standard deviation. The load contains the spring too.
+const DRY_LOAD: (f64, f64) = (0.3, 0.17);
+
+/// The latest throw of a machine.
+#[derive(Clone, Copy)]
+pub(crate) struct LatestThrow<'a> {
+    /// The drift in the last throws.
+    pub(crate) drift: &'a Drift,
+    /// Number of the throw, counted by the machine's monitor.
+    pub(crate) order: u64,
+    pub(crate) at: Timestamp,
+    pub(crate) tracks: &'a Tracks,
+    pub(crate) gauges: &'a Gauges,
+    pub(crate) settings: &'a Settings,
+}
+
+impl LatestThrow<'_> {
+    /// The direction of the drift of `cause`; `None` if both directions have it, or while the direction is not known.
+    pub(crate) fn direction(self, cause: Cause) -> Option<Direction> {
+        let weights = self.drift.weights(cause, self.settings)?;
+        self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
+    }
+
+    /// The drift's single named part with its size at this throw, and its course; `None` unless exactly one is named.
+    pub(super) fn named_part(
+        self,
+        direction: Option<Direction>,
+        history: &History,
+    ) -> Option<(Explanation, Option<Course>)> {
+        let attribution = self.drift.attribution.as_ref()?;
+        let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
+        let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
+        let of_friction = self.drift.strongest.as_ref().filter(|_| is_beside_sound_motor);
+        let part = of_friction.map_or(main, |window| friction_of_sound_motor(&window.mean, &window.covariance));
+        Some(self.size(&part, direction, history))
+    }
+
+    /// `part` with its size at this throw, and its course if there is one.
+    pub(crate) fn size(
+        self,
+        part: &Explanation,
+        direction: Option<Direction>,
+        history: &History,
+    ) -> (Explanation, Option<Course>) {
+        let temperature_sd = self.drift.temperature_sd();
+        let Some(course) = self.tracks.course(&part.weights, &temperature_sd, direction, history, self.order) else {
+            return (self.without_dry_friction(*part, direction), None);
+        };
+        let (size, size_sd) = course.now();
+        let whole = (1.0 + size).max(LEAST_LEFT);
+        let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
+        let now = Explanation { size: whole.ln(), size_sd, ..*part };
+        (self.without_dry_friction(now, direction), Some(course))
+    }
+
+    /// `part` with its size corrected for dry friction, which the model treats as viscous.
+    ///
+    /// Dry friction F at the speed v adds F/v to a1. More friction slows the motor, so the dry part of a1 rises by more
+    /// than the friction, namely also by the change in duration.
+    ///
+    /// At the start of the throw, b0 comes from the torque less the dry friction. If the torque changes by the factor
+    /// r, b0 changes by (r - q)/(1 - q), where q is the dry friction as part of the torque at the inrush current. The
+    /// ratios of the coefficients do not depend on the start.
+    fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
+        match part.cause {
+            Cause::Friction => {
+                let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
+                let size_sd = part.size_sd.hypot(DRY.1 * value).hypot(DRY.0 * sd);
+                Explanation { size: part.size - DRY.0 * value, size_sd, ..part }
+            }
+            Cause::Kt if self.drift.strongest.is_some_and(|window| window.shows(Cause::Inertia)) => {
+                let load = self.gauges.running_of_inrush();
+                let change = part.size.exp_m1();
+                let whole = (1.0 + (1.0 - DRY_LOAD.0 * load) * change).max(LEAST_LEFT);
+                let size_sd = part.size_sd.hypot(DRY_LOAD.1 * load * change / whole);
+                Explanation { size: whole.ln(), size_sd, ..part }
+            }
+            _ => part,
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
+
+pub(super) mod alarms;
+pub(super) mod cause;
+pub(super) mod condition;
+pub(super) mod course;
+pub(super) mod explain;
+pub(super) mod history;
+pub(super) mod intermittent;
+pub(super) mod latest_throw;
+pub(super) mod origin;
+pub(super) mod start;
+pub(super) mod threshold;
+pub(super) mod weather;
+pub(super) mod window;
+
+use nalgebra::{Matrix3, Vector3};
+
+use self::{
+    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single},
+    condition::{Claim, Reading},
+    explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
+    origin::{Awaited, Origin},
+    window::Window,
+};
+use super::{
+    event::Cause,
+    settings::Settings,
+    statistics::{scatter::Scatter, sym3},
+    verdict::Blindness,
+};
+use crate::throw::Direction;
+
+/// Lead of one name over the others (odds of 150 to 1) from which the name is certain enough that an alarm does not
+/// wait for more throws because of it.
+const SAFE: f64 = 10.0;
+/// Number of throws for which an alarm waits longer while the name is uncertain.
+const DOUBTED_PATIENCE: u32 = 2;
+/// Number of throws for which an alarm waits longer without a single name: more throws after a step usually give one.
+const UNNAMED_PATIENCE: u32 = 6;
+/// Number of throws for which an alarm waits longer if two explanations are too close to call: the longest window, of
+/// 24 throws, distinguishes most of them.
+const TOO_CLOSE_PATIENCE: u32 = 24;
+
+/// Factor on warning limits while a baseline is incomplete, as its few throws do not include the weather yet.
+const PROVISIONAL_WIDENING: f64 = 1.5;
+
+/// Part of the warning limit for health: plain health if the size plus two standard deviations is below it, likely
+/// health if the size alone is.
+const HEALTHY_BELOW: f64 = 0.5;
+/// Largest change of b0 or a0, relative to that of a1, in a change of friction, which the weather can cause.
+const BESIDE_WEATHER: f64 = 0.67;
+/// A change lasts while the last few throws have at least this part of it.
+const STILL_CHANGED: f64 = 0.5;
+
+/// A change of friction, as change of ln a1. Wear and cold raise the friction; rain and warmth lower it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FrictionChange {
+    pub(super) size: f64,
+    /// Whether the last few throws still have the change.
+    pub(super) lasts: bool,
+}
+
+/// Relation of the named cause of a drift to the active alarms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ToAlarms {
+    /// The cause has no alarm.
+    New,
+    /// The cause has an active alarm.
+    Alarmed,
+    /// The drift is named as that of one part alone, while another part has an active alarm.
+    Contradicts,
+}
+
+/// The drift in the last throws.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Drift {
+    /// T of the strongest window relative to its limit (see [`self::window`]).
+    pub(super) excess: f64,
+    /// Whether a baseline is still incomplete.
+    pub(super) provisional: bool,
+    /// The attribution, if a drift is detected.
+    pub(super) attribution: Option<Attribution>,
+    /// The window with the most significant drift.
+    pub(super) strongest: Option<Window>,
+    /// Origin of the drift, by the gauges.
+    pub(super) origin: Origin,
+    /// Relation of the named cause to the active alarms.
+    relation: ToAlarms,
+    /// Whether a direction has a baseline, but too few throws for a level.
+    is_half_seen: bool,
+    /// Mean of the last throws of each direction, at most twelve.
+    pub(super) levels: [Option<Window>; 2],
+    /// Mean of the last throws of each direction, at most six.
+    last_few: [Option<Window>; 2],
+    /// Direction of the latest throw as an index, and the mean of the last three throws of this direction.
+    latest: (usize, Option<Window>),
+    /// The change that the uncertain effect of the temperature hides, if it is one at the warning limit.
+    pub(super) hidden: Option<Blindness>,
+}
+
+impl Drift {
+    pub(super) fn new(
+        strongest: Option<(Window, &Scatter, Option<usize>)>,
+        [provisional, is_half_seen]: [bool; 2],
+        [levels, last_few]: [[Option<Window>; 2]; 2],
+        latest: (usize, Option<Window>),
+        hidden: Option<Blindness>,
+        known: &Known,
+        settings: &Settings,
+    ) -> Self {
+        let excess = strongest.map_or(0.0, |(window, ..)| window.excess);
+        let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter, side)| {
+            let last = side.map_or_else(|| mean_of_both(&last_few), |side| last_few[side]);
+            let is_before = last.is_some_and(|last| is_before_motor_fault(&window, &last, settings));
+            let gauges = known.gauges.filter(|_| !is_before);
+            let known = &Known { gauges, ..known.clone() };
+            Attribution::of(&Case { window: &window, of_one_throw: &scatter.of_one_throw(), known, settings })
+        });
+        let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
+        let relation = match &attribution {
+            Some(attribution) if known.causes.contains(&attribution.cause()) => ToAlarms::Alarmed,
+            Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
+            _ => ToAlarms::New,
+        };
+        let (strongest, origin) = (strongest.map(|(window, ..)| window), Origin::default());
+        Self {
+            excess,
+            provisional,
+            attribution,
+            strongest,
+            origin,
+            relation,
+            is_half_seen,
+            levels,
+            last_few,
+            latest,
+            hidden,
+        }
+    }
+
+    /// The windows that show the present drift; after a step the shorter ones show it better.
+    pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
+        self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
+    }
+
+    /// The drift as a change of friction, if it is above its limit and mostly a change of a1.
+    pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
+        let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
+        let beside = mean.x.abs().max(mean.z.abs());
+        let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y / mean.y > STILL_CHANGED);
+        (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange { size: mean.y, lasts })
+    }
+
+    /// Whether a drift is detected and above its warning limit, whatever its cause.
+    pub(super) fn matters(&self) -> bool {
+        let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
+        self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
+    }
+
+    /// The evidence about `cause`. `alarmed`: `None` without an active alarm about it, else the direction of this alarm
+    /// (inner `None`: both).
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
+    pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
+        let excused = self.origin.is_instrument();
+        let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
+        let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
+        let other = excused && self.matters()
+            || self.attribution.as_ref().is_some_and(|attribution| {
+                matches!(attribution.naming, Naming::One(_))
+                    && !attribution.includes(cause)
+                    && attribution.relevance > 1.0
+            });
+        let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
+        // A level that is missing, or that the temperature hides, does not count as healthy.
+        let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
+        // Fitted together with a second part, a part has another size.
+        let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
+        let extent = |window: &Window| extent(cause, other_part, window, settings);
+        let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);
+        let (side, last_few) = &self.latest;
+        let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
+        let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
+        let latest = latest.map(|window| extent(window).0);
+        let deadband = 1.0 - settings.deadband_pct / 100.0;
+        // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
+        let has_ended =
+            cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
+        let claim = match named {
+            Some(_) if self.matters() => {
+                // The next throw confirms a step, but not an outlier.
+                let is_confirmed = self.strongest.is_some_and(|window| window.confirmed);
+                if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
+            }
+            // The name is not stable yet, so throws with a name count for an alarm without one.
+            _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
+                Claim::Counts
+            }
+            _ => Claim::None,
+        };
+        Reading {
+            claim,
+            // The strongest window may be of the direction with the smaller drift.
+            undoubted: undoubted.map_or(0.0, |attribution| match attribution.naming {
+                Naming::One(_) => attribution.relevance.max(size),
+                _ => attribution.relevance,
+            }),
+            patience: if matches!(self.origin, Origin::Either { waits: Awaited::Throws, .. }) {
+                TOO_CLOSE_PATIENCE
+            } else {
+                0
+            } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
+                // A window with throws from before and after a second fault may look like a fault of a third part.
+                (Naming::One(_), _) if self.relation == ToAlarms::Contradicts => TOO_CLOSE_PATIENCE,
+                (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
+                (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
+                (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+                (Naming::Both(..) | Naming::Neither(..), _) => UNNAMED_PATIENCE,
+            }),
+            plain_health: is_shown && bound < HEALTHY_BELOW,
+            likely_health: is_shown && size < HEALTHY_BELOW && bound < 1.0,
+            below: is_shown && (self.attribution.is_none() || size < deadband),
+            other_name: other,
+            turned: false,
+            latest,
+        }
+    }
+
+    /// Standard deviation of the effect of the temperature on (ln b0, ln a1, ln a0) in the last throws.
+    pub(super) fn temperature_sd(&self) -> Vector3<f64> {
+        self.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default()
+    }
+
+    /// Weights of the three logarithms in the size of `cause`, from the window with the largest size; `None` if a
+    /// window does not show the cause.
+    pub(super) fn weights(&self, cause: Cause, settings: &Settings) -> Option<Vector3<f64>> {
+        let windows = self.levels.iter().chain(&self.last_few).flatten();
+        if windows.clone().any(|window| !window.shows(cause)) {
+            return None;
+        }
+        let parts = windows.flat_map(|window| {
+            let shown = alarm_causes(cause).filter(|part| window.shows(*part));
+            shown.map(|part| single(part, &window.mean, &window.covariance, settings))
+        });
+        let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))?;
+        Some(largest.weights)
+    }
+}
+
+/// Least size of `cause` \[%\] that is detected in a mean with this covariance and this limit of T; `None` if no size
+/// is.
+pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
+    let d = direction_of(cause)?;
+    let visible = percent((limit / (d.transpose() * sym3::inverse(&covariance)? * d).x).sqrt());
+    visible.is_finite().then_some(visible)
+}
+
+/// Size of `cause` in a window relative to the warning limit, and the same for the size plus two standard deviations;
+/// with `beside`, in a fit of both parts together.
+fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
+    let of = |cause: Cause| {
+        let e = match beside {
+            Some(other) => fit(PLAIN_LEAKS, [cause, other], &window.mean, &window.covariance, settings).parts[0],
+            None => single(cause, &window.mean, &window.covariance, settings),
+        };
+        let bound = e.size.abs() + 2.0 * e.size_sd;
+        (relevance(cause, e.size, settings), relevance(cause, bound, settings))
+    };
+    if cause == Cause::Unattributed {
+        let shown = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));
+        shown.map(of).fold((0.0, 0.0), max_of_each)
+    } else {
+        of(cause)
+    }
+}
+
+/// The mean of both directions with equal weights, as dry friction may change the coefficients of each differently.
+fn mean_of_both(levels: &[Option<Window>; 2]) -> Option<Window> {
+    let [a, b] = levels;
+    let (a, b) = (a.as_ref()?, b.as_ref()?);
+    Some(Window { mean: 0.5 * (a.mean + b.mean), covariance: 0.25 * (a.covariance + b.covariance), ..*a })
+}
+
+/// Whether the last few throws show a new fault of the motor, and most of `window` is from before it. The gauges are
+/// those of the last few throws, so they do not apply to such a window.
+fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) -> bool {
+    const SHOWN_SD: f64 = 3.0;
+    if window.throws <= last.throws {
+        return false;
+    }
+    let since = best_single(&Window { mean: last.mean - window.mean, ..*last }, settings);
+    since.cause == Cause::Kt && since.relevance(settings) > 1.0 && since.size.abs() > SHOWN_SD * since.size_sd
+}
+
+/// The physical causes of an alarm: its cause, or all four of an unattributed one.
+fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
+    Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
+}
+
+fn max_of_each(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.max(b.0), a.1.max(b.1))
+}

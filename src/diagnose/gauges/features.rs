@@ -1,0 +1,207 @@
+//! Watches the features of throws whose coefficients cannot be judged: on machines with a current sensor only, on
+//! machines whose throws are rejected one after the other, and on machines whose throws are all rough, so that there is
+//! no baseline. A rejection is a verdict on the data: the features may still show a fault of the machine.
+
+use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use super::{Change, Gauge, Gauges, sd_of_mean};
+use crate::{
+    diagnose::{
+        alarm::{
+            found::{Found, count_over},
+            step::Step,
+        },
+        drift::{explain::percent, weather::SLOW_FROM},
+        event::{Cause, Severity},
+        statistics::{last::Last, robust::median},
+        text,
+    },
+    estimate::Features,
+    throw::Direction,
+};
+
+/// The watched features, each with the change that matters, as a logarithm; `critical_factor` times this change is
+/// critical. The running current of a healthy machine changes by some percent with the weather, its duration and travel
+/// hardly change.
+const WATCHED: [(Gauge, f64); 4] =
+    [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
+/// Number of throws of a direction in a level, which is their median.
+const LEVEL: usize = 6;
+/// Least significant change of a level, in standard deviations of one throw: this standard deviation comes from 12 to
+/// 24 throws only, and consecutive throws are correlated.
+const SIGNIFICANT_SD: f64 = 4.0;
+
+/// A change that has grown by this factor since it was last reported is reported again.
+const LARGER: f64 = 1.5;
+/// Factor on the limit of a slow change of a current on a machine without a temperature. Seasons of 20 K above and
+/// below the mean change the current by 0.16 (as a logarithm), and the baseline may be from one end of this range.
+const OF_SEASON: f64 = 2.0;
+/// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
+const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
+
+/// Departures of the watched features from their normal values, beyond what supply and temperature explain, each with
+/// its standard deviation; both as logarithms.
+type Departures = [Option<(f32, f32)>; WATCHED.len()];
+/// Changes of the watched features, as logarithms.
+type Changes = [f32; WATCHED.len()];
+
+/// The changes of a direction at two earlier times. A change by the season comes slowly, so it existed then too.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Earlier {
+    since: Timestamp,
+    /// Time of the last throw.
+    last: Timestamp,
+    /// Number of throws after `since`.
+    throws: u32,
+    /// Changes at `since`, and at the value of `since` before it.
+    changes: [Changes; 2],
+}
+
+impl Earlier {
+    fn new(at: Timestamp, present: Changes) -> Self {
+        Self { since: at, last: at, throws: 0, changes: [present, Changes::default()] }
+    }
+
+    /// Adds a throw of the direction with these present changes.
+    fn follow(&mut self, at: Timestamp, present: Changes) {
+        self.throws = self.throws.saturating_add(1);
+        self.last = at;
+        if self.throws >= EARLIER.1 && self.is_past() {
+            *self = Self { changes: [present, self.changes[0]], ..Self::new(at, present) };
+        }
+    }
+
+    /// Whether the changes at `since` are old enough for a comparison.
+    fn is_past(&self) -> bool {
+        self.last.duration_since(self.since) >= EARLIER.0
+    }
+
+    /// The newest changes that are old enough for a comparison.
+    fn changes(&self) -> &Changes {
+        &self.changes[usize::from(!self.is_past())]
+    }
+}
+
+/// The features of the last throws without an estimate.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct FeatureWatch {
+    /// The last throws of each direction, the newest last.
+    sides: [Last<Departures, LEVEL>; 2],
+    /// Number of consecutive throws without a change.
+    calm: u32,
+    /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
+    #[serde(default)]
+    reported: f64,
+    /// The earlier changes of each direction, if the machine has no temperature.
+    #[serde(default)]
+    earlier: [Option<Box<Earlier>>; 2],
+    /// Change of a current \[%\] that raises no alarm, as it is slow enough to come from the season.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) season_pct: Option<f32>,
+}
+
+/// The departure of a feature in the last throws of a direction.
+struct Departure {
+    /// Size as a multiple of the least change that matters and is significant.
+    size: f64,
+    change: Change,
+    /// Whether the change may come from the season.
+    is_slow: bool,
+}
+
+impl FeatureWatch {
+    /// Applies a throw without an estimate.
+    pub(crate) fn on_features(
+        &mut self,
+        direction: Direction,
+        (features, celsius): (&Features, Option<f64>),
+        gauges: &Gauges,
+        step: &Step,
+    ) -> Found {
+        let side = direction.side();
+        self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
+        self.follow_season(side, celsius, step.at);
+        let levels: Vec<Departure> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
+        let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
+        count_over(&mut self.calm, largest);
+        let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
+        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
+        let pct = |level: &Departure| percent(level.change.size) as f32;
+        self.season_pct = seasonal.map(pct);
+        let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
+        if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
+            let text = text::features(step.name, &changes, LEVEL);
+            let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
+            if is_larger || self.reported == 0.0 {
+                self.reported = largest;
+            }
+            let is_critical = largest > step.settings.critical_factor;
+            let severity = if is_critical { Severity::Critical } else { Severity::Warning };
+            let event = Box::new(step.event(Cause::Unattributed, severity, text));
+            return if is_larger { Found::Larger(event) } else { Found::Fault(event) };
+        }
+        if self.calm < step.settings.off_delay_throws {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
+    }
+
+    /// Applies a throw with an estimate, after which the drift rule judges this direction again.
+    pub(crate) fn on_estimate(&mut self, direction: Option<Direction>) -> Found {
+        if let Some(direction) = direction {
+            self.sides[direction.side()].pop_oldest();
+        }
+        if !self.sides.iter().all(|side| side.is_empty()) {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
+    }
+
+    /// Whether features of the last throws were compared with normal values.
+    pub(crate) fn is_monitoring(&self) -> bool {
+        self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
+    }
+
+    /// Stores the earlier changes of a side of a machine without a temperature.
+    fn follow_season(&mut self, side: usize, celsius: Option<f64>, at: Timestamp) {
+        if celsius.is_some() {
+            self.earlier[side] = None;
+            return;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "far below the scatter")]
+        let present: Changes =
+            std::array::from_fn(|gauge| self.level(side, gauge).map_or(0.0, |level| level.change.size as f32));
+        self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
+    }
+
+    /// The departure of a watched feature in the direction with the larger one; `None` if neither is known.
+    fn largest(&self, at: usize) -> Option<Departure> {
+        [0, 1].into_iter().filter_map(|side| self.level(side, at)).max_by(|a, b| a.size.total_cmp(&b.size))
+    }
+
+    /// The departure of a watched feature in the last throws of a side; `None` with too few throws.
+    fn level(&self, side: usize, at: usize) -> Option<Departure> {
+        let (gauge, limit) = WATCHED[at];
+        let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
+            let known = self.sides[side].iter().filter_map(|departures| departures[at].as_ref());
+            known.map(part).map(f64::from).collect()
+        };
+        let mut values = of(|(value, _)| *value);
+        if values.len() < LEVEL {
+            return None;
+        }
+        let size = median(&mut values);
+        let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
+        let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
+        // Only without an alarm: one about a change that came at once must not end because the change lasts.
+        let is_slow = gauge.follows_weather()
+            && self.reported == 0.0
+            && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes()[at]) / size > SLOW_FROM);
+        let limit = if is_slow { OF_SEASON * limit } else { limit };
+        let change = Change { gauge, size, size_sd };
+        Some(Departure { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })
+    }
+}

@@ -1,0 +1,470 @@
+//! Distinguishes a fault of a sensor, of the logger's clock or of the supply from a fault of a part.
+//!
+//! A drift is a vector in (ln b0, ln a1, ln a0). A gain error of the position sensor changes it as a fault of the motor
+//! does, and a gain error of the current sensor in the opposite sense. A clock that stretches time by the factor s
+//! changes it by (-2, -1, -2) ln s, by the derivatives in equation (12). The coefficients alone thus cannot name the
+//! faulty device. The gauges can: the table gives the change of the logarithm of each gauge for a fault of size 1. The
+//! supply voltage is V, the current i and the speed of the motor ω.
+//!
+//! | fault | travel | back-EMF (V - R i)/ω | resistance R | duration |
+//! |---|---|---|---|---|
+//! | motor: torque alone, or its magnets | 0 | 0, or 1 | 0 | 0, or 1 |
+//! | friction, stiffness, inertia | 0 | 0 | 0 | 0 |
+//! | current sensor | 0 | 0 | 1 | 0 |
+//! | position sensor | 1 | -1 | 0 | 0 |
+//! | clock | 0 | 1 | 0 | 1 |
+//!
+//! More dry friction lowers b0 too, as it takes a part of the torque at the start of the throw: b0 and a1 alone cannot
+//! distinguish motor and friction. The back-EMF shows a change of the motor; without a voltage, the no-load speed does.
+//!
+//! Without a supply voltage, a fault of the motor and one of the current sensor look the same, and the alarm names
+//! both. A weak supply hardly changes the coefficients. Dry friction is the exception: the model has viscous friction
+//! only, so at a lower speed the same dry friction looks larger, at most in proportion to the duration of the throw.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::{Circuit, Gauge, Gauges, Level, Offset};
+use crate::diagnose::{
+    alarm::{found::count_over, rule::Rule, step::Step},
+    drift::{
+        Drift,
+        cause::{Attribution, Naming},
+        condition::streak,
+        explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
+        origin::{Awaited, Origin, SensorFault},
+        threshold::WINDOWS,
+        window::Window,
+    },
+    event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
+    settings::Settings,
+    text,
+};
+
+/// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
+const LEAD_OF_SENSOR: f64 = 10.0;
+/// Lead of the machine over a sensor that excludes the sensor: odds of 20 to 1, as twice the logarithm.
+const LEAD_OF_MACHINE: f64 = 6.0;
+/// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
+const MAX_MISFIT: f64 = 40.0;
+/// Least significance of a change of the supply \[standard deviations\].
+const SUPPLY_SD: f64 = 4.0;
+/// Least relevant change of the supply, as a logarithm.
+const SUPPLY_CHANGE: f64 = 0.05;
+/// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
+const SUPPLY_LIMIT_PCT: f64 = 15.0;
+/// Range of the increase in duration as part of the loss of supply voltage, both as logarithms.
+const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
+/// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
+const MAX_FRICTION_PER_LOSS: f64 = 1.3;
+/// Least change of the inrush current as part of the gain error of the current sensor.
+const INRUSH_OF_GAIN: f64 = 0.5;
+/// Slack of this limit in standard deviations of the inrush current. With less slack, a gain error beside an uncertain
+/// inrush is named as a fault of the motor. With more, a slide chair that dries on a soft drive is named as a gain
+/// error, as it changes the resistance like a gain error of 10 to 15 %.
+const INRUSH_SLACK_SD: f64 = 1.0;
+/// Largest apparent change of the motor, as part of the change of the logarithm of the resistance between supply and
+/// motor. Measured on an independent drive at 250 Hz: a change by 0.08 with twice the resistance.
+const MOTOR_OF_CIRCUIT: f64 = 0.12;
+
+/// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
+const LINGERS: u32 = 48;
+
+/// Counts of throws with and without a fault of a sensor or the supply.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+struct Streaks {
+    /// Consecutive throws with the fault above its limit.
+    named: u32,
+    /// Consecutive throws with the measured quantity far below its limit.
+    over: u32,
+    /// Consecutive throws without the fault.
+    unseen: u32,
+    /// Whether the fault still explains a drift: its throws may be in the windows.
+    lingers: bool,
+}
+
+/// Gauges of a machine, and the alarms about its sensors and supply.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub(crate) struct Instruments {
+    pub(crate) gauges: Gauges,
+    /// The sensor that was last named.
+    channel: Option<SensorChannel>,
+    /// Size of its fault: logarithm of the gain, or of the rate of the clock.
+    size: f64,
+    sensor: Streaks,
+    supply: Streaks,
+    circuit: Streaks,
+    /// For an offset of the current sensor.
+    rest: Streaks,
+    /// For an offset of the position sensor.
+    shift: Streaks,
+}
+
+/// A sensor, or the clock, that may explain a drift.
+struct Suspect {
+    channel: SensorChannel,
+    /// Change of (ln b0, ln a1, ln a0) by a fault of size 1.
+    effect: [f64; 3],
+    /// Change of the gauges in [`DISTINGUISHING`] by a fault of size 1.
+    gauges: [f64; 4],
+    /// Logarithm of the gain, or of the rate of the clock, in a fault of size 1.
+    gain: f64,
+}
+
+const SUSPECTS: [Suspect; 3] = [
+    Suspect { channel: SensorChannel::Current, effect: [1.0, 0.0, 0.0], gauges: [0.0, 0.0, 1.0, 0.0], gain: -1.0 },
+    Suspect { channel: SensorChannel::Position, effect: [1.0, 0.0, 0.0], gauges: [1.0, -1.0, 0.0, 0.0], gain: 1.0 },
+    Suspect { channel: SensorChannel::Clock, effect: [-2.0, -1.0, -2.0], gauges: [0.0, 1.0, 0.0, 1.0], gain: 1.0 },
+];
+
+/// The gauges that distinguish sensors from parts.
+const DISTINGUISHING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
+
+impl Instruments {
+    /// The origin of a drift, by the gauges.
+    pub(crate) fn origin(&self, drift: &Drift, settings: &Settings) -> Origin {
+        let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
+            return Origin::Machine;
+        };
+        if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
+            return Origin::Supply;
+        }
+        let levels = self.levels(window.throws);
+        let (part, score) = best_part(window, &levels, settings);
+        let judged = SUSPECTS.iter().filter_map(|suspect| {
+            let Suspect { channel, effect, gauges, gain } = suspect;
+            let is_known = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
+            let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
+            let (size, size_sd, own) = alone?;
+            let is_possible = match channel {
+                SensorChannel::Clock => self.may_be_clock(size, window),
+                SensorChannel::Current => self.may_be_current(gain * size, window),
+                _ => true,
+            };
+            if !is_possible {
+                return None;
+            }
+            let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
+            // Without a supply voltage the current sensor is always possible.
+            let (size, size_sd) = weighed((size, size_sd), &levels, gauges);
+            (is_known || *channel == SensorChannel::Current).then_some((lead, *channel, is_known, gain * size, size_sd))
+        });
+        let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
+        match best {
+            Some((lead, channel, true, size, size_sd)) if lead >= LEAD_OF_SENSOR => Origin::Sensor(SensorFault {
+                channel,
+                size,
+                size_sd,
+                runner_up: RunnerUp { cause: part, margin: lead },
+            }),
+            Some((lead, channel, is_known, ..)) if lead > -LEAD_OF_MACHINE && !self.sensor.lingers => {
+                let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
+                    _ if is_known => Awaited::Throws,
+                    Some(_) => Awaited::Resistance,
+                    None => Awaited::Voltage,
+                };
+                Origin::Either { channel, waits }
+            }
+            _ if self.sensor.lingers || self.supply.lingers && self.supply.unseen > 0 => {
+                let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, f64, f64)| {
+                    lead > -LEAD_OF_MACHINE && self.channel == Some(channel)
+                };
+                Origin::Past { is_alike: best.is_some_and(is_alike) }
+            }
+            _ => Origin::Machine,
+        }
+    }
+
+    /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a
+    /// wrong clock cannot be distinguished from friction. Friction changes the running current; a wrong clock does not.
+    fn may_be_clock(&self, size: f64, window: &Window) -> bool {
+        /// Change of the running current, less its standard deviation, that excludes the clock; as part of `size`.
+        const PART: f64 = 0.5;
+        let running = self.gauges.level(Gauge::Running, window.throws);
+        let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
+        window.shows(Cause::Inertia) && !has_changed
+    }
+
+    /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
+    /// at least half of the error, beyond the changes by the supply voltage and by the temperature of the winding. The
+    /// resistance is no evidence here: it is wrong if the toe moves differently from the motor.
+    fn may_be_current(&self, gain: f64, window: &Window) -> bool {
+        let level = |gauge| self.gauges.level(gauge, window.throws);
+        let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
+        let [from, to] = self.gauges.winding_of_air(window.throws);
+        let change = inrush.value - volts.value;
+        let slack = INRUSH_SLACK_SD * inrush.sd.hypot(volts.sd);
+        let shown = if gain > 0.0 { change + to } else { -(change + from) } + slack;
+        shown > INRUSH_OF_GAIN * gain.abs()
+    }
+
+    /// Whether a changed resistance between supply and motor explains a drift. The resistance changes the inrush
+    /// current and the speed. The inrush accelerates the machine, so b0 changes a little too.
+    fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
+        let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
+        let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
+        // With a smaller inrush, dry friction takes a larger part of the torque: at most the ratio of the running
+        // current to the inrush current.
+        let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
+        let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
+        is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
+    }
+
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where b0 may change by
+    /// `of_motor`. Dry friction F at the speed v adds F/v to a1, and a speed that changes along the stroke looks like
+    /// stiffness. Both grow at most as much as the duration. In the ratios to b0, they look like a weaker motor.
+    fn speed_explains(&self, attribution: &Attribution, window: &Window, sense: f64, of_motor: f64) -> bool {
+        let slower = self.gauges.level(Gauge::Duration, window.throws).map_or(0.0, |longer| longer.value);
+        let slower = (slower * sense).max(0.0);
+        let is_explained = |part: &Explanation| {
+            let explained = match part.cause {
+                Cause::Inertia => return false,
+                Cause::Kt if window.shows(Cause::Inertia) => of_motor,
+                Cause::Kt => of_motor + slower,
+                _ => slower,
+            };
+            part.size.abs() < explained + 2.0 * part.size_sd
+        };
+        match &attribution.naming {
+            Naming::One(main) | Naming::Either(main, _) => is_explained(main),
+            Naming::Both(one, other) => is_explained(one) && is_explained(other),
+            _ => false,
+        }
+    }
+
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor. The model has no
+    /// dry friction, whose effect on the coefficients depends on the speed.
+    fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
+        let Some(lost) = self.supply_lost(window.throws) else { return false };
+        let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
+        let share = friction.size / lost.value;
+        let slack = 2.0 * friction.size_sd / lost.value.abs();
+        let is_friction = |found: &Explanation| found.cause == Cause::Friction;
+        let is_of_friction = attribution.main().is_some_and(is_friction)
+            || match &attribution.naming {
+                Naming::Either(_, second) => is_friction(second),
+                Naming::Both(main, second) => {
+                    is_friction(second) && main.size.abs() < settings.model_error * lost.value.abs()
+                }
+                _ => false,
+            };
+        is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
+            || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
+    }
+
+    /// Loss of supply voltage as a logarithm; `None` unless the loss is significant and the duration agrees.
+    fn supply_lost(&self, throws: usize) -> Option<Level> {
+        let lost = self.supply_change(throws)?;
+        let longer = self.gauges.level(Gauge::Duration, throws)?;
+        let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
+        (changed && DURATION_PER_LOSS.contains(&(longer.value / lost.value))).then_some(lost)
+    }
+
+    /// Loss of supply voltage as a logarithm: from the published voltage less its error, else from the inrush current.
+    fn supply_change(&self, throws: usize) -> Option<Level> {
+        let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
+        let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
+        let error = self.gauges.level(Gauge::BackEmf, throws).filter(|_| is_wrong);
+        Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
+    }
+
+    /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
+    /// gauges are unknown, or another sensor was named since.
+    fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
+        if sensor == Some(SensorChannel::Supply) {
+            return self.gauges.voltage_error_size();
+        }
+        let sensor = sensor.filter(|_| sensor == self.channel);
+        let suspect = SUSPECTS.iter().find(|suspect| sensor == Some(suspect.channel))?;
+        let levels = self.levels(WINDOWS[1]);
+        let (left, left_sd) = weighed((0.0, f64::INFINITY), &levels, &suspect.gauges);
+        let named = self.size / suspect.gain;
+        (left_sd.is_finite() && named != 0.0).then_some(left / named)
+    }
+
+    /// The levels of the gauges that distinguish sensors from parts.
+    fn levels(&self, throws: usize) -> [Option<Level>; 4] {
+        let is_wrong = self.gauges.voltage_error().is_some();
+        let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
+        let levels = DISTINGUISHING
+            .map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
+        // With a supply voltage, the back-EMF replaces the duration, as the duration has the scatter of the supply.
+        if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
+    }
+
+    /// Updates the alarm about a sensor after a throw with this drift.
+    pub(crate) fn judge(&mut self, drift: &Drift, step: &mut Step) {
+        let settings = step.settings;
+        let of_drift = if let Origin::Sensor(fault) = drift.origin { Some(fault) } else { None };
+        let of_voltage = || {
+            let Level { value, sd } = self.gauges.voltage_error()?;
+            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MAX_MISFIT) };
+            Some(SensorFault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
+        };
+        let fault = of_drift.or_else(of_voltage);
+        let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
+        if fault.is_some() && !same {
+            self.sensor.named = 0;
+        }
+        if let Some(SensorFault { channel, size, .. }) = fault {
+            (self.channel, self.size) = (Some(channel), size);
+        }
+        let is_alike = drift.origin == Origin::Past { is_alike: true };
+        let delay = settings.on_delay_throws;
+        let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
+        let open = step.alarms.faulty_sensor().filter(|_| is_own);
+        let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
+        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left, delay);
+        // A wrong voltage changes no coefficient, so it cannot explain a drift.
+        self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
+        if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
+            let event = AlarmEvent {
+                change_pct: Some(percent(fault.size)),
+                change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
+                runner_up: Some(fault.runner_up),
+                correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
+                ..step.sensor(fault.channel, text::sensor(step.name, &fault))
+            };
+            step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
+        } else if self.sensor.over >= settings.off_delay_throws && is_own {
+            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor, false));
+        }
+    }
+
+    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an
+    /// offset of the current changes neither coefficients nor features, and explains no other alarm.
+    pub(crate) fn judge_offset(&mut self, sensor: Offset, step: &mut Step) {
+        let Some((level, size)) = self.gauges.offset(sensor) else { return };
+        let (streaks, channel) = match sensor {
+            Offset::Current => (&mut self.rest, SensorChannel::Current),
+            Offset::Position => (&mut self.shift, SensorChannel::Position),
+        };
+        let delay = step.settings.on_delay_throws;
+        streaks.follow(size > 1.0, true, false, Some(size), delay);
+        let is_own =
+            || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
+        if streaks.named >= delay {
+            let event = step.sensor(channel, text::offset(step.name, sensor, &level));
+            step.alarms.raise_another(Rule::Offset, event, streaks.named == delay);
+        } else if streaks.over >= step.settings.off_delay_throws && is_own() {
+            step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
+        }
+    }
+
+    /// Updates the alarm about the supply after a throw. `explained`: `None` if the supply explains no drift, else
+    /// whether this drift is above its limit. `circuit`: the resistance between supply and motor, which counts as a
+    /// part of the supply, as the voltage is measured before it.
+    pub(crate) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
+        let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
+        let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
+        let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
+        let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
+        let delay = step.settings.on_delay_throws;
+        self.supply.follow(
+            lost.is_some() || explained.is_some(),
+            matters || explained == Some(true),
+            false,
+            left,
+            delay,
+        );
+        // A gain error of the current sensor changes the resistance too.
+        let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
+        let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
+        let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
+        let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
+        self.circuit.follow(circuit.is_some(), true, false, left, delay);
+        let event = |Level { value, sd }: Level, text: String| AlarmEvent {
+            change_pct: Some(percent(value)),
+            change_pct_sd: Some(100.0 * sd * value.exp()),
+            ..step.warning(Cause::Supply, text)
+        };
+        let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
+            let level = Level { value: -lost.value, ..lost };
+            (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
+        });
+        let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|Circuit { level, of_inrush, .. }| {
+            let lower = Level { value: -level.value, ..level };
+            let event = if of_inrush {
+                event(lower, text::inrush(step.name, &lower))
+            } else {
+                event(level, text::circuit(step.name, &level))
+            };
+            (self.circuit, Rule::Circuit, event)
+        });
+        let owner = if step.alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
+        let is_over = owner.over >= step.settings.off_delay_throws;
+        for (streaks, rule, event) in of_voltage.into_iter().chain(of_circuit) {
+            if step.alarms.raise_another(rule, event, streaks.named == delay || is_over) {
+                return;
+            }
+        }
+        if is_over {
+            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply, false));
+        }
+    }
+
+    /// Forgets the last throws, as after maintenance; keeps the normal values.
+    pub(crate) fn forget_recent(&mut self) {
+        self.gauges.forget_recent();
+        *self = Self { gauges: std::mem::take(&mut self.gauges), ..Self::default() };
+    }
+}
+
+impl Streaks {
+    /// Counts a throw. `holds`: it shows the fault; `matters`: the fault is above its limit; `is_alike`: the throw may
+    /// show the fault; `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
+    /// alarm. A fault without an alarm explains no later drift.
+    fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>, delay: u32) {
+        streak(&mut self.named, holds && matters);
+        streak(&mut self.unseen, !holds && !is_alike);
+        count_over(&mut self.over, if holds { Some(1.0) } else { left });
+        let is_recent = self.unseen < LINGERS && self.over < LINGERS;
+        self.lingers = holds && matters && self.named >= delay || self.lingers && is_recent;
+    }
+}
+
+/// The part that fits drift and gauges best, alone or with a second part, and the misfit.
+fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
+    let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
+    let singles = parts.iter().map(|&cause| scored([cause], window, levels, settings));
+    let pairs =
+        parts.iter().enumerate().flat_map(|(at, &first)| parts[at + 1..].iter().map(move |&second| [first, second]));
+    let pairs = pairs.map(|pair| scored(pair, window, levels, settings));
+    singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
+}
+
+/// The first of `parts`, and the misfit of all of them to drift and gauges.
+fn scored<const K: usize>(
+    parts: [Cause; K],
+    window: &Window,
+    levels: &[Option<Level>; 4],
+    settings: &Settings,
+) -> (Cause, f64) {
+    let found = fit(PLAIN_LEAKS, parts, &window.mean, &window.covariance, settings);
+    // A weaker motor loses torque alone, or its magnets weaken: then back-EMF and duration change too.
+    let motor = if parts[0] == Cause::Kt { found.parts[0].size } else { 0.0 };
+    let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor);
+    (parts[0], found.score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
+}
+
+/// Weighted mean, with its standard deviation, of a size and of the sizes that the gauges show. `effects`: change of
+/// the gauges by a fault of size 1.
+fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
+    let own = size_sd.powi(-2);
+    let (mut sum, mut weight) = (own * size, own);
+    for (level, effect) in levels.iter().zip(effects) {
+        if let Some(Level { value, sd }) = level {
+            sum += effect * value / (sd * sd);
+            weight += (effect / sd).powi(2);
+        }
+    }
+    (sum / weight, weight.sqrt().recip())
+}
+
+/// Misfit of the gauges to their expected values: sum of squares in variances, each at most [`MAX_MISFIT`].
+fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
+    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MAX_MISFIT));
+    levels.iter().zip(expected).map(of).sum()
+}

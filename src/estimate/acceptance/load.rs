@@ -1,0 +1,153 @@
+//! Errors of the coefficients from a random load of unknown size and correlation time.
+//!
+//! A load counts as the current d that it takes from the motor. In the integrated equation (12) (see `ratios`) it is a
+//! charge. The movement is cut into windows. The means of the integrated equation over two neighbouring windows differ
+//! by
+//!
+//! ```text
+//! Δ∫u dt = (a1/b0) Δy + (a0/b0) Δ∫(y - y_eq) dt + (1/b0) Δy' + D_k,   D_k = Δ∫d dt
+//! ```
+//!
+//! so the residuals of a fit of the three factors show the charges D of the load. The difference of two neighbouring
+//! windows is called a step. The model of the load is a first-order autoregression, `E[D_j D_k]` = σ² φ^|j-k|. A fit
+//! also removes a part of a slow load. The restricted likelihood L accounts for this, as it uses only the part of D
+//! that no factors can explain (Patterson, Thompson 1971). With the covariance Σ of D for σ = 1, and the matrix X of
+//! the fit,
+//!
+//! ```text
+//! L(φ) = |Σ|^(-1/2) |X'Σ⁻¹X|^(-1/2) S^(-ν/2),   S = min D'Σ⁻¹D,   σ² = S/ν,   ν = steps - 3
+//! ```
+//!
+//! Let an estimate change by `g_k` for a charge of 1 in step k. Its variance is the sum of `g_j` `g_k` σ² φ^|j-k| over
+//! all j and k. A throw of some seconds hardly shows how long a load lasts, so the result is the mean of this variance
+//! over φ, weighted by L.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::estimate::{small::unit_diagonal, trace::movement::samples_in};
+
+/// Length of a window \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load. With 0.05 s, 20 um of noise
+/// in the position look like a load that varies by 2 % within 50 ms.
+const STEP_S: f64 = 0.07;
+/// Largest number of steps, which bounds the time of the computation, and least number.
+pub(crate) const STEPS: usize = 48;
+const LEAST_STEPS: usize = 8;
+/// Least number of samples of a window: a slope is fitted to them.
+const LEAST_SAMPLES: usize = 3;
+/// Tried correlations of neighbouring steps: correlation times from zero to 3.5 s, the length of a throw, in equal
+/// ratios.
+const CORRELATIONS: [f64; 8] = [0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98];
+/// Least residual sum of squares as share of the whole: less is rounding, in a trace without noise.
+const ROUNDING: f64 = 1e-12;
+/// The 95 % interval of Student's t with ν degrees of freedom is wider than that of a normal variable by the factor
+/// 1 + this / ν. (Cornish, Fisher: (1.96² + 1)/4)
+const STUDENT: f64 = 1.21;
+
+/// The integrated equation of a movement, as differences of neighbouring windows.
+#[derive(Debug)]
+pub(crate) struct Load {
+    /// First sample of the first window, and samples of a window.
+    from: usize,
+    length: usize,
+    /// Number of steps.
+    count: usize,
+    /// For each step the differences of y, ∫(y - `y_eq`) dt and y', which the three factors multiply.
+    rows: [Vector3<f64>; STEPS],
+    /// For each step the difference of ∫u dt.
+    charges: [f64; STEPS],
+}
+
+impl Load {
+    /// Cuts a movement from the sample `from` on into steps; `None` if it is too short.
+    pub(crate) fn of(
+        (input, output): (&[f64], &[f64]),
+        equilibrium: f64,
+        from: usize,
+        interval_s: f64,
+    ) -> Option<Self> {
+        let samples = output.len().checked_sub(from)?;
+        let steps = samples_in(samples as f64 * interval_s, STEP_S).clamp(LEAST_STEPS, STEPS);
+        let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
+        let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
+        let mut load = Self { from, length, count, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };
+        let (mut charge, mut angle, mut before) = (0.0, 0.0, None);
+        for (window, start) in (from..).step_by(length).take(count + 1).enumerate() {
+            let (mut row, mut mean, mut weights, mut squares) = (Vector3::zeros(), 0.0, 0.0, 0.0);
+            for (at, k) in (start..start + length).enumerate() {
+                if k > from {
+                    charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
+                    angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
+                }
+                // With parabolic weights the mean of y' is the slope of the regression line through y, which has the
+                // least noise.
+                let x = (2 * at + 1) as f64 / length as f64 - 1.0;
+                let weight = 1.0 - x * x;
+                row += Vector3::new(weight * output[k], weight * angle, x * output[k]);
+                mean += weight * charge;
+                weights += weight;
+                squares += x * x;
+            }
+            let per_speed = 2.0 / (squares * length as f64 * interval_s);
+            let here = (row.component_mul(&Vector3::new(1.0 / weights, 1.0 / weights, per_speed)), mean / weights);
+            if let Some((row, mean)) = before.replace(here) {
+                (load.rows[window - 1], load.charges[window - 1]) = (here.0 - row, here.1 - mean);
+            }
+        }
+        Some(load)
+    }
+
+    /// The step that a load at `sample` changes. All samples before the first step belong to it.
+    pub(crate) fn step_of(&self, sample: usize) -> usize {
+        (sample.saturating_sub(self.from + self.length / 2) / self.length).min(self.count - 1)
+    }
+
+    /// Covariance of the errors of an estimate from the load. `change` is the change of the estimate by a charge of 1
+    /// in every sample of a step. `None` if the movement does not determine the three factors.
+    pub(crate) fn covariance(&self, change: impl Fn(usize) -> Vector3<f64>) -> Option<Matrix3<f64>> {
+        let freedom = (self.count - 3) as f64;
+        let mut found = [(0.0, Matrix3::zeros()); CORRELATIONS.len()];
+        for (found, phi) in found.iter_mut().zip(CORRELATIONS) {
+            let (likelihood, variance) = self.likelihood(phi, freedom)?;
+            // For step k, `before` is the sum of g_j φ^(k-j) over the steps j before it.
+            let (mut before, mut sum) = (Vector3::zeros(), Matrix3::zeros());
+            for step in 0..self.count {
+                let own = change(step) / self.length as f64;
+                let both = before * own.transpose();
+                sum += own * own.transpose() + both + both.transpose();
+                before = (before + own) * phi;
+            }
+            *found = (likelihood, sum * variance);
+        }
+        let most = found.iter().fold(f64::NEG_INFINITY, |most, (likelihood, _)| likelihood.max(most));
+        let (mut total, mut covariance) = (0.0, Matrix3::zeros());
+        for (likelihood, own) in found {
+            let weight = (likelihood - most).exp();
+            total += weight;
+            covariance += own * weight;
+        }
+        let covariance = covariance * ((1.0 + STUDENT / freedom).powi(2) / total);
+        covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+    }
+
+    /// ln L and σ² for the correlation `phi` of neighbouring steps, by generalised least squares: minus `phi` times the
+    /// step before, the charges of the load are independent.
+    fn likelihood(&self, phi: f64, freedom: f64) -> Option<(f64, f64)> {
+        let (mut normal, mut right, mut square) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+        let new = 1.0 - phi * phi;
+        let (mut row_before, mut charge_before) = (Vector3::zeros(), 0.0);
+        for (step, (row, charge)) in self.rows.iter().zip(self.charges).take(self.count).enumerate() {
+            let weight = if step == 0 { 1.0 } else { new.recip() };
+            let (own, rest) = (row - phi * row_before, charge - phi * charge_before);
+            normal += own * own.transpose() * weight;
+            right += own * (rest * weight);
+            square += rest * rest * weight;
+            (row_before, charge_before) = (*row, charge);
+        }
+        let (normal, scale) = unit_diagonal(&normal);
+        let right = right.component_mul(&scale);
+        let left = (square - right.dot(&(normal.try_inverse()? * right))).max(ROUNDING * square);
+        let determinant = normal.determinant().ln() - 2.0 * scale.map(f64::ln).sum();
+        let likelihood = -0.5 * ((self.count - 1) as f64 * new.ln() + determinant + freedom * left.ln());
+        Some((likelihood, left / freedom))
+    }
+}

@@ -1,0 +1,142 @@
+//! Checks of a fitted model, and the estimate with its covariance from a model that passes them.
+
+pub(super) mod brake;
+pub(super) mod lateness;
+pub(super) mod load;
+
+use nalgebra::Matrix3;
+
+use super::{
+    identification::{Estimate, Grade},
+    rejection::Rejection,
+    settings::Settings,
+    sriv::Solution,
+    trace::{
+        movement::{MIN_QUIET, samples_in},
+        start::Fitted,
+        window::Window,
+    },
+};
+
+/// Largest standard deviations of usable b0, a1 and a0 \[%\]. That of a0 is large, as a0 itself may be small.
+const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
+/// Largest standard deviation of each coefficient for a trace that ends during the movement \[%\].
+const MAX_SD_CUT_PCT: f64 = 1.2;
+/// Largest differences of measured and modelled output that dry friction, rails and a soft drive cause in a healthy
+/// throw, as share of the travel: their root mean square, and the largest mean over [`MISFIT_STRETCH_S`] seconds.
+const MISFIT_RMS: f64 = 4e-4;
+const MISFIT_PEAK: f64 = 1e-3;
+const MISFIT_STRETCH_S: f64 = 0.02;
+/// Noise of the current makes the modelled output wander slowly. This share of the wandering is left after the fit.
+const FITTED_SHARE: f64 = 0.3;
+/// Relative error of the common scale of b0, a1 and a0 for each second by which the toe starts late: the inrush, which
+/// determines the scale, takes 50 ms.
+const SCALE_PER_S: f64 = 20.0;
+/// The same for each millimetre of slow departure from the model: the toe moves about one millimetre in the inrush.
+const SCALE_PER_MM: f64 = 3.0;
+/// The same for a departure of the current's rise from that of an armature by as much as the peak of the current.
+const SCALE_PER_RISE: f64 = 2.0;
+
+/// Departure of an accepted movement from the model.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Departure {
+    /// Root mean square of the slow difference of measured and modelled output, without that from noise \[mm\].
+    pub(super) slow_mm: f64,
+    /// Delay of the movement behind the model at the start \[s\].
+    pub(super) delay_s: f64,
+    /// Relative standard deviation of the common scale of b0, a1 and a0 by a brake that may drag at the start.
+    pub(super) brake_sd: f64,
+}
+
+/// Rejects a solution that is unsound, or has a coefficient that is not positive.
+pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
+    let [b0, a1, a0] = solution.parameters;
+    let positive = b0 > 0.0 && a1 > 0.0 && a0 > 0.0;
+    match solution.sound(settings.fit_floor_pct) {
+        Err(reason @ (Rejection::Singular | Rejection::NotConverged { .. })) => Err(reason),
+        _ if !positive => Err(Rejection::NotPositive { b0, a1, a0 }),
+        sound => sound,
+    }
+}
+
+/// Rejects a movement that departs from the model by more than noise and usual dry friction explain. Returns the root
+/// mean square of the slow departure, without that from noise \[mm\].
+pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm: f64) -> Result<f64, Rejection> {
+    let Fitted { output, model, parameters: [b0, a1, a0], .. } = *fitted;
+    // Variance of the modelled output, in steady state, for white noise of variance 1 on the input.
+    let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
+    let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
+    let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
+    let stretch = samples_in(MISFIT_STRETCH_S, window.interval_s).clamp(1, output.len());
+    let (mut squares, mut slow, mut peak, mut at) = (0.0, 0.0, 0.0_f64, 0);
+    for (block, (y, x)) in output.chunks(stretch).zip(model.chunks(stretch)).enumerate() {
+        let sum: f64 = y.iter().zip(x).map(|(y, x)| y - x).sum();
+        squares += y.iter().zip(x).map(|(y, x)| (y - x) * (y - x)).sum::<f64>();
+        let mean = (sum / y.len() as f64).abs();
+        slow += mean * mean * y.len() as f64;
+        if y.len() == stretch && mean > peak {
+            (peak, at) = (mean, block * stretch);
+        }
+    }
+    // The variance of the noise comes from few samples, so it may be larger by five of its own standard deviations.
+    let factor = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
+    let excess = (squares / output.len() as f64 - factor * window.output_noise - through).max(0.0).sqrt();
+    let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
+    if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
+        let at_s = (window.from + at) as f64 * window.interval_s;
+        return Err(Rejection::Misfit { peak_mm: peak * lead_mm / std::f64::consts::TAU, at_s });
+    }
+    let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
+    Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU)
+}
+
+/// The estimate with its covariance, from an accepted solution; rejects a solution that is too uncertain.
+///
+/// `dry` and `offset` are the errors of (b0, a1, a0) from dry friction and from the current at rest, `load` is the
+/// covariance of their errors from a random load. `cut_after_mm` is the travel of a trace that ends during the
+/// movement, `None` for a complete one.
+pub(super) fn finish(
+    solution: &Solution<2, 1, 3>,
+    covariance: &[[f64; 3]; 3],
+    [dry, offset]: [[f64; 3]; 2],
+    load: &Matrix3<f64>,
+    departure: Departure,
+    window: &Window,
+    cut_after_mm: Option<f64>,
+) -> Result<Estimate, Rejection> {
+    let [b0, a1, a0] = solution.parameters;
+    for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
+        let sd_pct = 100.0 * covariance[i][i].sqrt() / solution.parameters[i];
+        match cut_after_mm {
+            Some(travel_mm) if sd_pct.is_nan() || sd_pct > MAX_SD_CUT_PCT => {
+                return Err(Rejection::EndMissing { travel_mm });
+            }
+            _ if sd_pct.is_nan() => return Err(Rejection::Singular),
+            _ if sd_pct > MAX_SD_PCT[i] => {
+                return Err(Rejection::Uncertain { name: name.to_owned(), sd_pct, limit_pct: MAX_SD_PCT[i] });
+            }
+            _ => {}
+        }
+    }
+    let scale = (SCALE_PER_S * departure.delay_s)
+        .hypot(SCALE_PER_MM * departure.slow_mm)
+        .hypot(SCALE_PER_RISE * window.rise)
+        .hypot(departure.brake_sd);
+    Ok(Estimate {
+        grade: Grade::Good,
+        b0,
+        a1,
+        a0,
+        ratios_only: false,
+        covariance: Matrix3::from_fn(|i, j| 0.5 * (covariance[i][j] + covariance[j][i])),
+        systematic: Matrix3::from_fn(|i, j| {
+            load[(i, j)] + dry[i] * dry[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
+        }),
+        offset,
+        reason: None,
+        fit_pct: 100.0 * solution.fit,
+        iterations: solution.iterations,
+        start_s: window.from as f64 * window.interval_s,
+        end_s: (window.to - 1) as f64 * window.interval_s,
+    })
+}

@@ -1,0 +1,81 @@
+//! A block of samples: the signals, the states of their filters, and the values computed from these states.
+
+use super::problem::{Problem, Signal};
+
+/// Number of samples in a block.
+pub(super) const BLOCK: usize = 64;
+
+/// The values of a signal, or of one state of a filter, in a block.
+pub(crate) type Samples = [f64; BLOCK];
+
+/// Signals of a block, the states of their filters, and the values computed from these states. Where the filter of the
+/// auxiliary model is the same as that of the signals, the `model_…_states` are not used.
+pub(crate) struct Block<const N: usize, const S: usize, const P: usize> {
+    pub(crate) inputs: [Samples; S],
+    pub(crate) output: Samples,
+    pub(crate) equilibrium: Samples,
+    /// States of the filters of the inputs and of `y_eq`, and of the same signals in the auxiliary model.
+    pub(super) input_states: [[Samples; N]; S],
+    pub(super) model_input_states: [[Samples; N]; S],
+    pub(super) shift_states: [Samples; N],
+    pub(super) model_shift_states: [Samples; N],
+    /// The regressor before its conversion to derivatives: the numerator columns, and the N states of the filter of y.
+    pub(crate) phi: [Samples; P],
+    /// States of the filter of the auxiliary output x̂.
+    pub(super) auxiliary: [Samples; N],
+    /// The filtered equilibrium `y_eq,f`.
+    pub(crate) shift: Samples,
+    /// The auxiliary output x̂; without an auxiliary model, y.
+    pub(crate) model: Samples,
+}
+
+impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
+    pub(super) const ZERO: Self = {
+        let (none, states) = ([0.0; BLOCK], [[0.0; BLOCK]; N]);
+        Self {
+            inputs: [none; S],
+            output: none,
+            equilibrium: none,
+            input_states: [states; S],
+            model_input_states: [states; S],
+            shift_states: states,
+            model_shift_states: states,
+            phi: [none; P],
+            auxiliary: states,
+            shift: none,
+            model: none,
+        }
+    };
+
+    /// Copies every `step`-th sample of the signals, from the sample `from` on, into the block, with zeros after the
+    /// last one. Returns the number of samples copied.
+    pub(crate) fn load(&mut self, problem: &Problem<S>, from: usize, step: usize) -> usize {
+        let load = |to: &mut Samples, signal: &[f64]| {
+            let signal = &signal[from..signal.len().min(from + BLOCK * step)];
+            let used = signal.len().div_ceil(step);
+            if step == 1 {
+                to[..used].copy_from_slice(signal);
+            } else {
+                to.iter_mut().zip(signal.iter().step_by(step)).for_each(|(to, sample)| *to = *sample);
+            }
+            to[used..].fill(0.0);
+            used
+        };
+        for (to, input) in self.inputs.iter_mut().zip(&problem.inputs) {
+            match input {
+                Signal::Sampled(u, _) => _ = load(to, u),
+                Signal::Constant => to.fill(1.0),
+            }
+        }
+        if let Some(equilibrium) = problem.equilibrium {
+            load(&mut self.equilibrium, equilibrium);
+        }
+        load(&mut self.output, problem.output)
+    }
+
+    /// Row number `row` of the instrument: a numerator column, or a state of the filter of x̂ (of y without an
+    /// auxiliary model).
+    pub(super) fn instrument<const IV: bool>(&self, row: usize) -> &Samples {
+        if !IV || row < P - N { &self.phi[row] } else { &self.auxiliary[row - (P - N)] }
+    }
+}

@@ -1,0 +1,474 @@
+//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and after
+//! the movement, and noise of the sensors at rest.
+
+use crate::estimate::{features::Features, rejection::Channel};
+
+/// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise,
+/// below the first crest.
+const START_SHARE: f64 = 0.05;
+/// Least distance of the first two samples of a starting motor from the current at rest, in standard deviations of the
+/// noise.
+const START_SIGMAS: f64 = 6.0;
+/// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
+const SHORTEST_RISE_S: f64 = 0.008;
+/// In a slow recording it is chance how many samples are in the inrush. The charge of the throw counts as known if one
+/// sample of the inrush has at most this share of it.
+const SAMPLE_SHARE: f64 = 0.1;
+/// A slow recording may have one sample of the inrush, which is at least this share of the peak.
+const INRUSH_SHARE: f64 = 0.5;
+/// The foot of the current's rise is the last sample within this many standard deviations of the noise, or within this
+/// share of the peak if the noise is smaller.
+const FOOT_SIGMAS: f64 = 3.0;
+const FOOT_SHARE: f64 = 0.002;
+/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise.
+/// The share is small because a throw in which the spring helps needs very little current.
+const ON_SHARE: f64 = 0.005;
+const ON_SIGMAS: f64 = 5.0;
+/// After the arrival of the toe the motor counts as on above this share of the current before the arrival: a motor that
+/// drives a standing toe takes more than a running one, a detection circuit takes less.
+const DRIVING_SHARE: f64 = 0.5;
+/// Share of the travel at which the estimation stops: after it the toe runs into the stock rail.
+pub(crate) const NEAR_END_SHARE: f64 = 0.95;
+/// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of
+/// the travel if the noise is smaller.
+const ARRIVED_SIGMAS: f64 = 4.0;
+const ARRIVED_SHARE: f64 = 0.002;
+/// Largest noise of a position that still gives coefficients and shows the arrival of the toe, as share of the travel.
+pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
+/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm. This is above the noise of position
+/// sensors, and reached within the first 50 ms.
+const RELEASE_SHARE: f64 = 0.005;
+/// Least number of quiet samples, those before the start of the motor, for noise and offset of a sensor.
+pub(crate) const MIN_QUIET: usize = 8;
+
+/// Mean and standard deviation of a channel at rest, in its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Level {
+    pub(crate) mean: f64,
+    pub(crate) sd: f64,
+    /// Number of samples at rest.
+    pub(crate) samples: usize,
+    /// Quantum of the channel: one step of its analogue-to-digital converter, from the whole trace; 0 if unknown.
+    pub(crate) quantum: f64,
+}
+
+/// A recorded throw with its course. Times are indices of its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Movement<'a> {
+    /// The channels: finite, of equal length and not empty.
+    pub(crate) current_a: &'a [f64],
+    pub(crate) position_mm: &'a [f64],
+    pub(crate) interval_s: f64,
+    /// Number of quiet samples, those before the start of the motor.
+    pub(crate) quiet: usize,
+    /// Last sample with the motor on; `None` if it was never on.
+    pub(crate) motor_off: Option<usize>,
+    /// Current at rest, before the start or after the end of the motor.
+    pub(crate) current: Level,
+    /// Position before the start.
+    pub(crate) position: Level,
+    /// Number of samples from one measured position to the next; more than 1 if lines join the measured positions.
+    pub(crate) position_every: f64,
+    /// Standard deviation of the noise of the position \[mm\], also if there are no samples at rest.
+    pub(crate) position_noise_mm: f64,
+    /// Sign of the toe's movement; 0 without movement.
+    pub(crate) sign: f64,
+    /// Distance of the toe from its start to its end position \[mm\].
+    pub(crate) travel_mm: f64,
+    /// First sample at which 95 % of the travel is done.
+    pub(crate) near_end: usize,
+    /// First sample at which the toe is at its end position, within the noise.
+    pub(super) arrived: usize,
+    /// Position at the end \[mm\].
+    pub(super) end_mm: f64,
+    /// Largest magnitude of the current, offset removed \[A\].
+    pub(crate) peak_a: f64,
+    /// Mean magnitude of the current while the motor was on, without an unresolved inrush \[A\].
+    pub(crate) mean_a: f64,
+}
+
+impl<'a> Movement<'a> {
+    /// Determines the course of a throw.
+    pub(crate) fn of(current: &'a [f64], position: &'a [f64], interval_s: f64, scratch: &mut Vec<f64>) -> Self {
+        let len = current.len();
+        let start = start_of_motor(current, interval_s, scratch);
+        let quiet = start.map_or(len, |start| start + 1);
+        let before = if start == Some(0) { 0 } else { quiet };
+        let mut level = Level::of(&current[..before]);
+        let threshold = |level: &Level, peak: f64| {
+            // With few samples at rest, one pulse from a contact looks like noise as large as the running current.
+            let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
+            (ON_SHARE * peak).max((ON_SIGMAS * level.sd).min(largest))
+        };
+        let mut peak_a = peak(current, level.mean);
+        let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
+        if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
+            // The current decays for a moment after the cut-off.
+            let tail = (off + 1 + len / 100 + 2).min(len);
+            if len - tail >= MIN_QUIET {
+                level = Level::of(&current[tail..]);
+                peak_a = peak(current, level.mean);
+                motor_off = last_beyond(current, level.mean, threshold(&level, peak_a));
+            } else {
+                level = Level::default();
+            }
+        }
+        let mut position_level = Level::of(&position[..before]);
+        if before == 0 {
+            position_level.mean = position[0];
+        }
+        (level.quantum, position_level.quantum) = (quantum(current), quantum(position));
+        let end_mm = median_of(&position[len - (len / 50).clamp(1, 50)..], scratch);
+        // An obstructed drive springs back after the cut-off, so the furthest position counts.
+        let with_motor = motor_off.map_or(end_mm, |off| median_of(&position[off.saturating_sub(4)..=off], scratch));
+        let distance = |mm: f64| (mm - position_level.mean).abs();
+        let reached_mm = if distance(with_motor) > distance(end_mm) { with_motor } else { end_mm };
+        let moved = reached_mm - position_level.mean;
+        let sign = if moved == 0.0 { 0.0 } else { moved.signum() };
+        let progress = |k: usize| sign * (position[k] - position_level.mean);
+        let travel_mm = moved.abs();
+        let near_end = (0..len).find(|&k| progress(k) >= NEAR_END_SHARE * travel_mm).unwrap_or(len - 1);
+        let slack = (ARRIVED_SIGMAS * position_level.sd).max(ARRIVED_SHARE * travel_mm);
+        let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
+        // A noisy position does not show the arrival.
+        let is_clear = arrived > quiet && position_level.sd <= LARGEST_POSITION_SHARE * travel_mm;
+        if let Some(off) = motor_off.filter(|off| *off > arrived && is_clear) {
+            let since = arrived - (arrived - quiet) / 4;
+            let before_a = median_distance(&current[since..=arrived], level.mean, scratch);
+            let driving = threshold(&level, peak_a).max(DRIVING_SHARE * before_a);
+            // A mean decides, as single samples of a noisy detection circuit are as large as those of a motor.
+            let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
+            let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
+            motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
+        }
+        // In a slow recording one sample of the inrush would have as much charge as the rest of the throw.
+        let from = (quiet + usize::from(hides_inrush(interval_s))).min(len - 1);
+        let on = from..motor_off.map_or(0, |off| off + 1).max(from);
+        let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
+        Self {
+            current_a: current,
+            position_mm: position,
+            interval_s,
+            quiet,
+            motor_off,
+            current: level,
+            position: position_level,
+            position_every: 1.0,
+            position_noise_mm: second_difference_noise(position, scratch),
+            sign,
+            travel_mm,
+            near_end,
+            arrived,
+            end_mm,
+            peak_a,
+            mean_a,
+        }
+    }
+
+    pub(crate) fn values(&self, channel: Channel) -> &'a [f64] {
+        match channel {
+            Channel::Current => self.current_a,
+            Channel::Position => self.position_mm,
+        }
+    }
+
+    pub(crate) fn level(&self, channel: Channel) -> Level {
+        match channel {
+            Channel::Current => self.current,
+            Channel::Position => self.position,
+        }
+    }
+
+    /// Sign of a current that drives the throw: that of the inrush, as later a stiff spring may drive the motor.
+    pub(crate) fn drive(&self) -> f64 {
+        let beyond = |i: &&f64| (*i - self.current.mean).abs() >= 0.5 * self.peak_a;
+        self.current_a[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
+    }
+
+    /// Whether the trace ends while the toe is moving.
+    pub(crate) fn ends_moving(&self) -> bool {
+        let position = self.position_mm;
+        let last = position.len() - 1;
+        let stretch = (last / 50).max(3).min(last);
+        let speed = |from: usize, to: usize| (position[to] - position[from]).abs() / (to - from).max(1) as f64;
+        let running = speed(self.start().min(self.near_end.saturating_sub(1)), self.near_end.max(1));
+        speed(last - stretch, last) > 0.5 * running
+    }
+
+    /// Whether the motor still drives at the end of the trace: the current is at least half of its mean.
+    pub(crate) fn ends_driven(&self) -> bool {
+        let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET)..];
+        mean(last.iter().map(|i| (i - self.current.mean).abs())) > 0.5 * self.mean_a
+    }
+
+    /// Last sample before the motor's start, or the first of the trace.
+    pub(crate) fn start(&self) -> usize {
+        self.quiet.saturating_sub(1)
+    }
+
+    /// First sample at which the toe is released; `None` if it is never.
+    pub(crate) fn released(&self) -> Option<usize> {
+        let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
+        (self.start()..self.position_mm.len()).find(|&k| self.progress_mm(k) >= least_mm)
+    }
+
+    /// Distance of the toe from its position at rest \[mm\], positive in the direction of the throw.
+    pub(super) fn progress_mm(&self, sample: usize) -> f64 {
+        self.sign * (self.position_mm[sample] - self.position.mean)
+    }
+
+    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it. If
+    /// the toe does not slow down, the motor is still on, and a spring that drives the throw takes its current to zero.
+    pub(crate) fn end(&self) -> usize {
+        let position = self.position_mm;
+        let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
+        let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
+        let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
+        if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
+    }
+
+    /// Sets the number of samples from one measured position to the next. The samples on the lines between measured
+    /// positions have no noise of their own, so only measured positions count as samples at rest. For the same reason
+    /// the noise of the whole trace is that at rest, or `expected_noise_mm` without enough samples at rest.
+    pub(crate) fn measure_position_every(&mut self, samples: f64, expected_noise_mm: f64) {
+        self.position_every = samples.max(1.0);
+        self.position.samples = samples_in(self.position.samples as f64, self.position_every);
+        if self.position_every > 1.0 {
+            self.position_noise_mm =
+                if self.position.samples >= MIN_QUIET { self.position.sd } else { expected_noise_mm };
+        }
+    }
+
+    /// The features that follow from the course alone.
+    pub(crate) fn features(&self) -> Features {
+        let start = self.start();
+        let since_start_s = |k: usize| k.saturating_sub(start) as f64 * self.interval_s;
+        let on_s = self.motor_off.map(since_start_s);
+        let magnitude = |i: &f64| (i - self.current.mean).abs();
+        let is_measured =
+            |charge_as: f64| !hides_inrush(self.interval_s) || self.peak_a * self.interval_s < SAMPLE_SHARE * charge_as;
+        let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
+        Features {
+            duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
+            release_s: self.motor_off.and_then(|_| self.released()).map(since_start_s),
+            // For a huge current the difference from its offset overflows.
+            peak_current_a: Some(self.peak_a).filter(|peak_a| peak_a.is_finite()),
+            running_current_a: running
+                .filter(|running| !running.is_empty())
+                .map(|running| mean(self.current_a[running].iter().map(magnitude))),
+            mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
+            charge_as: on_s
+                .map(|on_s| on_s * self.mean_a)
+                .filter(|charge_as| charge_as.is_finite() && is_measured(*charge_as)),
+            quiet_current_a: (self.current.samples >= MIN_QUIET).then_some(self.current.mean),
+            travel_mm: Some(self.travel_mm),
+            start_position_mm: Some(self.position.mean),
+            end_position_mm: Some(self.end_mm),
+            ..Features::default()
+        }
+    }
+}
+
+impl Level {
+    /// Whether the noise hides this step of the converter, so that a constant value does not give the same output for
+    /// long. A constant value between two outputs of the converter makes it flicker with a standard deviation of half a
+    /// step, even with hardly any noise; this does not count.
+    pub(crate) fn hides(&self, step: f64) -> bool {
+        self.sd > 0.6 * step
+    }
+
+    pub(crate) fn of(values: &[f64]) -> Self {
+        if values.is_empty() {
+            return Self::default();
+        }
+        let mean = mean(values.iter().copied());
+        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
+        Self { mean, sd, samples: values.len(), quantum: 0.0 }
+    }
+}
+
+/// Whether a recording with this sampling interval may have only one sample of the inrush.
+fn hides_inrush(interval_s: f64) -> bool {
+    interval_s > SHORTEST_RISE_S / 2.0
+}
+
+/// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does.
+///
+/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
+/// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
+/// current of a throw in which the spring helps is hardly above 0.
+pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
+    let lead = median_of(&current[..current.len().min(5)], scratch);
+    let peak = peak(current, lead);
+    let is_beyond = |k: usize, threshold: f64| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
+    let is_inrush = |k: usize| {
+        let motor = |k: &usize| is_beyond(*k, ON_SHARE * peak);
+        is_beyond(k, INRUSH_SHARE * peak) && (k + 1..current.len()).filter(motor).count() >= MIN_QUIET
+    };
+    let crossing = |threshold: f64| {
+        let mut beyond = (0..current.len()).filter(|&k| is_beyond(k, threshold));
+        let first = beyond.next()?;
+        let is_found = |k: &usize| is_beyond(k + 1, threshold);
+        if is_found(&first) || hides_inrush(interval_s) && is_inrush(first) {
+            Some(first)
+        } else {
+            beyond.find(is_found)
+        }
+    };
+    let first = crossing(START_SHARE * peak)?;
+    let noise = Level::of(&current[..first.saturating_sub(2)]);
+    let first =
+        if noise.samples >= MIN_QUIET { crossing((START_SHARE * peak).max(START_SIGMAS * noise.sd))? } else { first };
+    if peak == 0.0 || first == 0 {
+        return (peak > 0.0).then_some(0);
+    }
+    // The foot is the last sample within the noise before the rise.
+    let band = (FOOT_SIGMAS * noise.sd).max(FOOT_SHARE * peak);
+    let centre = if noise.samples >= MIN_QUIET { noise.mean } else { lead };
+    Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
+}
+
+/// Largest distance of a value from the level; 0 without values.
+pub(crate) fn peak(values: &[f64], level: f64) -> f64 {
+    largest(values, |v| (v - level).abs()).max(0.0)
+}
+
+/// Largest of the function's results for all values; negative infinity without values. It is computed in independent
+/// lanes without a branch, for speed.
+pub(crate) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
+    const LANES: usize = 8;
+    let mut most = [f64::NEG_INFINITY; LANES];
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            let value = of(chunk[lane]);
+            most[lane] = if value > most[lane] { value } else { most[lane] };
+        }
+    }
+    most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// Whether all tests are true. It counts them, as a loop that may end early takes three times as long.
+pub(crate) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
+    let count = tests.len() as u64;
+    tests.map(u64::from).sum::<u64>() == count
+}
+
+fn last_beyond(values: &[f64], level: f64, threshold: f64) -> Option<usize> {
+    values.iter().rposition(|v| (v - level).abs() > threshold)
+}
+
+pub(crate) fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Number of whole sampling intervals in a time; both in s.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+pub(crate) fn samples_in(time_s: f64, interval_s: f64) -> usize {
+    (time_s / interval_s) as usize
+}
+
+/// Median (for an even number of values the upper one), computed in the scratch buffer; 0 without values.
+pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend_from_slice(values);
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *scratch.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// Median of values that are not negative, computed in place; 0 without values. Such values have the same order as
+/// their bits, and integers compare faster.
+pub(crate) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
+}
+
+/// Median distance of values from a level, computed in the scratch buffer; 0 without values.
+pub(super) fn median_distance(values: &[f64], level: f64, scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.iter().map(|v| (v - level).abs()));
+    median_of_magnitudes(scratch)
+}
+
+/// Ratio of the standard deviation of a normal variable to the median of its magnitude.
+pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
+
+/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
+pub(crate) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
+}
+
+/// Standard deviation of white noise from first differences, for a mostly constant signal.
+pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b]| (b - a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
+}
+
+/// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
+/// it. 0 if all values are equal.
+pub(crate) fn quantum(values: &[f64]) -> f64 {
+    const LANES: usize = 4;
+    // Four lanes without a branch, as this runs over every sample several times in each throw.
+    let mut least = [f64::INFINITY; LANES];
+    let mut compare = |lane: usize, before: f64, after: f64| {
+        let difference = (after - before).abs();
+        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
+        least[lane] = if difference < least[lane] { difference } else { least[lane] };
+    };
+    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
+    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
+    for (before, after) in before.iter().zip(after) {
+        for lane in 0..LANES {
+            compare(lane, before[lane], after[lane]);
+        }
+    }
+    for (before, after) in before_rest.iter().zip(after_rest) {
+        compare(0, *before, *after);
+    }
+    let least = least.into_iter().fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The charge feature of a motor that runs for 3 s, with an inrush of 30 A that rises in 6 ms and decays in 0.1 s.
+    fn charge_as(rate_hz: f64, phase: f64, running_a: f64) -> Option<f64> {
+        let current: Vec<f64> = (0..=10_000)
+            .map(|k| (f64::from(k) + phase) / rate_hz - 0.4)
+            .take_while(|t| *t < 4.0)
+            .map(|t| match t {
+                t if (0.0..3.0).contains(&t) => {
+                    running_a + 30.0 * (-t / 0.1).exp() - (running_a + 30.0) * (-t / 0.006).exp()
+                }
+                _ => 0.0,
+            })
+            .collect();
+        let position = vec![0.0; current.len()];
+        let movement = Movement::of(&current, &position, rate_hz.recip(), &mut Vec::new());
+        movement.features().charge_as
+    }
+
+    #[test]
+    fn a_charge_that_depends_on_the_moments_of_the_samples_is_unknown() {
+        let of_phases =
+            |rate_hz: f64, running_a: f64| [0.0, 0.2, 0.4, 0.6, 0.8].map(|phase| charge_as(rate_hz, phase, running_a));
+        for running_a in [1.5, 12.0] {
+            let truth = 3.0 * running_a + 30.0 * 0.1 - (running_a + 30.0) * 0.006;
+            let fine = of_phases(1000.0, running_a);
+            assert!(fine.iter().all(|charge| (charge.unwrap() / truth - 1.0).abs() < 0.02), "{truth}: {fine:?}");
+            let slow = of_phases(25.0, running_a);
+            let is_right = |charge: &Option<f64>| charge.is_none_or(|charge| (charge / truth - 1.0).abs() < 0.1);
+            assert!(
+                slow.iter().all(is_right) && slow.iter().any(Option::is_some) == (running_a > 2.0),
+                "{truth}: {slow:?}"
+            );
+        }
+    }
+}

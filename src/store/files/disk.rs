@@ -1,0 +1,223 @@
+//! The disk of the database: free space, and the ballast file, which is removed when the disk is full.
+
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    time::Duration,
+};
+
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
+
+use super::path::{beside, folder_of};
+use crate::store::{error::StoreError, rate_limit::RecentCount, settings::MIB};
+
+/// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before
+/// they were published or before the webhook accepted them.
+const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
+
+/// A copy of the database hangs if it makes no step for this time, which is also the longest time of a loop without a
+/// heartbeat. A step is some hundred rows, which take at most some seconds to read from flash.
+const COPY_HANGS: Duration = Duration::from_secs(30);
+/// Time after a copy in which the loops that waited for it show a heartbeat again.
+const AFTER_COPY: Duration = Duration::from_secs(5);
+
+/// State of the disk of the database. The status shows it as `ok`, `low`, `full` or `failing`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
+pub enum DiskLevel {
+    /// Enough space.
+    #[default]
+    #[serde(rename = "ok")]
+    #[strum(serialize = "ok")]
+    Ample,
+    /// Less free space than `low_disk_mib` of the settings: the traces of judged throws are dropped.
+    Low,
+    /// The last write found the disk full, and removed the ballast. The next write may fail.
+    Full,
+    /// The last write failed for another reason.
+    Failing,
+}
+
+/// Measures the free space and owns the ballast file.
+#[derive(Debug, Default)]
+pub(crate) struct Disk {
+    database: PathBuf,
+    ballast: PathBuf,
+    ballast_bytes: u64,
+    low_bytes: u64,
+    full: AtomicBool,
+    /// Whether the disk was full since the last call of `worst_level`.
+    was_full: AtomicBool,
+    failing: AtomicBool,
+    failures: AtomicU64,
+    /// Number of times that the database file was found deleted or replaced.
+    replaced: RecentCount,
+    /// Whether the last attempt to write the database again failed.
+    replacement_fails: AtomicBool,
+    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
+    foreign: Mutex<Option<PathBuf>>,
+    /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
+    copies_until: Mutex<Option<Instant>>,
+    /// The counters of the database at the last call of `note_dropped`.
+    counters: Mutex<Option<BTreeMap<String, u64>>>,
+    /// Numbers of dropped rows since the start, in the order of [`LOSSES`].
+    lost: [RecentCount; LOSSES.len()],
+}
+
+impl Disk {
+    pub(crate) fn new(database: &Path, ballast_mib: u64, low_disk_mib: u64) -> Self {
+        Self {
+            database: database.to_owned(),
+            ballast: beside(database, "-ballast"),
+            ballast_bytes: ballast_mib * MIB,
+            low_bytes: low_disk_mib * MIB,
+            ..Self::default()
+        }
+    }
+
+    /// Free space for an unprivileged process, and size of the disk \[bytes\]; `None` if unknown.
+    fn space(&self) -> Option<(u64, u64)> {
+        let space = rustix::fs::statvfs(folder_of(&self.database)).ok()?;
+        let bytes = |blocks: u64| blocks.saturating_mul(space.f_frsize);
+        Some((bytes(space.f_bavail), bytes(space.f_blocks)))
+    }
+
+    /// Free space for an unprivileged process \[bytes\]; `None` if unknown.
+    pub(crate) fn free_bytes(&self) -> Option<u64> {
+        self.space().map(|(free, _)| free)
+    }
+
+    pub(crate) fn note_success(&self) {
+        self.failing.store(false, Ordering::Relaxed);
+        self.full.store(false, Ordering::Relaxed);
+    }
+
+    /// Records a failed write; removes the ballast if the disk was full.
+    pub(crate) fn note_failure(&self, full: bool) {
+        self.failures.fetch_add(1, Ordering::Relaxed);
+        if full {
+            self.full.store(true, Ordering::Relaxed);
+            self.was_full.store(true, Ordering::Relaxed);
+            self.release_ballast();
+        } else {
+            self.failing.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Records that the database file was deleted or replaced. `written_again` is `None` if the database could not be
+    /// written again; otherwise it has the new path of the file that was found in its place, if there was one.
+    pub(crate) fn note_replaced(&self, written_again: Option<&Option<PathBuf>>) {
+        self.replaced.add(1);
+        self.replacement_fails.store(written_again.is_none(), Ordering::Relaxed);
+        if let Some(foreign) = written_again {
+            self.foreign.lock().clone_from(foreign);
+        }
+    }
+
+    /// Whether the database was written again after it was deleted or replaced. `None` without such an event; after a
+    /// success also `None` when an hour has passed.
+    pub(crate) fn replaced(&self) -> Option<bool> {
+        let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
+        (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
+    }
+
+    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
+    pub(crate) fn foreign(&self) -> Option<PathBuf> {
+        self.foreign.lock().clone()
+    }
+
+    /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those
+    /// rows were dropped before this start.
+    pub(crate) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
+        let mut before = self.counters.lock();
+        let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
+        for (name, lost) in LOSSES.iter().zip(&self.lost) {
+            let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
+            if of(now) > of(&before) {
+                lost.add(of(now) - of(&before));
+            }
+        }
+    }
+
+    /// The losses since the start, in the order of [`LOSSES`]; `None` for a number that did not grow in the last hour.
+    pub(crate) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
+        self.lost.each_ref().map(RecentCount::shown)
+    }
+
+    /// Records a step of a copy of the database.
+    pub(crate) fn note_copying(&self) {
+        *self.copies_until.lock() = Some(Instant::now() + COPY_HANGS);
+    }
+
+    /// Records the end of a copy of the database. It counts as running until the loops that waited for it work again.
+    pub(crate) fn end_copying(&self) {
+        *self.copies_until.lock() = Some(Instant::now() + AFTER_COPY);
+    }
+
+    /// Whether a copy of the database made progress in the last 30 s, or ended in the last 5 s.
+    pub(crate) fn is_copying(&self) -> bool {
+        self.copies_until.lock().is_some_and(|until| Instant::now() < until)
+    }
+
+    /// Failed write transactions since the start.
+    pub(crate) fn failures(&self) -> u64 {
+        self.failures.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn level(&self) -> DiskLevel {
+        if self.full.load(Ordering::Relaxed) {
+            DiskLevel::Full
+        } else if self.failing.load(Ordering::Relaxed) {
+            DiskLevel::Failing
+        } else if self.free_bytes().is_some_and(|free| free < self.low_bytes) {
+            DiskLevel::Low
+        } else {
+            DiskLevel::Ample
+        }
+    }
+
+    /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full
+    /// removes the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
+    pub(super) fn worst_level(&self) -> DiskLevel {
+        if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
+    }
+
+    fn release_ballast(&self) {
+        match std::fs::remove_file(&self.ballast) {
+            Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: ballast removed"),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => tracing::error!(%error, ballast = %self.ballast.display(), "removing the ballast failed"),
+        }
+    }
+
+    /// Creates the ballast if there is enough space.
+    pub(crate) fn restore_ballast(&self) -> Result<(), StoreError> {
+        let Some((free, whole)) = self.space() else { return Ok(()) };
+        // A small disk gets a small ballast: without any ballast the alarm about the full disk could not be committed.
+        let bytes = self.ballast_bytes.min(whole / 8);
+        let exists = std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == bytes);
+        if bytes == 0 || exists || free <= self.low_bytes.min(whole / 4) + 2 * bytes {
+            return Ok(());
+        }
+        self.allocate(bytes).map_err(StoreError::file("preallocate", &self.ballast))
+    }
+
+    fn allocate(&self, bytes: u64) -> io::Result<()> {
+        let file = File::create(&self.ballast)?;
+        let allocated = match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes) {
+            // Some file systems cannot preallocate.
+            Err(rustix::io::Errno::OPNOTSUPP) => io::copy(&mut io::repeat(0).take(bytes), &mut &file).map(drop),
+            allocated => allocated.map_err(io::Error::from),
+        };
+        allocated.and_then(|()| file.sync_all()).inspect_err(|_| {
+            // A second error is ignored. The unfinished file is removed, so that the next call tries again.
+            let _ = std::fs::remove_file(&self.ballast);
+        })
+    }
+}

@@ -1,0 +1,354 @@
+//! Copies the readable rows of a broken database into the new one, table by table.
+//!
+//! SQLite can read a b-tree from any key that is reachable through intact pages. So a table is copied in ranges of its
+//! key. A range that fails is halved down to single keys, and only the keys that fail are lost. At the end, rows whose
+//! parent row is lost are removed.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
+
+use super::graft::graft;
+use crate::store::{error::is_full, statements::is_retired};
+
+/// Number of keys that one statement copies.
+const RANGE: i64 = 1024;
+/// Highest key that is tried in a table whose bounds cannot be read: such a table has far fewer rows.
+const HIGHEST_TRIED: i64 = 1 << 20;
+/// Largest key that is copied: 10,000 throws a second reach it in 800 years. A garbage row with the largest key of
+/// SQLite would let no other row be added.
+const LARGEST_KEY: i64 = 1 << 48;
+/// Number of failed statements after which the rest of a table is skipped. They take a minute at most.
+const MOST_FAILURES: u32 = 50_000;
+/// Number of keys that are tried before the whole table counts as lost.
+const PROBES: i64 = 64;
+
+/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage
+/// rows often contain a NUL byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
+struct Table(&'static str, &'static str, &'static str);
+
+/// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
+/// them.
+const TABLES: [Table; 15] = [
+    Table(
+        "machine",
+        "machine_row",
+        "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
+    ),
+    Table("monitor", "machine_row", "json_valid(snapshot)"),
+    Table(
+        "alarm",
+        "alarm_row",
+        "(alarm_id || cause || state) NOT GLOB '*[^A-Za-z0-9_.-]*' AND octet_length(alarm_id) = length(alarm_id)",
+    ),
+    Table("alarm_event", "alarm_row", "json_valid(payload) AND (severity || state) NOT GLOB '*[^a-z_]*'"),
+    Table("baseline", "baseline_row", "direction IS NOT NULL"),
+    Table("outbox", "outbox_row", "key NOT GLOB '*[^A-Za-z0-9_/-]*' AND json_valid(CAST(payload AS TEXT))"),
+    Table("notification", "notification_row", "json_valid(payload)"),
+    Table("command", "command_row", "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'"),
+    Table("boot", "boot_row", "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)"),
+    Table("gap", "gap_row", "kind IS NOT NULL"),
+    Table("backlog", "machine_row", "since_us IS NOT NULL"),
+    Table(
+        "quarantine",
+        "quarantine_row",
+        "(key || reason) NOT GLOB '*[^ -~]*' AND octet_length(key || reason) = length(key || reason)",
+    ),
+    Table("throw", "throw_row", "samples > 0"),
+    Table("estimate", "throw_row", "quality NOT GLOB '*[^a-z_]*' AND octet_length(quality) = length(quality)"),
+    Table(
+        "trace",
+        "throw_row",
+        "current_codec IN ('pco-f32', 'pco-f64', 'raw-f64') AND position_codec IN ('pco-f32', 'pco-f64', 'raw-f64')",
+    ),
+];
+
+/// Number of tables that are copied at the first try, and at the next tries if there is no space: all of [`TABLES`];
+/// all but the traces; the first eight, which the diagnosis needs.
+pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
+
+/// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws.
+const FROM_INDEX: [&str; 2] = [
+    "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
+     SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
+    "INSERT OR IGNORE INTO main.boot (boot_row, machine_row, boot_id, first_seen_us, position, highest_no) \
+     SELECT boot_row, machine_row, boot_id, 0, boot_row * 1048576, \
+            coalesce((SELECT max(throw_no) FROM main.throw WHERE throw.boot_row = boot.boot_row), 0) \
+     FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
+];
+
+/// Statements that remove rows whose parent row is lost, and then fill the table of latest throws again.
+const ORPHANS: [&str; 13] = [
+    "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM alarm_event WHERE alarm_row NOT IN (SELECT alarm_row FROM alarm)",
+    "DELETE FROM baseline WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM command WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM boot WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM gap WHERE boot_row NOT IN (SELECT boot_row FROM boot)",
+    "DELETE FROM backlog WHERE cursor_boot_row NOT IN (SELECT boot_row FROM boot) \
+     OR machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM throw WHERE boot_row NOT IN (SELECT boot_row FROM boot) \
+     OR machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM estimate WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
+    "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
+    "DELETE FROM latest",
+    concat!(
+        "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
+         SELECT machine.machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
+         FROM estimate JOIN throw USING (machine_row, throw_row) JOIN machine USING (machine_row) \
+         LEFT JOIN monitor USING (machine_row) WHERE NOT ",
+        is_retired!(),
+        " GROUP BY machine.machine_row, estimate.direction"
+    ),
+];
+
+/// Result of the recovery.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Salvaged {
+    /// Number of copied rows of each table.
+    pub rows: BTreeMap<&'static str, u64>,
+    /// Number of unreadable rows of each table; for a table without readable rows, its whole range of keys.
+    pub lost: BTreeMap<&'static str, u64>,
+}
+
+impl Salvaged {
+    /// Number of copied rows of a table.
+    pub fn saved(&self, table: &str) -> u64 {
+        self.rows.get(table).copied().unwrap_or(0)
+    }
+
+    /// Number of lost rows of a table.
+    pub fn lost(&self, table: &str) -> u64 {
+        self.lost.get(table).copied().unwrap_or(0)
+    }
+
+    /// One sentence for a person.
+    pub fn text(&self) -> String {
+        if self.saved("machine") == 0 {
+            return "nothing of it could be read: every machine learns a new baseline".to_owned();
+        }
+        let part = |table, noun| match (self.saved(table), self.lost(table)) {
+            (0, 0) => None,
+            (saved, 0) => Some(format!("all {saved} {noun}")),
+            (saved, lost) if lost >= HIGHEST_TRIED.unsigned_abs() => {
+                Some(format!("{saved} {noun} (an unknown number lost)"))
+            }
+            (saved, lost) => Some(format!("{saved} {noun} ({lost} lost)")),
+        };
+        let parts = [
+            part("monitor", "machines with their baselines and alarm states"),
+            part("alarm", "alarms"),
+            part("estimate", "estimates"),
+            part("trace", "traces"),
+        ];
+        let saved: Vec<String> = parts.into_iter().flatten().collect();
+        format!("what could be read is in the new one: {}", saved.join(", "))
+    }
+}
+
+/// Copies the readable rows of the first `tables` tables of the file `broken` into the database of `connection`.
+///
+/// # Errors
+/// When the new database cannot be written.
+pub(crate) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
+    if attach(connection, broken).await {
+        return copy_tables(connection, tables).await;
+    }
+    // A copy with a new schema needs as much space as all tables.
+    if tables < TABLES.len() {
+        return Ok(Salvaged::default());
+    }
+    let Some(grafted) = with_new_schema(connection, broken).await else { return Ok(Salvaged::default()) };
+    let salvaged = copy_tables(connection, tables).await;
+    std::fs::remove_file(grafted)?;
+    salvaged
+}
+
+/// Copies the readable rows of the attached database.
+async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::Result<Salvaged> {
+    let mut salvaged = Salvaged::default();
+    sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
+    for &Table(table, key, sound) in &TABLES[..tables] {
+        if let Some(columns) = columns(connection, table).await? {
+            let lost = Copy { table, key, sound, columns }.all(connection).await?;
+            salvaged.lost.insert(table, lost);
+        }
+    }
+    for copy in FROM_INDEX {
+        // An error is ignored: the index may be broken too.
+        let _ = sqlx::query(copy).execute(&mut *connection).await;
+    }
+    // The counters have a text as key, and fit into one page. An error is ignored: they may be lost.
+    let _ =
+        sqlx::query("INSERT OR IGNORE INTO main.counter SELECT * FROM broken.counter").execute(&mut *connection).await;
+    for orphans in ORPHANS {
+        sqlx::query(orphans).execute(&mut *connection).await?;
+    }
+    sqlx::query("PRAGMA foreign_keys = ON").execute(&mut *connection).await?;
+    sqlx::query("DETACH broken").execute(&mut *connection).await?;
+    for Table(table, ..) in TABLES {
+        let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+        let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;
+        salvaged.rows.insert(table, rows.cast_unsigned());
+    }
+    Ok(salvaged)
+}
+
+/// Attaches a copy of the broken file with the schema of the new database; returns its path.
+async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path) -> Option<PathBuf> {
+    let failed = |error: &sqlx::Error| tracing::error!(%error, "the schema of the broken database cannot be replaced");
+    let copy = graft(connection, broken).await.inspect_err(failed).ok().flatten()?;
+    if attach(connection, &copy).await {
+        return Some(copy);
+    }
+    let _ = std::fs::remove_file(copy);
+    None
+}
+
+/// Attaches the broken file read-only; without its log if the log cannot be read.
+async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
+    let path = broken.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23").replace('\'', "''");
+    for mode in ["mode=ro", "mode=ro&immutable=1"] {
+        let attach = AssertSqlSafe(format!("ATTACH 'file:{path}?{mode}' AS broken"));
+        if sqlx::query(attach).execute(&mut *connection).await.is_err() {
+            continue;
+        }
+        if sqlx::query("SELECT count(*) FROM broken.sqlite_schema").execute(&mut *connection).await.is_ok() {
+            return true;
+        }
+        if sqlx::query("DETACH broken").execute(&mut *connection).await.is_err() {
+            return false;
+        }
+    }
+    false
+}
+
+/// The columns of a table in both databases, as lists for INSERT and SELECT; `None` if the broken one has no such
+/// table.
+async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
+    let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
+    let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;
+    let Ok(old) = sqlx::query_scalar::<_, String>(of("broken")).fetch_all(connection).await else { return Ok(None) };
+    // These counters are computed again while rows are copied.
+    let counted = ["throws", "traces", "stored_bytes", "traces_from"];
+    let both: Vec<(&str, &str)> = new
+        .iter()
+        .filter(|column| table != "machine" || !counted.contains(&column.as_str()))
+        .filter_map(|column| match column.as_str() {
+            // Migration 10 renamed this column.
+            "payload" if table == "baseline" && !old.contains(column) => Some(("payload", "details")),
+            column => old.iter().any(|old| old == column).then_some((column, column)),
+        })
+        .collect();
+    let (to, from): (Vec<_>, Vec<_>) = both.into_iter().unzip();
+    Ok((!to.is_empty()).then(|| (to.join(", "), from.join(", "))))
+}
+
+/// The copy of one table.
+struct Copy {
+    table: &'static str,
+    key: &'static str,
+    sound: &'static str,
+    columns: (String, String),
+}
+
+impl Copy {
+    /// Copies the whole table; returns the number of lost keys.
+    async fn all(&self, connection: &mut SqliteConnection) -> sqlx::Result<u64> {
+        let (first, last) = self.bounds(connection).await;
+        if self.has_no_root(connection, first, last).await {
+            return Ok(HIGHEST_TRIED.unsigned_abs().max(last.abs_diff(first)));
+        }
+        let (mut lost, mut failures) = (0, 0);
+        let mut start = first;
+        while start <= last {
+            // A damaged key may be far from all others, so ranges without rows are skipped.
+            match self.next_key(connection, start).await {
+                Ok(Some(next)) => start = next,
+                Ok(None) => return Ok(lost),
+                Err(_) => failures += 1,
+            }
+            let mut ranges = vec![(start, start.saturating_add(RANGE - 1).min(last))];
+            while let Some((low, high)) = ranges.pop() {
+                if failures > MOST_FAILURES {
+                    return Ok(last.abs_diff(low).saturating_add(lost + 1));
+                }
+                if let Some(unsound) = self.range(connection, low, high).await? {
+                    lost += unsound;
+                    continue;
+                }
+                failures += 1;
+                if low == high {
+                    lost += 1;
+                } else {
+                    let middle = low + (high - low) / 2;
+                    ranges.extend([(middle + 1, high), (low, middle)]);
+                }
+            }
+            let Some(next) = start.checked_add(RANGE) else { break };
+            start = next;
+        }
+        Ok(lost)
+    }
+
+    /// The lowest key of the table that is not below this one.
+    async fn next_key(&self, connection: &mut SqliteConnection, from: i64) -> sqlx::Result<Option<i64>> {
+        let Self { table, key, .. } = self;
+        let next = format!("SELECT {key} FROM broken.{table} WHERE {key} >= ?1 ORDER BY {key} LIMIT 1");
+        sqlx::query_scalar(AssertSqlSafe(next)).bind(from).fetch_optional(connection).await
+    }
+
+    /// Whether none of the tried keys is readable, which means that the root page of the table is broken.
+    async fn has_no_root(&self, connection: &mut SqliteConnection, first: i64, last: i64) -> bool {
+        let Self { table, key, .. } = self;
+        let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
+        for step in 0..PROBES {
+            let at = first.saturating_add(last.saturating_sub(first) / PROBES * step);
+            let found = sqlx::query(AssertSqlSafe(probe.clone())).bind(at).fetch_optional(&mut *connection).await;
+            if found.is_ok() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Lowest and highest key, as far as they can be read.
+    async fn bounds(&self, connection: &mut SqliteConnection) -> (i64, i64) {
+        let Self { table, key, .. } = self;
+        let mut ask = async |question: String| {
+            let answer = sqlx::query_scalar(AssertSqlSafe(question)).fetch_optional(&mut *connection).await;
+            answer.ok().flatten().flatten()
+        };
+        let first: Option<i64> = ask(format!("SELECT min({key}) FROM broken.{table}")).await;
+        let last = match ask(format!("SELECT max({key}) FROM broken.{table}")).await {
+            Some(last) => Some(last),
+            None if *key == "throw_row" => {
+                ask("SELECT seq FROM broken.sqlite_sequence WHERE name = 'throw'".to_owned()).await
+            }
+            None => None,
+        };
+        (first.unwrap_or(0).max(0), last.unwrap_or(HIGHEST_TRIED).min(LARGEST_KEY))
+    }
+
+    /// Copies the valid rows of a range of keys and returns the number of invalid ones; `None` if a row cannot be read.
+    async fn range(&self, connection: &mut SqliteConnection, low: i64, high: i64) -> sqlx::Result<Option<u64>> {
+        let Self { table, key, sound, columns: (to, from) } = self;
+        let rows = format!("FROM broken.{table} WHERE {key} BETWEEN ?1 AND ?2");
+        let copy = format!("INSERT OR IGNORE INTO main.{table} ({to}) SELECT {from} {rows} AND ({sound})");
+        let unsound = format!("SELECT count(*) {rows} AND ({sound}) IS NOT TRUE");
+        let copied = sqlx::query(AssertSqlSafe(copy)).bind(low).bind(high).execute(&mut *connection).await;
+        let counted = match copied {
+            Ok(_) => sqlx::query_scalar(AssertSqlSafe(unsound)).bind(low).bind(high).fetch_one(&mut *connection).await,
+            Err(error) => Err(error),
+        };
+        match counted {
+            Ok(unsound) => Ok(Some(i64::cast_unsigned(unsound))),
+            Err(error) if is_full(&error) || connection.ping().await.is_err() => Err(error),
+            Err(_) => Ok(None),
+        }
+    }
+}

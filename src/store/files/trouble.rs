@@ -1,0 +1,78 @@
+//! Problems of the store, as the text of an alarm.
+
+use super::{DatabaseFiles, disk::DiskLevel};
+use crate::{diagnose::Severity, store::database::Store, throw::counted};
+
+impl Store {
+    /// The highest severity of all problems that exist now or occurred since the last call, and of the problems in
+    /// `more`, with one text for all of them. `None` without problems. Called every few seconds, so it must be fast.
+    ///
+    /// The alarm can be stored even on a full disk: its first write fails and removes the ballast, whose space is
+    /// enough for thousands of alarms.
+    pub fn trouble(&self, more: impl IntoIterator<Item = (Severity, String)>) -> Option<(Severity, String)> {
+        let disk = match self.disk.worst_level() {
+            DiskLevel::Ample => None,
+            DiskLevel::Low => Some((
+                Severity::Warning,
+                "its disk is nearly full, and traces of judged throws are dropped. Free some space",
+            )),
+            DiskLevel::Full => Some((Severity::Critical, "its disk is full, and writes fail. Free some space now")),
+            DiskLevel::Failing => Some((
+                Severity::Critical,
+                "writing to its disk fails, and received throws cannot be stored. Check the disk",
+            )),
+        };
+        let disk = disk.map(|(severity, text)| (severity, text.to_owned()));
+        let set_aside = self.files.set_aside_before().map(|file| {
+            let saved = DatabaseFiles::saved_from(&file);
+            let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
+            let text = format!(
+                "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
+                 later recovery",
+                file.display()
+            );
+            (Severity::Critical, text)
+        });
+        let replaced = self.disk.replaced().map(|succeeded| {
+            let file = self.path().display();
+            let text = match (succeeded, self.disk.foreign()) {
+                (true, None) => format!(
+                    "its database {file} was deleted during operation. All data were written to a new file there. \
+                     Find out who or what deleted it"
+                ),
+                (true, Some(foreign)) => format!(
+                    "its database {file} was replaced during operation. All data were written to a new file there, and the file \
+                     found in its place is now {}. If this was a backup to restore, stop pointsd first, then put it in place. \
+                     Otherwise find out who or what replaced the database",
+                    foreign.display()
+                ),
+                (false, _) => format!(
+                    "its database {file} was deleted or replaced during operation, and cannot be written again. Check its folder \
+                     and disk, and do not stop pointsd before: it has the only copy open"
+                ),
+            };
+            (Severity::Critical, text)
+        });
+        // In the order of the numbers in `lost`.
+        let losses = [
+            (
+                "throw",
+                "before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly of one \
+                 machine. Check the logger that sends so many",
+            ),
+            ("alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
+            (
+                "alarm event",
+                "before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
+            ),
+        ];
+        let dropped = self.disk.lost().into_iter().zip(losses).filter_map(|(count, (noun, rest))| {
+            Some((Severity::Critical, format!("it dropped {} {rest}", counted(count?, noun))))
+        });
+        let all: Vec<(Severity, String)> =
+            disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
+        let severity = all.iter().map(|(severity, _)| *severity).max()?;
+        let texts: Vec<&str> = all.iter().map(|(_, text)| text.as_str()).collect();
+        Some((severity, format!("pointsd loses data: {}.", texts.join("; "))))
+    }
+}

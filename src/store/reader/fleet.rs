@@ -1,0 +1,385 @@
+//! Queries of the fleet page: machines with the worst first, fault alarms, windows, commands, neighbours of a throw.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use sqlx::{
+    FromRow, Row, Sqlite,
+    query::QueryAs,
+    sqlite::{SqliteArguments, SqliteRow},
+};
+
+use super::{Reader, machine_query};
+use crate::{
+    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState, Present},
+    store::{
+        error::StoreError,
+        rows::{json, time, timestamp, word},
+        statements as sql,
+    },
+    throw::{Direction, MachineId, Name, ThrowRef, utc},
+    wire::Alarm,
+};
+
+/// Filters and page of a fleet query.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct FleetQuery {
+    /// A site; `None` for all.
+    pub site: Option<Name>,
+    /// A state; `None` for all.
+    pub state: Option<MachineState>,
+    /// The cause of an open alarm; `None` for all machines.
+    pub cause: Option<Cause>,
+    /// A part of `site/machine`; `None` for all.
+    pub search: Option<String>,
+    pub offset: u32,
+    pub limit: u32,
+    /// Throws of each machine for its small chart.
+    pub spark: u32,
+    /// Leaves out machines that are not monitored and have no other open alarm.
+    pub without_silent: bool,
+}
+
+impl FleetQuery {
+    /// Binds the five parameters of `matching!`, which are the first ones of `statement`. `itself`: the daemon.
+    fn matching<'q, Row>(
+        &'q self,
+        statement: &'static str,
+        itself: &'q MachineId,
+    ) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
+    where
+        Row: for<'r> FromRow<'r, SqliteRow>,
+    {
+        sqlx::query_as(statement)
+            .bind(self.site.as_ref().map(Name::as_str))
+            .bind(self.cause.map(Cause::as_str))
+            .bind(self.search.as_deref())
+            .bind(itself.site.as_str())
+            .bind(itself.machine.as_str())
+    }
+}
+
+/// Numbers of machines in each state.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StateCounts {
+    pub states: Vec<(MachineState, u64)>,
+    /// Number of machines that are not monitored and have no other open alarm.
+    pub silent: u64,
+}
+
+impl StateCounts {
+    /// Number of all machines.
+    pub(crate) fn total(&self) -> u64 {
+        self.states.iter().map(|(_, count)| count).sum()
+    }
+
+    pub(crate) fn of(&self, state: MachineState) -> u64 {
+        self.states.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum()
+    }
+}
+
+/// A machine in the list of the fleet page.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct FleetRow {
+    #[serde(flatten)]
+    pub machine: MachineId,
+    pub state: MachineState,
+    /// Active drifts with their present size, the worst first.
+    pub drifts: Vec<Drifting>,
+    /// Causes of all open alarms.
+    pub causes: Vec<Cause>,
+    /// Causes of the alarms that are over, but not acknowledged.
+    pub causes_over: Vec<Cause>,
+    /// Start of the last judged throw.
+    pub started_at: Option<Timestamp>,
+    /// Quality of the last judged throw.
+    pub quality: Option<String>,
+    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number needed.
+    pub baseline: Option<(u64, u64)>,
+    /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
+    pub spark: Vec<[f64; 3]>,
+}
+
+/// An open alarm about the condition of a machine, with its change when it was raised, and the present drifts.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct Fault {
+    /// Last event of the alarm.
+    #[serde(flatten)]
+    pub alarm: Alarm,
+    /// Change and its standard deviation when the alarm was raised \[%\].
+    #[serde(skip)]
+    pub raised: Option<(f64, f64)>,
+    /// Active drifts of the machine now.
+    pub drifts: Vec<Drifting>,
+}
+
+/// An applied command of an operator.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct CommandRow {
+    /// Time of the command.
+    pub at: Timestamp,
+    /// Name of the command, for example `ack`.
+    pub command: String,
+    /// Cause of the alarm, for commands about an alarm.
+    pub cause: Option<Cause>,
+    /// End of the shelving or of the maintenance window.
+    pub until: Option<Timestamp>,
+    /// Name of the operator.
+    pub by: String,
+    /// Reason given by the operator.
+    pub why: Option<String>,
+}
+
+/// The open alarms at one site with a cause that often affects many machines at once (`not_monitored`, `data_loss`).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct CommonAlarm {
+    pub cause: Cause,
+    pub site: String,
+    /// One of the machines: the first by name.
+    pub machine: String,
+    /// Number of the alarms.
+    pub count: u64,
+    /// Time at which the first alarm was raised.
+    pub first: Timestamp,
+    /// Time at which the last alarm was raised.
+    pub last: Timestamp,
+    /// Text of the alarms, for `data_loss`, which has several kinds.
+    pub text: Option<String>,
+    /// Whether the alarms are cleared, but not acknowledged.
+    pub is_over: bool,
+}
+
+/// An open window: a shelved alarm, or maintenance of a machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Window {
+    /// The machine: `site` and `machine` in JSON.
+    #[serde(flatten)]
+    pub machine: MachineId,
+    /// Cause of the shelved alarm; `None` for maintenance.
+    pub cause: Option<Cause>,
+    /// End of the window.
+    pub until: Option<Timestamp>,
+    /// Name of the operator.
+    pub by: String,
+    /// Reason given by the operator.
+    pub why: Option<String>,
+}
+
+/// The states from the worst to the best: the order in lists.
+pub(crate) const WORST_FIRST: [MachineState; 6] = [
+    MachineState::Critical,
+    MachineState::NotMonitored,
+    MachineState::Warning,
+    MachineState::Maintenance,
+    MachineState::Learning,
+    MachineState::Healthy,
+];
+
+impl Window {
+    /// The window of a shelved alarm, or of an alarm of a machine in maintenance; `None` for an alarm in another state.
+    pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
+        let cause = match alarm.state {
+            AlarmState::Shelved => Some(alarm.cause),
+            AlarmState::OutOfService => None,
+            _ => return None,
+        };
+        windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause)
+    }
+
+    /// A part of a sentence, such as "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
+    pub fn sentence(&self) -> String {
+        let until = self.until.map(|until| format!("until {} ", utc(&until)));
+        let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
+        format!("{}by {}{why}", until.unwrap_or_default(), self.by)
+    }
+}
+
+impl FromRow<'_, SqliteRow> for Present {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            state: word(row, "state")?.unwrap_or_default(),
+            drifts: json(row, "drifts")?.unwrap_or_default(),
+            caveats: json(row, "caveats")?.unwrap_or_default(),
+        })
+    }
+}
+
+impl FromRow<'_, SqliteRow> for FleetRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let causes = |column| -> sqlx::Result<Vec<Cause>> {
+            let causes: Option<&str> = row.try_get(column)?;
+            Ok(causes.into_iter().flat_map(|causes| causes.split(',')).filter_map(|it| it.parse().ok()).collect())
+        };
+        let spark: Option<Vec<[Option<f64>; 3]>> = json(row, "spark")?;
+        let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
+        let spark = spark.unwrap_or_default().into_iter().rev().map(all).skip_while(Option::is_none);
+        let spark: Vec<_> = spark.collect();
+        // If most throws are rough, the few good ones among them would give a wrong picture of the machine.
+        let is_shown = 2 * spark.iter().flatten().count() > spark.len();
+        let spark = spark.into_iter().flatten().filter(|_| is_shown).collect();
+        let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
+        Ok(Self {
+            machine: MachineId::from_row(row)?,
+            state: word(row, "state")?.unwrap_or_default(),
+            drifts: json(row, "drifts")?.unwrap_or_default(),
+            causes: causes("causes")?,
+            causes_over: causes("causes_over")?,
+            started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
+            quality: row.try_get("quality")?,
+            baseline: count("baseline_throws")?.zip(count("baseline_needed")?),
+            spark,
+        })
+    }
+}
+
+/// A fault; `None` if this version cannot read it.
+struct FaultRow(Option<Fault>);
+
+impl FromRow<'_, SqliteRow> for FaultRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let size: Option<f64> = row.try_get("raised_pct")?;
+        let (raised, drifts) = (size.zip(row.try_get("raised_pct_sd")?), json(row, "drifts")?.unwrap_or_default());
+        Ok(Self(json(row, "payload")?.map(|alarm| Fault { alarm, raised, drifts })))
+    }
+}
+
+impl FromRow<'_, SqliteRow> for CommonAlarm {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            cause: word(row, "cause")?.unwrap_or(Cause::NotMonitored),
+            site: row.try_get("site")?,
+            machine: row.try_get("machine")?,
+            count: row.try_get::<i64, _>("count")?.cast_unsigned(),
+            first: time(row, "first_us")?,
+            last: time(row, "last_us")?,
+            text: row.try_get("said")?,
+            is_over: row.try_get("is_over")?,
+        })
+    }
+}
+
+impl FromRow<'_, SqliteRow> for CommandRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            at: time(row, "at_us")?,
+            command: row.try_get("command")?,
+            cause: word(row, "cause")?,
+            until: word(row, "until")?,
+            by: row.try_get("by_whom")?,
+            why: row.try_get("why")?,
+        })
+    }
+}
+
+impl FromRow<'_, SqliteRow> for Window {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let CommandRow { cause, until, by, why, .. } = CommandRow::from_row(row)?;
+        Ok(Self { machine: MachineId::from_row(row)?, cause, until, by, why })
+    }
+}
+
+impl Reader {
+    /// A page of the fleet, without the daemon itself.
+    pub(crate) async fn fleet(&self, query: &FleetQuery, itself: &MachineId) -> Result<Vec<FleetRow>, StoreError> {
+        let statement = query
+            .matching(sql::FLEET, itself)
+            .bind(query.state.map(MachineState::as_str))
+            .bind(query.without_silent)
+            .bind(query.limit)
+            .bind(query.offset)
+            .bind(query.spark)
+            .bind(WORST_FIRST.map(MachineState::as_str).join(" "));
+        self.external(statement).await
+    }
+
+    /// Number of machines in each state; the filter of the state is ignored.
+    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<StateCounts, StoreError> {
+        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::STATE_COUNTS, itself)).await?;
+        let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
+        let states =
+            rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
+        Ok(StateCounts { states: states.collect(), silent })
+    }
+
+    /// The first `limit` sites by name.
+    pub(crate) async fn sites(&self, limit: u32) -> Result<Vec<String>, StoreError> {
+        let rows: Vec<(String,)> = self.external(sqlx::query_as(sql::SITES).bind(limit)).await?;
+        Ok(rows.into_iter().map(|(site,)| site).collect())
+    }
+
+    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of
+    /// alarms among them that this version cannot read.
+    pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
+        let rows: Vec<FaultRow> = self.external(machine_query(sql::FAULTS, itself).bind(limit)).await?;
+        let found = rows.len();
+        let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
+        let unreadable = found - faults.len();
+        Ok((faults, unreadable))
+    }
+
+    /// Number of open alarms about the condition of machines.
+    pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
+        let count: Option<(i64,)> = self.external_row(machine_query(sql::FAULT_COUNT, itself)).await?;
+        Ok(count.map_or(0, |(count,)| count.cast_unsigned()))
+    }
+
+    /// The open alarms with the causes of [`CommonAlarm`], grouped by cause, site and text.
+    pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
+        self.external(machine_query(sql::COMMON, itself)).await
+    }
+
+    /// The open windows of one machine or of all.
+    pub(crate) async fn windows(&self, machine: Option<&MachineId>) -> Result<Vec<Window>, StoreError> {
+        let statement = sqlx::query_as(sql::WINDOWS)
+            .bind(machine.map(|machine| machine.site.as_str()))
+            .bind(machine.map(|machine| machine.machine.as_str()));
+        self.external(statement).await
+    }
+
+    /// The newest `limit` commands for a machine, newest first.
+    pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
+        self.external(machine_query(sql::COMMANDS, machine).bind(limit)).await
+    }
+
+    /// The newest `limit` baselines of a machine, newest first.
+    pub(crate) async fn baselines_of(
+        &self,
+        machine: &MachineId,
+        limit: u32,
+    ) -> Result<Vec<BaselineRecord>, StoreError> {
+        let rows: Vec<(String,)> = self.external(machine_query(sql::BASELINES, machine).bind(limit)).await?;
+        // Baselines of another version that cannot be read are left out.
+        Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
+    }
+
+    pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
+        Ok(self.external_row(machine_query(sql::STATE, machine)).await?.unwrap_or_default())
+    }
+
+    /// The previous and the next throw of a machine, in the order of their start.
+    pub(crate) async fn neighbours_of(
+        &self,
+        machine: &MachineId,
+        throw: &ThrowRef,
+    ) -> Result<[Option<ThrowRef>; 2], StoreError> {
+        let statement = machine_query(sql::THROW_NEIGHBOURS, machine);
+        let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
+        let rows: Vec<(String, i64, bool)> = self.external(statement).await?;
+        let mut neighbours = [None, None];
+        for (boot_id, throw_no, is_later) in rows {
+            neighbours[usize::from(is_later)] = Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() });
+        }
+        Ok(neighbours)
+    }
+
+    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace.
+    pub(crate) async fn typical_of(
+        &self,
+        machine: &MachineId,
+        direction: Direction,
+        at: Timestamp,
+    ) -> Result<Option<ThrowRef>, StoreError> {
+        let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
+        self.external_row(statement).await
+    }
+}

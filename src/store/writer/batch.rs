@@ -1,0 +1,18 @@
+//! Statements for many rows at once. Each call of the database thread, each statement and each row of a result wakes a
+//! thread. With one call for each row, this took a fifth of the processor time.
+
+use sqlx::{AssertSqlSafe, Sqlite, query::Query, sqlite::SqliteArguments};
+
+/// Largest number of rows in a statement, as in a group of writes and in a batch of judgements.
+pub(crate) const MAX_ROWS: usize = 64;
+
+/// The statement with its first `(?, …)` repeated for `rows` rows. The number of rows is rounded up to a power of two,
+/// so that few different statements are prepared. The parameters of the added rows are NULL; every such statement
+/// ignores rows whose first parameter is NULL.
+pub(crate) fn query<'q>(statement: &str, rows: usize) -> Query<'q, Sqlite, SqliteArguments> {
+    let from = statement.find("(?").unwrap_or(0);
+    let to = statement[from..].find(')').map_or(statement.len(), |length| from + length + 1);
+    let row = &statement[from..to];
+    let rows = vec![row; rows.next_power_of_two()].join(",");
+    sqlx::query(AssertSqlSafe([&statement[..from], &rows, &statement[to..]].concat()))
+}

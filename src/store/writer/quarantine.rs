@@ -1,0 +1,103 @@
+//! Small writes: messages for the quarantine, and single statements.
+
+use jiff::Timestamp;
+use sqlx::{Encode, Sqlite, SqliteConnection, Type};
+
+use super::{spool::count, write::Write};
+use crate::{
+    store::statements as sql,
+    throw::{MachineId, Throw, ThrowRef},
+    wire::{Encoding, Kind, encode_throw, machine_key},
+};
+
+/// Number of bytes stored of a message, from its start: enough to recognise format and sender.
+pub const QUARANTINED_BYTES: usize = 1024;
+/// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
+const MAX_STORED: usize = 256;
+/// Largest stored length of the key and of the reason \[characters\].
+const MAX_TEXT: usize = 512;
+
+/// A message for quarantine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QuarantinedMessage {
+    /// Key of the message.
+    pub key: String,
+    /// Reason for the rejection.
+    pub reason: String,
+    /// Size of the whole message \[bytes\].
+    pub bytes: usize,
+    /// Boot and number of the throw, if both can be read from the message.
+    pub id: Option<Box<ThrowRef>>,
+    /// The start of the message, up to [`QUARANTINED_BYTES`].
+    pub beginning: Vec<u8>,
+    /// Time of reception.
+    pub at: Timestamp,
+}
+
+impl QuarantinedMessage {
+    /// A valid throw that the daemon does not accept, for example of an unknown machine.
+    pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
+        let beginning = encode_throw(Encoding::Cbor, throw);
+        Self {
+            key: machine_key(machine, Kind::Throw),
+            reason,
+            bytes: beginning.len(),
+            id: Some(Box::new(throw.id.clone())),
+            beginning,
+            at,
+        }
+    }
+}
+
+/// Messages for quarantine, in the order of arrival.
+pub(crate) struct Quarantine {
+    pub(crate) refused: Vec<QuarantinedMessage>,
+    /// Largest number of messages kept in the database: the newest ones.
+    pub(crate) keep: u32,
+}
+
+impl Write for Quarantine {
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<()> {
+        let kept = self.refused.len().min(self.keep as usize).min(MAX_STORED);
+        let short = |text: &str| text.chars().take(MAX_TEXT).collect::<String>();
+        if let Some(newest) = self.refused.last().filter(|_| repeated && kept > 0) {
+            let is_stored = sqlx::query_scalar(sql::IS_QUARANTINED)
+                .bind(newest.at.as_microsecond())
+                .bind(short(&newest.key))
+                .bind(i64::try_from(newest.bytes).unwrap_or(i64::MAX));
+            if is_stored.fetch_one(&mut *connection).await? {
+                return Ok(());
+            }
+        }
+        for refused in &self.refused[self.refused.len() - kept..] {
+            sqlx::query(sql::ADD_QUARANTINE)
+                .bind(refused.at.as_microsecond())
+                .bind(short(&refused.key))
+                .bind(short(&refused.reason))
+                .bind(i64::try_from(refused.bytes).unwrap_or(i64::MAX))
+                .bind(&refused.beginning[..refused.beginning.len().min(QUARANTINED_BYTES)])
+                .bind(refused.id.as_ref().map(|id| id.boot_id.as_str()))
+                .bind(refused.id.as_ref().map(|id| id.throw_no.cast_signed()))
+                .execute(&mut *connection)
+                .await?;
+        }
+        sqlx::query(sql::TRIM_QUARANTINE).bind(self.keep).execute(&mut *connection).await?;
+        count(connection, "quarantined_messages", i64::try_from(self.refused.len()).unwrap_or(i64::MAX)).await
+    }
+}
+
+/// A statement with one parameter, without a result.
+pub(crate) struct Statement<T>(pub(crate) &'static str, pub(crate) T);
+
+impl<T> Write for Statement<T>
+where
+    T: Clone + Send + Sync + 'static + for<'q> Encode<'q, Sqlite> + Type<Sqlite>,
+{
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+        sqlx::query(self.0).bind(self.1.clone()).execute(connection).await.map(drop)
+    }
+}

@@ -1,0 +1,304 @@
+//! Retention: keeps the database within its bounds, in small transactions, which run between those of received throws.
+//!
+//! Traces are dropped first, then throws with their estimates, last closed alarms. Each dropped trace or throw is taken
+//! from the machine that has the most rows or bytes, so that a flood from one machine removes only its own history. Its
+//! judged throws are dropped first, then its oldest pending throws: so each bound holds even if throws arrive faster
+//! than they are judged.
+//!
+//! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database.
+
+use std::{
+    collections::{BTreeMap, BinaryHeap},
+    sync::Arc,
+};
+
+use jiff::{SignedDuration, Timestamp};
+use sqlx::{Sqlite, SqliteConnection, query::QueryScalar, sqlite::SqliteArguments};
+
+use super::{spool::count, write::Write};
+use crate::store::{
+    database::Store,
+    error::StoreError,
+    files::disk::DiskLevel,
+    rate_limit::seldom,
+    reader::statistics::Statistics,
+    settings::{MIB, PAGE_BYTES},
+    statements as sql,
+};
+
+/// Largest number of rows dropped in one transaction: some tens of milliseconds of work.
+const BATCH: u64 = 1024;
+/// Largest number of transactions in one call of [`Store::keep_bounds`]. With it the call ends even if throws arrive
+/// faster than rows are dropped.
+const ROUNDS: usize = 256;
+/// Number of pages returned to the disk in one transaction.
+const PAGES: u64 = 512;
+/// Largest outbox \[messages\]: ten years of a cabinet's alarms.
+const OUTBOX: u64 = 100_000;
+
+/// Statements that drop throws. Each boot keeps the highest dropped number, so that a repeated throw is not stored
+/// again.
+const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
+
+/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a
+/// counter in the database.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
+pub enum Dropped {
+    /// Traces.
+    Traces,
+    /// Judged throws with their estimates.
+    Throws,
+    /// Pending throws, which were never judged.
+    PendingThrows,
+    /// Closed alarms with their events.
+    Alarms,
+    /// The oldest messages of the outbox: alarm events that were never published.
+    Messages,
+    /// Alarm events that the webhook had not accepted. A trigger of the database drops them.
+    Notifications,
+    /// Unused pages of the file, returned to a disk with little space.
+    Pages,
+}
+
+/// The statement that selects the machines with the most rows or bytes, which lose rows first.
+type LargestMachines = &'static str;
+
+/// Limits of the time of reception of a trace that is too old \[µs since 1970\].
+#[derive(Debug, Clone, Copy)]
+struct AgeLimits {
+    before_us: i64,
+    now_us: i64,
+}
+
+impl AgeLimits {
+    /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
+    const FIRST_US: i64 = 1_577_836_800_000_000;
+
+    /// The query for up to `rows` traces that are too old.
+    fn query<'q>(self, rows: u64) -> QueryScalar<'q, Sqlite, i64, SqliteArguments> {
+        let query = sqlx::query_scalar(sql::AGED_TRACES).bind(rows.cast_signed());
+        query.bind(self.before_us).bind(Self::FIRST_US).bind(self.now_us)
+    }
+}
+
+/// Rows that can be dropped.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Traces(LargestMachines),
+    AgedTraces(AgeLimits),
+    /// Judged throws.
+    Throws(LargestMachines),
+    /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
+    Pending(LargestMachines),
+    Alarms,
+    Messages,
+    Pages,
+}
+
+impl Kind {
+    /// Drops up to `rows` rows; returns the number of dropped rows.
+    async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
+        let (what, chosen, statements): (_, _, &[&'static str]) = match self {
+            Self::Traces(holdings) => {
+                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await?;
+                (Dropped::Traces, chosen, &[sql::DROP_TRACES, sql::TRACES_FROM])
+            }
+            Self::AgedTraces(ages) => {
+                (Dropped::Traces, ages.query(rows).fetch_all(&mut *connection).await?, &[sql::DROP_TRACES])
+            }
+            Self::Throws(holdings) => {
+                (Dropped::Throws, oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await?, DROP_THROWS)
+            }
+            Self::Pending(holdings) => {
+                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await?;
+                (Dropped::PendingThrows, chosen, DROP_THROWS)
+            }
+            Self::Alarms => {
+                (Dropped::Alarms, oldest(connection, sql::OLDEST_ALARMS, rows, None).await?, &[sql::DROP_ALARMS])
+            }
+            Self::Messages => {
+                (Dropped::Messages, oldest(connection, sql::OLDEST_MESSAGES, rows, None).await?, &[sql::DROP_MESSAGES])
+            }
+            Self::Pages => {
+                sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
+                count(connection, "dropped_pages", PAGES.cast_signed()).await?;
+                return Ok((Dropped::Pages, PAGES));
+            }
+        };
+        let dropped = chosen.len() as u64;
+        if dropped > 0 {
+            let list = serde_json::Value::from(chosen.as_slice()).to_string();
+            for statement in statements {
+                sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
+            }
+            count(connection, &format!("dropped_{}", what.as_ref()), dropped.cast_signed()).await?;
+        }
+        Ok((what, dropped))
+    }
+}
+
+/// The row numbers from a statement for the oldest rows, whose second parameter is `argument`.
+async fn oldest(
+    connection: &mut SqliteConnection,
+    choice: &'static str,
+    rows: u64,
+    argument: Option<i64>,
+) -> sqlx::Result<Vec<i64>> {
+    let chosen = sqlx::query_scalar(choice).bind(rows.cast_signed());
+    let chosen = if let Some(argument) = argument { chosen.bind(argument) } else { chosen };
+    chosen.fetch_all(connection).await
+}
+
+/// The oldest rows of the machines that have the most rows or bytes.
+async fn oldest_of_largest(
+    connection: &mut SqliteConnection,
+    largest: LargestMachines,
+    choice: &'static str,
+    rows: u64,
+) -> sqlx::Result<Vec<i64>> {
+    let machines: Vec<Usage> = sqlx::query_as(largest).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let mut chosen = Vec::new();
+    for (machine_row, rows) in shares(machines, rows) {
+        chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
+    }
+    Ok(chosen)
+}
+
+/// Number of rows or bytes that one machine has in the database.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
+struct Usage {
+    /// Rows or bytes, as the statement selects. First, so that the machines are ordered by it.
+    size: i64,
+    machine_row: i64,
+    rows: i64,
+}
+
+/// Number of rows that each machine loses. Each row is taken from the machine that has the most at that point, so equal
+/// machines lose equally, and a small machine loses nothing.
+fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
+    let mut largest_first = BinaryHeap::from(machines);
+    let mut shares = BTreeMap::new();
+    for _ in 0..rows {
+        let Some(Usage { size, machine_row, rows }) = largest_first.pop() else { break };
+        *shares.entry(machine_row).or_default() += 1;
+        if rows > 1 {
+            largest_first.push(Usage { size: size - size / rows, machine_row, rows: rows - 1 });
+        }
+    }
+    shares
+}
+
+/// A transaction that drops up to `rows` rows. Rows of a later kind are dropped only if the earlier kinds have too few.
+struct DropRows {
+    kinds: Vec<Kind>,
+    rows: u64,
+}
+
+impl Write for DropRows {
+    type Output = BTreeMap<Dropped, u64>;
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
+        let mut done = BTreeMap::new();
+        let mut rest = self.rows;
+        for kind in &self.kinds {
+            let (what, dropped) = kind.drop(connection, rest).await?;
+            if dropped > 0 {
+                *done.entry(what).or_default() += dropped;
+            }
+            rest = rest.saturating_sub(dropped);
+            if rest == 0 {
+                break;
+            }
+        }
+        Ok(done)
+    }
+}
+
+impl Store {
+    /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called
+    /// every second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
+    ///
+    /// # Errors
+    /// When the database cannot be read or written.
+    pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
+        let mut done = BTreeMap::new();
+        for _ in 0..ROUNDS {
+            let mut round = BTreeMap::new();
+            // If a bound cannot be met, the next one is tried.
+            for drop in self.excess(now, clock_trusted).await? {
+                round = self.writer.write(drop).await?;
+                if !round.is_empty() {
+                    break;
+                }
+            }
+            if round.is_empty() {
+                break;
+            }
+            for (what, rows) in round {
+                *done.entry(what).or_default() += rows;
+            }
+        }
+        let disk = Arc::clone(&self.disk);
+        // An error is only logged: the caller still needs the numbers of dropped rows.
+        if let Ok(Err(error)) = tokio::task::spawn_blocking(move || disk.restore_ballast()).await {
+            seldom!(warn, %error, "no ballast file: recovery from a full disk will be harder");
+        }
+        Ok(done)
+    }
+
+    /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
+        let mut due = Vec::new();
+        let settings = &self.settings;
+        let figures = sqlx::query_as(sql::FIGURES);
+        let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
+        self.disk.note_dropped(&figures.counters());
+        let available_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
+        let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
+        let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
+        if excess > 0 || missing > 0 {
+            // The number of rows is estimated from the mean size of a throw with its trace.
+            let each = (figures.data_bytes / figures.traces.max(1)).max(1);
+            let rows = (excess.max(missing) / each + 1).min(BATCH);
+            let mut kinds = vec![Kind::Traces(sql::MOST_TRACE_BYTES)];
+            // If other programs fill the disk, only traces are dropped.
+            if excess > 0 {
+                kinds.extend([Kind::Throws(sql::MOST_THROW_BYTES), Kind::Pending(sql::MOST_THROW_BYTES), Kind::Alarms]);
+            }
+            due.push(DropRows { kinds, rows });
+        }
+        let counts = [
+            (
+                figures.traces,
+                settings.max_traces,
+                vec![Kind::Traces(sql::MOST_TRACES), Kind::Pending(sql::MOST_TRACES)],
+            ),
+            (
+                figures.throws,
+                settings.max_throws,
+                vec![Kind::Throws(sql::MOST_THROWS), Kind::Pending(sql::MOST_THROWS)],
+            ),
+            (figures.closed_alarms, settings.max_alarms, vec![Kind::Alarms]),
+            (figures.outbox, OUTBOX, vec![Kind::Messages]),
+        ];
+        for (count, most, kinds) in counts {
+            let rows = count.saturating_sub(most).min(BATCH);
+            if rows > 0 {
+                due.push(DropRows { kinds, rows });
+            }
+        }
+        if clock_trusted {
+            let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
+            let ages = AgeLimits { before_us: before.as_microsecond(), now_us: now.as_microsecond() };
+            if self.reader.limited(ages.query(1).fetch_optional(&self.reader.pool())).await?.is_some() {
+                due.push(DropRows { kinds: vec![Kind::AgedTraces(ages)], rows: BATCH });
+            }
+        }
+        let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
+        if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
+            due.push(DropRows { kinds: vec![Kind::Pages], rows: PAGES });
+        }
+        Ok(due)
+    }
+}
