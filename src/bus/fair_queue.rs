@@ -147,7 +147,7 @@ mod tests {
         let flood = (0..2 * MAX_MESSAGES).filter(|_| push(&queue, "flood", 40)).count();
         assert_eq!(flood, MAX_MESSAGES / 2);
         let others = (0..8).map(|other| (0..1_000).filter(|_| push(&queue, &format!("other {other}"), 40)).count());
-        // Every key gets its share, except those in the slot of the flood.
+        // A key that shares its slot with another key gets less memory: by chance, this may be two of the eight keys.
         assert!(others.filter(|&taken| taken == SHARE / LEAST_COST).count() >= 6);
         queue.pop();
         assert!(!push(&queue, "flood", 40), "it still has more than its share");

@@ -97,7 +97,7 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// The same as [`read`], without the messages.
+/// Reads the messages as JSON. Returns the values, and the number of problems that [`read`] printed on stderr.
 pub(super) fn values<T: DeserializeOwned>(answers: &Answers) -> (Vec<T>, usize) {
     let (values, problems) = read(answers);
     (values.into_iter().map(|(_, value)| value).collect(), problems)

@@ -203,8 +203,8 @@ impl Plan {
         Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
     }
 
-    /// Simulates a healthy life until its first alarm, with limits so small that only the false-alarm budget prevents
-    /// one.
+    /// Simulates a healthy life until its first drift alarm. The warning limits are near 0, so only the false-alarm
+    /// budget prevents alarms.
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
         let scatter = Scatter { phi: BUDGET_PHI[phi], ..Scatter::USUAL };

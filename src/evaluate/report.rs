@@ -112,7 +112,7 @@ pub struct Tally {
     pub missed: usize,
     /// Median throws from the onset of the fault to the right name; `None` if no life was named right.
     pub delay_median: Option<f64>,
-    /// 95th percentile of these throws.
+    /// 95th percentile of the throws from the onset of the fault to the right name; `None` if no life was named right.
     pub delay_p95: Option<f64>,
 }
 

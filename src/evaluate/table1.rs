@@ -37,7 +37,8 @@ pub enum Expected {
 }
 
 impl Expected {
-    /// Whether a change \[%\] is as expected: within 2 percentage points or 3 % of the expected change.
+    /// Whether a change \[%\] is as expected. With [`Self::Change`] it may differ by 2 percentage points, or by 3 % of
+    /// the expected change if this is more.
     pub fn holds(self, change_pct: f64) -> bool {
         match self {
             Self::Change(expected) => (change_pct - expected).abs() <= (0.03 * expected.abs()).max(2.0),

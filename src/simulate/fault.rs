@@ -68,7 +68,7 @@ pub enum Shape {
 pub struct Fault {
     /// The part.
     pub part: Part,
-    /// Development over the throws.
+    /// How the size of the fault develops over the throws.
     pub shape: Shape,
     /// Full size, as a change of the coefficient \[%\]; negative for a loss.
     pub size_pct: f64,

@@ -41,7 +41,8 @@ const TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
-/// Time limit to read the database. After it the response has only the counters of the daemon.
+/// Time limit for each of the two reads of the database. If the first read fails, the response has only the counters of
+/// the daemon. If the second read fails, the response has no values for single machines.
 const LIMIT: Duration = Duration::from_secs(2);
 
 pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {

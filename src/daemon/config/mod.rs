@@ -169,7 +169,7 @@ pub struct Config {
     pub machines: Machines,
     /// The dashboard.
     pub web: Web,
-    /// Alarm events to a server of the operator.
+    /// The HTTP server of the operator to which alarm events are posted, and which events these are.
     pub webhook: Webhook,
     /// Log lines.
     pub log: Log,

@@ -184,7 +184,8 @@ pub(super) struct ReceiveLoop {
 }
 
 impl ReceiveLoop {
-    /// Runs until `stop`, then stores the rest of the queue. Messages that are not stored at `give_up` are lost.
+    /// Receives and stores messages until `stop` is cancelled, then stores the rest of the queue. When `give_up` is
+    /// cancelled, the messages that are not stored yet are lost.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let give_up = self.give_up.clone();
         tokio::select! {

@@ -141,8 +141,8 @@ impl Alarms {
         self.open.iter().position(|alarm| alarm.last.cause == cause)
     }
 
-    /// Adds an event with the present state of the alarm at `index`, during maintenance with the state `OutOfService`;
-    /// removes the alarm if the event has the state `Normal`.
+    /// Adds an event with the present state of the alarm at `index`. During maintenance, the event has the state
+    /// `OutOfService` instead. An alarm whose event has the state `Normal` is removed.
     fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) {
         let alarm = &mut self.open[index];
         let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };

@@ -54,7 +54,8 @@ pub(crate) struct Filling {
 }
 
 impl Filling {
-    /// `variance`: variances of one throw; `sensor`: the part of the estimates' errors in them.
+    /// Sorts the throws by their numbers. `variance`: variances of ln b0, ln a1, ln a0 of one throw; `sensor`: the part
+    /// of each variance that the errors of the estimates cause.
     pub(crate) fn new(mut throws: Vec<TrendThrow>, variance: [f64; 3], sensor: [f64; 3]) -> Self {
         throws.sort_unstable_by_key(|throw| throw.order);
         let error_part = std::array::from_fn(|i| (sensor[i] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));

@@ -1,9 +1,10 @@
 //! Wet spells in the throws of a baseline.
 //!
-//! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline, a wet spell would
-//! hide wear for ever. So a spell that begins and ends within the throws is taken out. The evidence compares two models
-//! of the friction's logarithm: levels, effect of the temperature and slope; and the same with a spell, at any place
-//! that fits. It is the evidence of [`crate::diagnose::statistics::regression`], which needs no spells for slow random changes.
+//! Rain lowers the friction of the slide chairs for some hours or days. A wet spell in the throws of a baseline would
+//! increase its scatter, and a larger scatter hides wear. So the effect of each spell that begins and ends within these
+//! throws is subtracted. The evidence compares two models of the logarithm of the friction. The first has a level for
+//! each direction, the effect of the temperature and a slope. The second has wet spells in addition. The evidence is
+//! that of [`crate::diagnose::statistics::regression`], in which slow random changes do not look like spells.
 
 use std::ops::{Range, RangeInclusive};
 

@@ -40,7 +40,7 @@ const NEW_MOTOR_FAULT: f64 = 0.5;
 /// Least change of the back-EMF that decides about the motor beside a known or new fault of it, as part of the change
 /// of the motor.
 const CHANGED: f64 = 0.5;
-/// Least significance of this change \[standard deviations\].
+/// Least change of the back-EMF that is significant, in standard deviations of this change.
 const CHANGED_SD: f64 = 3.0;
 /// Upper bound of the misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_BACK_EMF_MISFIT: f64 = 40.0;
@@ -499,7 +499,8 @@ pub(crate) fn explained<const K: usize>(
     // Complete coefficients contain the acceleration at the start in b0.
     let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
     let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
-    // With other leaks the motor has another size, which the gauge shows too, so it helps to choose the leaks.
+    // Dry friction leaks into the coefficients. The size of a change of the motor depends on the assumed leaks. The
+    // back-EMF shows this size too, so its misfit counts in the odds of the leaks.
     let beside = |fit: &Fit<K>| {
         let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
         of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }

@@ -22,7 +22,7 @@ use crate::{
 /// Standard deviation of a size by the error of the model, as part of the size: where half of the friction is dry, the
 /// model overstates a loss of 10 to 20 % of the motor's torque by 1 to 2 % of the loss.
 const SIZE_SHARE: f64 = 0.01;
-/// Lower bound of a coefficient as part of nominal, so that its logarithm is finite.
+/// Least size of a coefficient, as part of its normal value, so that its logarithm is finite.
 const LEAST_LEFT: f64 = 0.01;
 /// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
 /// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.

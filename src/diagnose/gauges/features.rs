@@ -21,9 +21,9 @@ use crate::{
     throw::Direction,
 };
 
-/// The watched features, each with the change that matters, as a logarithm; `critical_factor` times this change is
-/// critical. The running current of a healthy machine changes by some percent with the weather, its duration and travel
-/// hardly change.
+/// The watched features, each with the least change that matters, as a logarithm. From this size on, a significant
+/// change is reported; from `critical_factor` times this size on, the change is critical. On a healthy machine, the
+/// running current changes by some percent with the weather; the duration and the travel of a throw hardly change.
 const WATCHED: [(Gauge, f64); 4] =
     [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
 /// Number of throws of a direction in a level, which is their median.

@@ -167,7 +167,8 @@ impl MachineMonitor {
         site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
     }
 
-    /// Applies the common change of a site; called on the monitor that stands for all its machines.
+    /// Raises or clears the alarms about a change that most machines of a site have in common, as by weather. Call it
+    /// on the monitor of the site, not on the monitor of a machine.
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         self.step(now, None, settings, |_, step| site::judge(common, step))
     }

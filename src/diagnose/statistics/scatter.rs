@@ -32,8 +32,9 @@ const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
 /// Prior odds that a machine is typical.
 const LIKE_MOST: f64 = 50.0;
-/// Standard deviation of atanh of the lag-1 correlation, for typical machines and for others. The first follows from
-/// the weight in [`USUAL_LAG1`]; with the second, one machine in seven has a correlation above 0.8.
+/// Standard deviation of atanh of the lag-1 correlation, for typical machines and for others. The value 0.22 is
+/// 1/sqrt(20), where 20 is the weight in [`USUAL_LAG1`] with few throws. With the value 0.7, one machine in seven has a
+/// correlation above 0.8.
 const LAG1_SD: (f64, f64) = (0.22, 0.7);
 /// Least standard deviation of the natural scatter of each logarithm: absolute, far below that of any machine; and
 /// relative to the largest of the three. Keeps covariances positive definite in single precision, also for equal
@@ -50,7 +51,8 @@ const MOST_LAG1: f64 = 0.98;
 pub(crate) const SLOW_LAG1: f64 = 0.9;
 /// Lags whose correlations show the slow part; the rest of the scatter has hardly any correlation at these lags.
 const SLOW_LAGS: std::ops::Range<usize> = 5..16;
-/// Least number of throws that can show a slow part: five times as long as it lasts. 50 throws may show any part.
+/// Least number of throws for an estimate of the slow part, about five times the longest lag in [`SLOW_LAGS`]. With 50
+/// throws, the estimate may have any value from 0 to [`MOST_SLOW`].
 const LEAST_FOR_SLOW: f64 = 80.0;
 /// Standard deviations subtracted from an estimated slow part, so that scatter without one hardly ever gets one.
 const DISCOUNT_SD: f64 = 0.5;

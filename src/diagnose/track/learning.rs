@@ -161,7 +161,8 @@ impl Tracks {
         records
     }
 
-    /// Looks for a trend in the throws of the baselines and those set aside.
+    /// Looks for a trend in the throws of both baselines and in the throws set aside while a drift is suspected. Stores
+    /// its slopes; `None` without a trend, or if only one direction is compared by ratios.
     fn follow_trend(&mut self, settings: &Settings) {
         let slopes = if self.are_comparable() { trend(&self.filling(&self.wet), settings) } else { [0.0; 3] };
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);

@@ -73,8 +73,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
         load(&mut self.output, problem.output)
     }
 
-    /// Row number `row` of the instrument: a numerator column, or a state of the filter of x̂ (of y without an
-    /// auxiliary model).
+    /// Row `row` of the instrument. The first P - N rows are the numerator columns. The last N rows are the states of
+    /// the filter of x̂, or of the filter of y if there is no auxiliary model (`IV` is false).
     pub(super) fn instrument<const IV: bool>(&self, row: usize) -> &Samples {
         if !IV || row < P - N { &self.phi[row] } else { &self.auxiliary[row - (P - N)] }
     }

@@ -83,7 +83,8 @@ pub(crate) struct Movement<'a> {
     pub(super) end_mm: f64,
     /// Largest magnitude of the current, offset removed \[A\].
     pub(crate) peak_a: f64,
-    /// Mean magnitude of the current while the motor was on, without an unresolved inrush \[A\].
+    /// Mean magnitude of the current while the motor was on, offset removed \[A\]. In a slow recording, the mean leaves
+    /// out the first sample with the motor on, as this sample may be in the inrush.
     pub(crate) mean_a: f64,
 }
 

@@ -97,7 +97,8 @@ pub(super) fn drive(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     })
 }
 
-/// Effect of the noise of the sensors; stated and observed standard deviations.
+/// Effect of the noise of the sensors: compares the standard deviations that the estimator states with those observed
+/// in `throws` throws.
 pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (current_a, position_mm) in

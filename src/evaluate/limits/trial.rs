@@ -44,7 +44,8 @@ impl Default for Trial {
     }
 }
 
-/// The default machine without dry friction, as in equation (10), so that its true coefficients are known exactly.
+/// The default machine without dry friction. The model of the estimator has no dry friction either, so the true
+/// coefficients of this machine are known exactly.
 pub(super) fn without_dry_friction() -> Parameters {
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() }
 }

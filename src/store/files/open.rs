@@ -73,7 +73,7 @@ pub enum Found {
 /// Report on the opening of the database: its condition, and what was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
-    /// How the database was found.
+    /// Condition of the database when it was opened.
     pub found: Found,
     /// Number of migrations applied.
     pub upgraded_by: usize,

@@ -323,7 +323,8 @@ impl Reader {
         Ok(count.map_or(0, |(count,)| count.cast_unsigned()))
     }
 
-    /// The open alarms with the causes of [`CommonAlarm`], grouped by cause, site and text.
+    /// The open alarms with the causes `not_monitored` and `data_loss`, without those of the daemon `itself`. They are
+    /// grouped by cause, site, text (`data_loss` only) and whether they are cleared.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
         self.external(machine_query(sql::COMMON, itself)).await
     }
