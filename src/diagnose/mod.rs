@@ -23,6 +23,7 @@ mod intermittent;
 mod last;
 mod latest_throw;
 mod monitor;
+mod motor_kind;
 mod neutral;
 mod observation;
 mod operational;

@@ -11,7 +11,7 @@ use super::{
     identification::{Estimate, Grade, Identification},
     lateness,
     load::Load,
-    missing,
+    missing, motor_kind,
     movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
     noise,
     ratios::{self, FullModel},
@@ -144,6 +144,9 @@ impl Identifier {
         features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
+        }
+        if undamaged {
+            features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {
             buffers.add_start(&mut features, estimate, &movement);

@@ -19,6 +19,7 @@ mod lateness;
 mod load;
 mod midpoint;
 mod missing;
+mod motor_kind;
 mod movement;
 mod noise;
 mod pass;

@@ -17,6 +17,7 @@ use super::{
     event::{AlarmEvent, Away, Cause, Severity},
     features::FeatureWatch,
     instruments::Instruments,
+    motor_kind::MotorKind,
     neutral::Neutral,
     observation::Parameters,
     operational::{self, Operation},
@@ -43,6 +44,8 @@ pub struct MachineMonitor {
     tracks: Tracks,
     #[serde(default)]
     neutral: Neutral,
+    #[serde(default)]
+    motor: MotorKind,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
@@ -271,6 +274,7 @@ impl MachineMonitor {
         self.has_position = false;
         self.tracks = Tracks::default();
         self.neutral = Neutral::default();
+        self.motor = MotorKind::default();
         self.drift.reset();
         self.drift.now.clear();
         self.instruments = Instruments::default();
@@ -341,6 +345,7 @@ impl MachineMonitor {
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.neutral_elsewhere())
+            .chain(self.motor.unlike(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
             .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
