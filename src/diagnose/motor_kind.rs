@@ -11,38 +11,37 @@ const FIRST: u8 = 12;
 /// linear, the speed varies along the stroke as it would with a load, which has the opposite effect in the other direction.
 const LEAST: u8 = 8;
 
-/// Numbers of the first throws of each direction.
+/// The first throws of each direction: their number in the lower four bits, and in the upper four the number of those that show
+/// another kind than the configured one. Packed, as a fleet has many monitors.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct MotorKind([Counts; 2]);
+pub(super) struct MotorKind([u8; 2]);
 
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-struct Counts {
-    throws: u8,
-    series: u8,
-    magnets: u8,
-}
+/// One throw of another kind.
+const OTHER: u8 = 16;
 
 impl MotorKind {
     /// Adds a throw of a machine in service.
-    pub(super) fn learn(&mut self, observation: &Observation) {
+    pub(super) fn learn(&mut self, observation: &Observation, parameters: Option<Parameters>) {
         let features = &observation.features;
         let is_whole = !observation.incomplete && features.travel_mm.is_some() && features.duration_s.is_some();
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return };
         let counts = &mut self.0[direction.side()];
-        if counts.throws < FIRST {
-            counts.throws += 1;
-            counts.series += u8::from(features.motor == Some(Motor::Series));
-            counts.magnets += u8::from(features.motor == Some(Motor::PermanentMagnet));
+        if *counts % OTHER < FIRST {
+            let is_other = features.motor.is_some_and(|motor| motor != configured(parameters));
+            *counts += 1 + if is_other { OTHER } else { 0 };
         }
     }
 
     /// The kind that the throws show, if it is not the configured one.
-    pub(super) fn unlike(&self, parameters: Option<Parameters>) -> Option<Motor> {
-        let configured = parameters.map(|parameters| parameters.motor).unwrap_or_default();
-        let is_shown = |of: fn(&Counts) -> u8| self.0.iter().all(|counts| of(counts) >= LEAST);
-        match configured {
-            Motor::PermanentMagnet => is_shown(|counts| counts.series).then_some(Motor::Series),
-            Motor::Series => is_shown(|counts| counts.magnets).then_some(Motor::PermanentMagnet),
-        }
+    pub(super) fn other(self, parameters: Option<Parameters>) -> Option<Motor> {
+        let is_other = self.0.iter().all(|counts| counts / OTHER >= LEAST);
+        is_other.then(|| match configured(parameters) {
+            Motor::PermanentMagnet => Motor::Series,
+            Motor::Series => Motor::PermanentMagnet,
+        })
     }
+}
+
+fn configured(parameters: Option<Parameters>) -> Motor {
+    parameters.map(|parameters| parameters.motor).unwrap_or_default()
 }

@@ -140,7 +140,7 @@ impl Identifier {
             }
             _ => {}
         }
-        features.supply_v = supply_v(throw, settings);
+        features.supply_v = throw.supply_v;
         features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
@@ -432,7 +432,7 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
-    features.supply_v = supply_v(throw, settings);
+    features.supply_v = throw.supply_v;
     features.energy_j = energy_j(throw, &features);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
@@ -452,12 +452,6 @@ fn identify_current(
         unused_fields: throw.unused_fields(),
         short_of_stroke_mm: None,
     }
-}
-
-/// The supply voltage as published \[V\], also an impossible one, which the diagnosis reports. `None` for a series motor: the
-/// diagnosis compares voltage, current and speed by the laws of permanent magnets.
-fn supply_v(throw: &Throw, settings: &Settings) -> Option<f64> {
-    throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet)
 }
 
 /// Energy of the motor \[J\], if the charge and a possible supply voltage are known.

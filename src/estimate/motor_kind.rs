@@ -3,7 +3,7 @@
 //! The back-EMF of a motor with permanent magnets is K ω. That of a series-wound motor is k i ω, or less where its iron
 //! saturates. Two stretches of a throw show the difference, and must agree.
 //!
-//! 1. From the first movement of the toe to its end, the integrated equation of the armature (see `armature`) is one of
+//! The first one is from the first movement of the toe to its end. The integrated equation of the armature (see `armature`) is one of
 //!
 //! ```text
 //! t = r ∫i dt + l i + κ θ + c        or        t = r ∫i dt + l i + κ ∫i dθ + c        (all over the voltage)
@@ -11,10 +11,10 @@
 //!
 //! and the right one leaves the smaller residual. The rest of the inrush decides most.
 //!
-//! 2. After the inrush, a load that rises along the stroke raises the current and slows the motor. With magnets ω = ω0 (1 - i/I),
-//! where I = V/R is the current at standstill. The inrush cannot exceed it, so the line through speed and current of the running
-//! motor meets ω = 0 at the inrush or later. The speed of a series motor is about V/(k i), and its line meets ω = 0 at about
-//! twice the running current, long before the inrush.
+//! The second one is after the inrush. A load that rises along the stroke raises the current and slows the motor. With magnets
+//! ω = ω0 (1 - i/I), where I = V/R is the current at standstill. The inrush cannot exceed it, so the line through speed and current
+//! of the running motor meets ω = 0 at the inrush or later. The speed of a series motor is about V/(k i), and its line meets ω = 0
+//! at about twice the running current, long before the inrush.
 //!
 //! A voltage that falls during the throw looks like a series motor in the second stretch, play or a soft drive in the first.
 

@@ -2,9 +2,9 @@
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    diagnose::{MachineMonitor, Observation, Parameters, Settings},
+    diagnose::{Cause, MachineMonitor, Observation, Parameters, Settings},
     estimate::{self, Identifier, Motor},
-    simulate::{self, Fleet, FleetSettings},
+    simulate::{self, Fleet, FleetSettings, Incident, IncidentKind},
 };
 
 use crate::drive::{Drive, State};
@@ -62,5 +62,29 @@ fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
         drive.events(26, state);
         let caveats = drive.monitor.caveats();
         assert!(!caveats.iter().any(|caveat| caveat.contains("Set motor =")), "{state:?}: {caveats:?}");
+    }
+}
+
+/// Voltage, speed and inrush of a series motor change together as those of one with magnets.
+#[test]
+fn a_lower_supply_voltage_of_a_series_motor_is_named() {
+    let weak =
+        |machine| Incident { machine, kind: IncidentKind::WeakSupply { loss_pct: 18.0 }, from_throw: 80, throws: 60 };
+    let incidents = vec![weak(0), weak(1), weak(2)];
+    let machine = simulate::Parameters::series();
+    let fleet = FleetSettings { machines: 4, machine, incidents, ..FleetSettings::default() };
+    let settings = estimate::Settings { motor: Motor::Series, ..estimate::Settings::default() };
+    let mut identifier = Identifier::default();
+    for (at, mut machine) in Fleet::new(&fleet, 78).unwrap().into_machines().into_iter().enumerate() {
+        let mut monitor = MachineMonitor::new("21B");
+        let mut causes = Vec::new();
+        for throw in 1..=120 {
+            let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
+            let throw = machine.next_throw().unwrap().into_throw("a", started_at);
+            let found = Observation::of(&throw, &identifier.identify(&throw, &settings));
+            causes.extend(monitor.observe(&found, &Settings::default()).events.into_iter().map(|event| event.cause));
+        }
+        causes.retain(|cause| *cause != Cause::SlowThrow);
+        assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
     }
 }

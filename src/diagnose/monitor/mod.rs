@@ -345,7 +345,7 @@ impl MachineMonitor {
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.neutral_elsewhere())
-            .chain(self.motor.unlike(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
+            .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
             .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
