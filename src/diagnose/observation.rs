@@ -164,7 +164,7 @@ pub struct Parameters {
     /// Toe position at which the rails are unstressed \[mm from normal\].
     pub(super) neutral_mm: f64,
     /// Kind of motor.
-    motor: Motor,
+    pub(super) motor: Motor,
 }
 
 impl Parameters {

@@ -5,6 +5,7 @@ use super::{
     armature, current_only,
     features::Features,
     identification::{Estimate, Grade, Identification},
+    motor_kind,
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
     settings::{Motor, Settings},
@@ -137,9 +138,12 @@ impl Identifier {
             }
             _ => {}
         }
-        add_supply(&mut features, throw, settings);
+        add_supply(&mut features, throw);
         if undamaged && settings.motor == Motor::PermanentMagnet {
             armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
+        }
+        if undamaged {
+            features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {
             buffers.add_start(&mut features, estimate, &movement);
@@ -427,7 +431,7 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
-    add_supply(&mut features, throw, settings);
+    add_supply(&mut features, throw);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
         .and_then(|()| {
@@ -449,10 +453,9 @@ fn identify_current(
 }
 
 /// Adds supply voltage and energy to the features. The voltage is that published, also if it is impossible, which the
-/// diagnosis reports. That of a series motor is left out, as the diagnosis compares voltage, current and speed by the
-/// equations of a permanent-magnet motor.
-fn add_supply(features: &mut Features, throw: &Throw, settings: &Settings) {
-    features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
+/// diagnosis reports.
+fn add_supply(features: &mut Features, throw: &Throw) {
+    features.supply_v = throw.supply_v;
     features.energy_j = throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
 }
 

@@ -16,6 +16,7 @@ mod features;
 mod identification;
 mod identifier;
 mod midpoint;
+mod motor_kind;
 mod ratios;
 mod rejection;
 mod settings;

@@ -18,6 +18,7 @@ mod instruments;
 mod intermittent;
 mod loaded;
 mod memory;
+mod motor_kind;
 mod operational;
 mod pairs;
 mod rails;

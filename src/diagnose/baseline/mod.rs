@@ -1,5 +1,6 @@
 //! The baseline of a machine and direction.
 
+pub(super) mod motor_kind;
 pub(super) mod neutral;
 pub(super) mod temperature;
 pub(super) mod trend;

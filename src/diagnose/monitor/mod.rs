@@ -13,7 +13,7 @@ use super::{
         rule::Rule,
         step::Step,
     },
-    baseline::{BaselineRecord, neutral::Neutral},
+    baseline::{BaselineRecord, motor_kind::ShownMotor, neutral::Neutral},
     drift::{
         alarms::{DRIFTS, DriftAlarms},
         start::StartWatch,
@@ -46,6 +46,8 @@ pub struct MachineMonitor {
     tracks: Tracks,
     #[serde(default)]
     neutral: Neutral,
+    #[serde(default)]
+    motor: ShownMotor,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
@@ -277,6 +279,7 @@ impl MachineMonitor {
         self.has_position = false;
         self.tracks = Tracks::default();
         self.neutral = Neutral::default();
+        self.motor = ShownMotor::default();
         self.drift.reset();
         self.drift.now.clear();
         self.instruments = Instruments::default();
@@ -345,6 +348,7 @@ impl MachineMonitor {
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.neutral_elsewhere())
+            .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
             .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()

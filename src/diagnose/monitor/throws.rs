@@ -121,6 +121,7 @@ impl MachineMonitor {
         let is_usual_current = direction
             .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
         self.operation.on_throw(observation, is_usual_current, step);
+        self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(step.alarms);

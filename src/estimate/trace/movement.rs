@@ -214,7 +214,7 @@ impl<'a> Movement<'a> {
     }
 
     /// Distance of the toe from its position at rest \[mm\], positive in the direction of the throw.
-    pub(super) fn progress_mm(&self, sample: usize) -> f64 {
+    pub(crate) fn progress_mm(&self, sample: usize) -> f64 {
         self.sign * (self.position_mm[sample] - self.position.mean)
     }
 

@@ -1,0 +1,160 @@
+//! The kind of motor that current and speed of a throw show.
+//!
+//! The back-EMF of a motor with permanent magnets is K ω. That of a series-wound motor is k i ω, or less where its iron
+//! saturates. Two stretches of a throw show the difference, and must agree.
+//!
+//! The first one is from the first movement of the toe to its end. The integrated equation of the armature (see `armature`) is one of
+//!
+//! ```text
+//! t = r ∫i dt + l i + κ θ + c        or        t = r ∫i dt + l i + κ ∫i dθ + c        (all over the voltage)
+//! ```
+//!
+//! and the right one leaves the smaller residual. The rest of the inrush decides most.
+//!
+//! The second one is after the inrush. A load that rises along the stroke raises the current and slows the motor. With magnets
+//! ω = ω0 (1 - i/I), where I = V/R is the current at standstill. The inrush cannot exceed it, so the line through speed and current
+//! of the running motor meets ω = 0 at the inrush or later. The speed of a series motor is about V/(k i), and its line meets ω = 0
+//! at about twice the running current, long before the inrush.
+//!
+//! A voltage that falls during the throw looks like a series motor in the second stretch, play or a soft drive in the first.
+
+use nalgebra::{Matrix4, Vector4};
+
+use super::{
+    settings::Motor,
+    trace::movement::{Movement, mean, samples_in},
+};
+
+/// Lowest sampling rate that resolves the inrush, as for the constants of the armature \[Hz\].
+const LEAST_RATE_HZ: f64 = 200.0;
+/// Travel after which the toe moves, as share of the whole, and in standard deviations of the position's noise.
+const MOVES: (f64, f64) = (0.0026, 5.0);
+/// Largest residual of the likelier equation, as share of the duration. A motor that drives the toe by a crank leaves more.
+const LARGEST_RESIDUAL: f64 = 1.5e-3;
+/// Residual of a series motor over that of magnets: below the first of a series motor, above the second of magnets. Simulated series
+/// motors with three laws of saturation had 0.1 to 6 in the median of their throws, motors with magnets 2.2 to 150.
+const RESIDUALS: (f64, f64) = (3.0, 6.0);
+/// Inrush over the current at which the line of the running motor meets ω = 0: above the first of a series motor, below the second
+/// of magnets; that of a series motor whose residual is the smaller one is above the second. The same series motors had 1.0 to 4,
+/// those with magnets 0.7 to 1.8.
+const INRUSH: (f64, f64) = (1.2, 1.0);
+/// Largest correlation of speed and current of the running motor.
+const CORRELATION: f64 = -0.8;
+/// Part of the movement that is skipped as the inrush, and number of blocks of the rest.
+const SKIPPED_SHARE: f64 = 0.3;
+const BLOCKS: usize = 12;
+/// Time over which the inrush is a mean: a period of the ripple of rectified mains \[s\].
+const RIPPLE_S: f64 = 0.01;
+/// Samples in the sums of the first stretch. More of them show no more, as its errors are correlated.
+const ROWS: usize = 1000;
+
+/// The kind of motor; `None` if the throw does not decide it.
+pub(super) fn shown(movement: &Movement<'_>) -> Option<Motor> {
+    let (start, end) = (movement.start(), movement.near_end);
+    if movement.interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 || end < start + 2 * BLOCKS {
+        return None;
+    }
+    let way = Way { movement, drive: movement.drive(), start, len: end - start };
+    let [magnets, series] = way.residuals()?;
+    let inrush = way.inrush_of_standstill()?;
+    let is_series = series < RESIDUALS.0 * magnets && inrush > INRUSH.0 || series < magnets && inrush > INRUSH.1;
+    if magnets.min(series) > LARGEST_RESIDUAL * way.len as f64 * movement.interval_s {
+        None
+    } else if is_series {
+        Some(Motor::Series)
+    } else if series > RESIDUALS.1 * magnets && inrush < INRUSH.1 {
+        Some(Motor::PermanentMagnet)
+    } else {
+        None
+    }
+}
+
+/// The movement from the start of the motor.
+struct Way<'a> {
+    movement: &'a Movement<'a>,
+    /// Sign of the driving current.
+    drive: f64,
+    /// First sample, and number of samples after it.
+    start: usize,
+    len: usize,
+}
+
+impl Way<'_> {
+    /// Current \[A\], positive if it drives.
+    fn current(&self, sample: usize) -> f64 {
+        self.drive * (self.movement.current_a[self.start + sample] - self.movement.current.mean)
+    }
+
+    /// Done part of the travel, in proportion to the angle of the motor.
+    fn done(&self, sample: usize) -> f64 {
+        self.movement.progress_mm(self.start + sample) / self.movement.travel_mm
+    }
+
+    /// Root mean square residuals of the armature's equation with magnets and with a series motor \[s\].
+    fn residuals(&self) -> Option<[f64; 2]> {
+        let interval_s = self.movement.interval_s;
+        let moves = MOVES.0.max(MOVES.1 * self.movement.position.sd / self.movement.travel_mm);
+        let every = (self.len / ROWS).max(1);
+        // Sums of the products of charge, current, 1, angle, ∫i dθ and time.
+        let (mut sums, mut charge, mut turned, mut rows) = ([[0.0; 6]; 6], 0.0, 0.0, 0.0);
+        let mut last = [self.current(0), self.done(0)];
+        let mut has_moved = false;
+        for k in 1..=self.len {
+            let now = [self.current(k), self.done(k)];
+            let between = f64::midpoint(last[0], now[0]);
+            charge += between * interval_s;
+            turned += between * (now[1] - last[1]);
+            last = now;
+            has_moved |= now[1] > moves;
+            if !has_moved || k % every != 0 {
+                continue;
+            }
+            let row = [charge, now[0], 1.0, now[1], turned, k as f64 * interval_s];
+            for (sums, a) in sums.iter_mut().zip(row) {
+                for (sum, b) in sums.iter_mut().zip(row) {
+                    *sum += a * b;
+                }
+            }
+            rows += 1.0;
+        }
+        let residual = |back_emf: usize| {
+            let of = [0, 1, 2, back_emf];
+            let normal = Matrix4::from_fn(|i, j| sums[of[i]][of[j]]);
+            let right = Vector4::from_fn(|i, _| sums[of[i]][5]);
+            let found: Vector4<f64> = normal.try_inverse()? * right;
+            let squares = sums[5][5] - 2.0 * found.dot(&right) + found.dot(&(normal * found));
+            (found[3] > 0.0 && squares > 0.0).then(|| (squares / rows).sqrt())
+        };
+        Some([residual(3)?, residual(4)?])
+    }
+
+    /// The inrush over the current at which the running motor would stand still, by the line through its speed and current;
+    /// `None` if they have no such line.
+    fn inrush_of_standstill(&self) -> Option<f64> {
+        let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
+        let place = |from: usize, to: usize| mean((from..to).map(|k| self.done(k)));
+        let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len);
+        let (mut inrush, mut sum) = (0.0_f64, 0.0);
+        for k in 0..=self.len {
+            sum += self.current(k) - if k < ripple { 0.0 } else { self.current(k - ripple) };
+            inrush = inrush.max(sum / ripple as f64);
+        }
+        let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
+        let length = (self.len - from) / BLOCKS;
+        let quarter = (length / 4).max(1);
+        if length <= quarter {
+            return None;
+        }
+        let blocks: [[f64; 2]; BLOCKS] = std::array::from_fn(|block| {
+            let (at, to) = (from + block * length, from + (block + 1) * length);
+            let moved = place(to - quarter, to) - place(at, at + quarter);
+            [level(at, to), moved / (length - quarter) as f64]
+        });
+        let means = [0, 1].map(|of| mean(blocks.iter().map(|block| block[of])));
+        let product = |a: usize, b: usize| mean(blocks.iter().map(|of| (of[a] - means[a]) * (of[b] - means[b])));
+        let (variance, both) = (product(0, 0), product(0, 1));
+        let slope = both / variance;
+        let is_line = both < CORRELATION * (variance * product(1, 1)).sqrt();
+        is_line.then(|| -slope * inrush / (means[1] - slope * means[0]))
+    }
+}

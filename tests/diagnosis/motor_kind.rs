@@ -1,0 +1,90 @@
+//! The kind of motor, configured right and wrong.
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    diagnose::{Cause, MachineMonitor, Observation, Parameters, Settings},
+    estimate::{self, Identifier, Motor},
+    simulate::{self, Fleet, FleetSettings, Incident, IncidentKind},
+};
+
+use crate::drive::{Drive, State};
+
+/// The caveats about the kind of the motor of some simulated machines, with this setting.
+fn caveats(machine: &simulate::Parameters, motor: Motor) -> Vec<Option<String>> {
+    let fleet = FleetSettings { machines: 4, machine: machine.clone(), ..FleetSettings::default() };
+    let settings = estimate::Settings { motor, ..estimate::Settings::default() };
+    let mut identifier = Identifier::default();
+    let machines = Fleet::new(&fleet, 77).unwrap().into_machines().into_iter();
+    let caveat = |mut machine: simulate::SimulatedMachine| {
+        let mut monitor = MachineMonitor::new("21B");
+        monitor.configured(Parameters::of(&settings), Timestamp::UNIX_EPOCH, &Settings::default());
+        for throw in 1..=26 {
+            let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
+            let throw = machine.next_throw().unwrap().into_throw("a", at);
+            monitor.observe(&Observation::of(&throw, &identifier.identify(&throw, &settings)), &Settings::default());
+        }
+        monitor.caveats().into_iter().find(|caveat| caveat.contains("Set motor ="))
+    };
+    machines.map(caveat).collect()
+}
+
+#[test]
+fn a_motor_of_another_kind_than_configured_is_named() {
+    let series = simulate::Parameters::series();
+    for caveat in caveats(&series, Motor::PermanentMagnet) {
+        let caveat = caveat.unwrap();
+        assert!(caveat.contains("those of a series-wound motor, and motor = \"permanent_magnet\""), "{caveat}");
+        assert!(caveat.contains("Set motor = \"series\""), "{caveat}");
+    }
+    let magnets = simulate::Parameters::default();
+    for caveat in caveats(&magnets, Motor::Series) {
+        let caveat = caveat.unwrap();
+        assert!(caveat.contains("motor with permanent magnets, and motor = \"series\""), "{caveat}");
+    }
+    for (machine, motor) in [(series, Motor::Series), (magnets, Motor::PermanentMagnet)] {
+        assert_eq!(caveats(&machine, motor), [None, None, None, None], "{motor:?}");
+    }
+}
+
+#[test]
+fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
+    let sound = State::SOUND;
+    let states = [
+        sound,
+        State { play_mm: 1.0, ..sound },
+        State { brake_s: 0.03, ..sound },
+        State { late_s: 0.005, ..sound },
+        State { friction: 2.5, ..sound },
+        State { stiffness: 3.0, ..sound },
+    ];
+    for (seed, state) in (0..).zip(states) {
+        let mut drive = Drive::new(94_000 + seed, false);
+        drive.events(26, state);
+        let caveats = drive.monitor.caveats();
+        assert!(!caveats.iter().any(|caveat| caveat.contains("Set motor =")), "{state:?}: {caveats:?}");
+    }
+}
+
+/// Voltage, speed and inrush of a series motor change together as those of one with magnets.
+#[test]
+fn a_lower_supply_voltage_of_a_series_motor_is_named() {
+    let weak =
+        |machine| Incident { machine, kind: IncidentKind::WeakSupply { loss_pct: 18.0 }, from_throw: 80, throws: 60 };
+    let incidents = vec![weak(0), weak(1), weak(2)];
+    let machine = simulate::Parameters::series();
+    let fleet = FleetSettings { machines: 4, machine, incidents, ..FleetSettings::default() };
+    let settings = estimate::Settings { motor: Motor::Series, ..estimate::Settings::default() };
+    let mut identifier = Identifier::default();
+    for (at, mut machine) in Fleet::new(&fleet, 78).unwrap().into_machines().into_iter().enumerate() {
+        let mut monitor = MachineMonitor::new("21B");
+        let mut causes = Vec::new();
+        for throw in 1..=120 {
+            let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
+            let throw = machine.next_throw().unwrap().into_throw("a", started_at);
+            let found = Observation::of(&throw, &identifier.identify(&throw, &settings));
+            causes.extend(monitor.observe(&found, &Settings::default()).events.into_iter().map(|event| event.cause));
+        }
+        causes.retain(|cause| *cause != Cause::SlowThrow);
+        assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
+    }
+}
