@@ -46,7 +46,7 @@ const BLOCKS: usize = 12;
 /// Time over which the inrush is a mean: a period of the ripple of rectified mains \[s\].
 const RIPPLE_S: f64 = 0.01;
 /// Samples in the sums of the first stretch. More of them show no more, as its errors are correlated.
-const ROWS: usize = 1000;
+const ROWS: usize = 250;
 
 /// The kind of motor; `None` if the throw does not decide it.
 pub(super) fn shown(movement: &Movement<'_>) -> Option<Motor> {
@@ -95,7 +95,7 @@ impl Way<'_> {
         let interval_s = self.movement.interval_s;
         let moves = MOVES.0.max(MOVES.1 * self.movement.position.sd / self.movement.travel_mm);
         let every = (self.len / ROWS).max(1);
-        // Sums of the products of charge, current, 1, angle, ∫i dθ and time.
+        // Sums of the products of charge, current, 1, angle, ∫i dθ and time; only i <= j.
         let (mut sums, mut charge, mut turned, mut rows) = ([[0.0; 6]; 6], 0.0, 0.0, 0.0);
         let mut last = [self.current(0), self.done(0)];
         let mut has_moved = false;
@@ -110,16 +110,16 @@ impl Way<'_> {
                 continue;
             }
             let row = [charge, now[0], 1.0, now[1], turned, k as f64 * interval_s];
-            for (sums, a) in sums.iter_mut().zip(row) {
-                for (sum, b) in sums.iter_mut().zip(row) {
-                    *sum += a * b;
+            for (i, sums) in sums.iter_mut().enumerate() {
+                for (sum, b) in sums[i..].iter_mut().zip(&row[i..]) {
+                    *sum += row[i] * b;
                 }
             }
             rows += 1.0;
         }
         let residual = |back_emf: usize| {
             let of = [0, 1, 2, back_emf];
-            let normal = Matrix4::from_fn(|i, j| sums[of[i]][of[j]]);
+            let normal = Matrix4::from_fn(|i, j| sums[of[i.min(j)]][of[i.max(j)]]);
             let right = Vector4::from_fn(|i, _| sums[of[i]][5]);
             let found: Vector4<f64> = normal.try_inverse()? * right;
             let squares = sums[5][5] - 2.0 * found.dot(&right) + found.dot(&(normal * found));
