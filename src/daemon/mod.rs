@@ -14,6 +14,7 @@
 //! | `supervision` | heartbeats, watchdog, lock, presence of other daemons, and the status |
 //! | `webhook` | sends alarm events to a web address |
 //! | `config` | the configuration |
+//! | `publish`, `answer` | publish alarms and health, and answer queries |
 
 mod answer;
 pub(crate) mod clock;
@@ -24,7 +25,7 @@ mod offline;
 mod publish;
 mod receive;
 mod retention;
-mod running;
+mod start;
 mod stop;
 mod supervision;
 mod webhook;
@@ -32,7 +33,7 @@ mod webhook;
 pub use error::StartError;
 pub use judge::Judged;
 pub use offline::Offline;
-pub use running::{DATABASE, Daemon, View};
+pub use start::{DATABASE, Daemon, View};
 pub(crate) use supervision::heartbeat::TaskName;
 pub use supervision::lock::LockError;
 pub use supervision::status::{FleetCounts, StatusReport};

@@ -6,7 +6,7 @@ use sd_notify::NotifyState;
 use tokio::time;
 
 use super::{
-    running::{Daemon, JUDGE, PUBLISH, RECEIVE},
+    start::{Daemon, JUDGE, PUBLISH, RECEIVE},
     supervision::watchdog::notify,
 };
 use crate::store::StoreError;

@@ -13,6 +13,7 @@
 //! | `alarm` | the life cycle of an alarm, and the commands of operators |
 //! | `text` | the sentences that a person reads about an alarm |
 //! | `statistics` | statistics of short series |
+//! | `observation`, `verdict`, `event`, `settings`, `snapshot` | what enters and leaves a monitor, and how it is stored |
 
 mod alarm;
 mod baseline;

@@ -20,10 +20,10 @@ use super::{
     acceptance::brake,
     features::Features,
     identification::{Estimate, Grade},
+    matrix::unit_diagonal,
     ratios,
     rejection::Channel,
     settings::{Motor, Settings},
-    small::unit_diagonal,
     trace::{
         movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
         window,

@@ -1,20 +1,23 @@
 //! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use super::{
-    acceptance::{Departure, accept, brake, finish, lateness, load::Load, misfit},
+    acceptance::{
+        Departure, accept, brake, finish, lateness, misfit,
+        start::{self, Fitted},
+    },
     armature, current_only,
     features::Features,
     identification::{Estimate, Grade, Identification},
+    load::Load,
     motor_kind,
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
     settings::{Motor, Settings},
     sriv::{Failure, Problem, Signal, Sriv, Workspace, covariance::Noise, filter::Hold},
     trace::{
-        course, damage, decimate, held, hum, missing,
+        completeness, damage, decimate, held, hum, missing,
         movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
         noise, release,
-        start::{self, Fitted},
         window::{self, Window, offset_variance},
     },
 };
@@ -119,7 +122,7 @@ impl Identifier {
         movement.measure_position_every(position_every / factor as f64, settings.position_noise_mm);
         let outcome = raw_checks
             .and_then(|()| usable(&movement, settings))
-            .and_then(|()| course::course(&movement, settings, scratch))
+            .and_then(|()| completeness::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
             .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
@@ -149,7 +152,7 @@ impl Identifier {
             buffers.add_start(&mut features, estimate, &movement);
         }
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
-            outcome.is_ok() && course::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
+            outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
         });
         Identification {
             direction: moved.or(throw.direction),
@@ -185,8 +188,8 @@ impl Buffers {
         let interval_s = movement.interval_s;
         let filtered = filter_hz.is_some();
         let is_raw = factor == 1 && !filtered;
-        let mut doubt = course::early(movement).err();
-        let rise_samples = course::rise_samples(movement);
+        let mut doubt = completeness::early(movement).err();
+        let rise_samples = completeness::rise_samples(movement);
         if is_raw && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { interval_s, rise_samples };
             if interval_s > LONGEST_INTERVAL_S {
@@ -233,7 +236,7 @@ impl Buffers {
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
         noise::resolved(movement, settings)?;
         let noisy = noise::plausible(movement, settings).err();
-        let no_inrush = course::inrush(movement, &mut self.scratch);
+        let no_inrush = completeness::inrush(movement, &mut self.scratch);
         let doubt = self.check_samples(&throw.trace, settings, movement, factor, filter_hz)?;
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let mut window = self.window(settings, movement, filter_hz, released)?;

@@ -8,6 +8,7 @@
 //! | [`sriv`] | the estimation of a continuous-time model, and its covariance |
 //! | `acceptance` | whether the fitted model describes the movement, and how uncertain it is |
 //! | `ratios`, `current_only` | estimates from throws whose start is unusable, and from throws without a toe position |
+//! | `armature`, `motor_kind`, `load` | what a throw shows of motor and load beside the coefficients |
 
 mod acceptance;
 mod armature;
@@ -15,12 +16,13 @@ mod current_only;
 mod features;
 mod identification;
 mod identifier;
+mod load;
+mod matrix;
 mod midpoint;
 mod motor_kind;
 mod ratios;
 mod rejection;
 mod settings;
-mod small;
 pub mod sriv;
 mod trace;
 

@@ -15,10 +15,10 @@
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
-    acceptance::load::{Load, STEPS},
     identification::{Estimate, Grade},
+    load::{Load, STEPS},
+    matrix::unit_diagonal,
     rejection::Rejection,
-    small::unit_diagonal,
     sriv::covariance::DRY_SHARE,
     trace::movement::samples_in,
 };

@@ -17,13 +17,13 @@ use super::{
     statements as sql,
     writer::{
         Writer,
+        backlog_page::{Cursor, Page, PageStored, WriteOff},
         batch::MAX_ROWS,
+        connection::WritingConnection,
         judgement::{Judgement, Judgements, Outcome},
-        page::{Cursor, Page, PageStored, WriteOff},
         quarantine::{Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
         write::CommitReceiver,
-        writing::WritingConnection,
     },
 };
 use crate::throw::{MachineId, Throw, ThrowRef};

@@ -8,6 +8,7 @@
 //! | `files` | the files of a database: opening, check, salvage, free space |
 //! | `writer` | the writing task, and each kind of write |
 //! | `reader` | the read-only connections, and the queries of the pages and commands |
+//! | `rows`, `codec`, `recent` | the stored types, the compression of traces, and the newest throws in memory |
 
 mod codec;
 mod database;
@@ -19,6 +20,8 @@ mod recent;
 mod rows;
 mod settings;
 pub mod statements;
+mod statistics;
+mod trouble;
 mod writer;
 
 pub use codec::UnreadableTrace;
@@ -37,12 +40,12 @@ pub(crate) use reader::fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, Fleet
 pub(crate) use reader::overview::{AlarmCount, ThrowSelection};
 pub use reader::read_only::Value;
 pub(crate) use reader::read_only::{Backup, ResultWriter, run_query};
-pub use reader::statistics::Statistics;
 pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
 pub use settings::Settings;
 pub(crate) use statements::ALL_MACHINES;
+pub use statistics::Statistics;
+pub use writer::backlog_page::{Cursor, PageStored};
 pub use writer::judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
-pub use writer::page::{Cursor, PageStored};
 pub use writer::quarantine::{QUARANTINED_BYTES, QuarantinedMessage};
 pub use writer::retention::Dropped;
 pub use writer::spool::Spooled;

@@ -1,5 +1,5 @@
 //! The SQL statements of the store. A test prepares each of them against the migrated schema. The statements of a
-//! recovery are in `graft` and `salvage`.
+//! recovery are in `files::graft` and `files::salvage`.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {

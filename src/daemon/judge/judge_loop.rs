@@ -15,7 +15,7 @@ use tokio::{
 };
 use tokio_util::sync::CancellationToken;
 
-use super::{Judge, Judged, budget::Budget, commands::PendingCommand, fleet::TICK};
+use super::{Judge, Judged, budget::Budget, commands::PendingCommand, monitors::TICK};
 use crate::{
     bus::Outlet,
     daemon::{
@@ -186,7 +186,7 @@ impl JudgeLoop {
             let StoreError::Refused(problem) = error else { return Err(error) };
             let (machine, throw_no) = (&judgement.health.machine, judgement.health.throw.throw_no);
             seldom!(error, %machine, throw_no, problem, "the database rejects a judgement: the throw is stored as not evaluated");
-            self.judge.fleet.store_again(machine);
+            self.judge.monitors.store_again(machine);
             let [with_events, alone] = judgement.instead(&problem);
             let Err(error) = self.judge_alone(with_events).await else { continue };
             let StoreError::Refused(problem) = error else { return Err(error) };
@@ -221,7 +221,7 @@ impl JudgeLoop {
                 Err(error) => seldom!(warn, %error, what = changes.as_ref(), "storing failed; retrying"),
             }
             // The call below may store a newer monitor of the daemon, which the retry then replaces by an older one.
-            self.judge.fleet.store_again(&self.own_machine);
+            self.judge.monitors.store_again(&self.own_machine);
             self.update_daemon_alarms().await?;
             if self.links.give_up.is_cancelled() {
                 return Ok(false);
@@ -286,17 +286,17 @@ impl JudgeLoop {
         self.update_daemon_alarms().await?;
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.links.loggers.borrow().clone();
-        let changed = self.judge.fleet.tick(now, &config.diagnosis, &loggers, &self.own_machine);
+        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, &self.own_machine);
         for changed in changed.chunks(CHANGES) {
-            let outcome = |(machine, events): &(_, Vec<_>)| self.judge.fleet.outcome(machine, now, events.clone());
+            let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
         }
         self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
-            if let Some(outcome) = self.judge.fleet.report_irregularity(&machine, invalid, now, &config.diagnosis) {
+            if let Some(outcome) = self.judge.monitors.report_irregularity(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
-            } else if !self.judge.fleet.knows(&machine)
+            } else if !self.judge.monitors.knows(&machine)
                 && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
             {
                 self.refused.insert(machine, (reason, clock::monotonic()));
@@ -305,7 +305,7 @@ impl JudgeLoop {
         let away = self.links.peers.away();
         let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
-            let outcome = self.judge.fleet.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
+            let outcome = self.judge.monitors.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
             self.away = Some(away);
             if let Some(outcome) = outcome {
                 self.record(outcome).await?;
@@ -326,28 +326,28 @@ impl JudgeLoop {
                 missing.throws = missing.throws.saturating_add(throws);
                 missing.refused += gap.refused.min(throws);
             }
-            let outcome = self.judge.fleet.report_gap(&machine, missing, now, &config.diagnosis);
+            let outcome = self.judge.monitors.report_gap(&machine, missing, now, &config.diagnosis);
             self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
         }
         Ok(())
     }
 
     fn update_report(&mut self) {
-        let fleet_counts = self.judge.fleet.fleet_counts(&self.own_machine);
+        let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
         let loggers = self.links.loggers.borrow().alive.clone();
-        let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
+        let silent = loggers.iter().filter(|machine| !self.judge.monitors.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
         // A logger need not have a token. Without one its machine is removed some time after the last message, as any
         // sender can invent machines.
         self.refused.retain(|machine, (_, last)| {
-            !self.judge.fleet.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
+            !self.judge.monitors.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
-        report.loggers_ahead = self.judge.fleet.clocks.ahead();
-        report.loggers_behind = self.judge.fleet.clocks.behind();
+        report.loggers_ahead = self.judge.monitors.clocks.ahead();
+        report.loggers_behind = self.judge.monitors.clocks.behind();
         (report.fleet_counts, report.without_throw) = (fleet_counts, without_throw);
     }
 
@@ -356,7 +356,7 @@ impl JudgeLoop {
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
-        let new = self.judge.fleet.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let new = self.judge.monitors.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
         while let Some(alarm) = self.daemon_alarms.pop_front() {
@@ -437,7 +437,8 @@ impl JudgeLoop {
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
         }
-        let (outcome, confirmation) = match self.judge.fleet.apply_command(machine, command, now, &config.diagnosis) {
+        let (outcome, confirmation) = match self.judge.monitors.apply_command(machine, command, now, &config.diagnosis)
+        {
             None => {
                 let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
                 return Ok((false, text));
@@ -447,7 +448,7 @@ impl JudgeLoop {
         };
         let is_stored = self.record(outcome).await?;
         if !is_stored {
-            self.judge.fleet.store_again(machine);
+            self.judge.monitors.store_again(machine);
         }
         self.update_report();
         if !is_stored {

@@ -2,18 +2,19 @@
 
 pub(super) mod budget;
 pub(super) mod commands;
-pub(super) mod fleet;
 pub(super) mod health;
 pub(super) mod identify;
 pub(super) mod judge_loop;
+pub(super) mod logger_clocks;
+pub(super) mod monitors;
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use tokio::sync::watch;
 
 use self::{
-    fleet::{Fleet, JudgementContext},
     identify::Pool,
+    monitors::{JudgementContext, Monitors},
 };
 use super::{clock, config::Config};
 use crate::{
@@ -48,7 +49,7 @@ impl From<&Judgement> for Judged {
 /// The judge with database, monitors, estimators and settings.
 pub(super) struct Judge {
     pub(super) store: Store,
-    pub(super) fleet: Fleet,
+    pub(super) monitors: Monitors,
     pub(super) pool: Pool,
     pub(super) config: watch::Receiver<Arc<Config>>,
     /// The machine of the last throw in the last batch, if that batch was full. The next batch begins with the other
@@ -62,21 +63,21 @@ impl Judge {
     /// Restores the judge from the database.
     pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
         // Page by page, as the text of a snapshot needs more memory than its monitor.
-        let (mut fleet, mut last) = (Fleet::default(), None);
+        let (mut monitors, mut last) = (Monitors::default(), None);
         loop {
             let page = store.reader().monitors(last.as_ref(), PAGE).await?;
             let Some(end) = page.last() else { break };
             last = Some(end.machine.clone());
-            fleet.restore(page);
+            monitors.restore(page);
         }
         let pool = Pool::new(config.borrow().identify.threads);
-        Ok(Self { store, fleet, pool, config, last: None, more: false })
+        Ok(Self { store, monitors, pool, config, last: None, more: false })
     }
 
     /// Adopts the open alarms that no monitor has; returns the outcomes to store.
     pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
         let open = self.store.reader().open_alarms(&Selector::default()).await?;
-        Ok(self.fleet.adopt(open, clock::now()))
+        Ok(self.monitors.adopt(open, clock::now()))
     }
 
     /// The present configuration.
@@ -111,7 +112,7 @@ impl Judge {
                 parameters: Parameters::of(config.machines.of(&stored.machine)),
                 at: clock::now(),
             };
-            self.fleet.judge(stored, identification, context)
+            self.monitors.judge(stored, identification, context)
         });
         judgements.collect()
     }

@@ -2,7 +2,6 @@
 //! is retried until it succeeds or the daemon must end.
 
 pub(super) mod backlog;
-pub(super) mod logger_clocks;
 pub(super) mod presence;
 pub(super) mod schedule;
 

@@ -5,8 +5,8 @@
 //! identifies an occurrence; it is unique for machine and cause, also if the clock is set back.
 
 pub(super) mod command;
-pub(super) mod found;
 pub(super) mod rule;
+pub(super) mod rule_result;
 pub(super) mod step;
 
 use std::mem;

@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     diagnose::{
-        alarm::{Alarms, found::Found, rule::Rule, step::Step},
+        alarm::{Alarms, rule::Rule, rule_result::RuleResult, step::Step},
         event::{AlarmEvent, Cause, RunnerUp, Severity},
         gauges::Gauges,
         settings::Settings,
@@ -216,20 +216,20 @@ impl DriftAlarms {
         let states = [self.is_suspicious(step.alarms), is_active];
         self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
         let found = if is_active {
-            if self.intermittent.is_over() { Found::Nothing } else { Found::Unclear }
+            if self.intermittent.is_over() { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
             let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
-            found.filter(|_| !excused).map_or(Found::Unclear, |found| {
+            found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
                 let text = text::intermittent(step.name, &found);
                 let event = AlarmEvent {
                     change_pct: Some(percent(found.explanation.size)),
                     change_pct_sd: Some(text::sd_pct(&found.explanation)),
                     ..step.warning(found.cause, text)
                 };
-                Found::Fault(Box::new(event))
+                RuleResult::Fault(Box::new(event))
             })
         };
-        if found == Found::Nothing {
+        if found == RuleResult::Nothing {
             self.intermittent.end();
         }
         found.apply(Rule::Intermittent, step);

@@ -9,7 +9,7 @@ use super::{Change, Gauge, Gauges, sd_of_mean};
 use crate::{
     diagnose::{
         alarm::{
-            found::{Found, count_over},
+            rule_result::{RuleResult, count_over},
             step::Step,
         },
         drift::{explain::percent, weather::SLOW_FROM},
@@ -118,7 +118,7 @@ impl FeatureWatch {
         (features, celsius): (&Features, Option<f64>),
         gauges: &Gauges,
         step: &Step,
-    ) -> Found {
+    ) -> RuleResult {
         let side = direction.side();
         self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         self.follow_season(side, celsius, step.at);
@@ -139,25 +139,25 @@ impl FeatureWatch {
             let is_critical = largest > step.settings.critical_factor;
             let severity = if is_critical { Severity::Critical } else { Severity::Warning };
             let event = Box::new(step.event(Cause::Unattributed, severity, text));
-            return if is_larger { Found::Larger(event) } else { Found::Fault(event) };
+            return if is_larger { RuleResult::Larger(event) } else { RuleResult::Fault(event) };
         }
         if self.calm < step.settings.off_delay_throws {
-            return Found::Unclear;
+            return RuleResult::Unclear;
         }
         self.reported = 0.0;
-        Found::Nothing
+        RuleResult::Nothing
     }
 
     /// Applies a throw with an estimate, after which the drift rule judges this direction again.
-    pub(crate) fn on_estimate(&mut self, direction: Option<Direction>) -> Found {
+    pub(crate) fn on_estimate(&mut self, direction: Option<Direction>) -> RuleResult {
         if let Some(direction) = direction {
             self.sides[direction.side()].pop_oldest();
         }
         if !self.sides.iter().all(|side| side.is_empty()) {
-            return Found::Unclear;
+            return RuleResult::Unclear;
         }
         self.reported = 0.0;
-        Found::Nothing
+        RuleResult::Nothing
     }
 
     /// Whether features of the last throws were compared with normal values.

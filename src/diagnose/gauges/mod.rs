@@ -7,10 +7,10 @@
 mod circuit;
 pub(super) mod features;
 mod gauge;
-pub(super) mod instruments;
 mod levels;
 mod normal;
 mod offset;
+pub(super) mod start;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit};
 pub(super) use gauge::Gauge;

@@ -16,15 +16,15 @@ use super::{
     baseline::{BaselineRecord, motor_kind::ShownMotor, neutral::Neutral},
     drift::{
         alarms::{DRIFTS, DriftAlarms},
-        start::StartWatch,
+        instruments::Instruments,
     },
     event::{AlarmEvent, Away, Cause, Severity},
-    gauges::{features::FeatureWatch, instruments::Instruments},
+    gauges::{features::FeatureWatch, start::StartWatch},
     observation::Parameters,
     operation::{
         alarms::{self, Operation},
         boots::Boots,
-        clock::LoggerClock,
+        logger_clock::LoggerClock,
         site::{self, Common, Trail},
         thermometer::Thermometer,
     },

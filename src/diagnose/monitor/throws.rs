@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     diagnose::{
-        alarm::{found, rule::Rule, step::Step},
+        alarm::{rule::Rule, rule_result, step::Step},
         drift::{explain::percent, latest_throw::LatestThrow, origin::Origin},
         operation::{
             site::{self, Common},
@@ -137,7 +137,7 @@ impl MachineMonitor {
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, step);
-        found::withdraw_explained(step);
+        rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
         self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
         if let (Some(direction), Some(duration_s), false) = (direction, features.duration_s, incomplete)

@@ -3,6 +3,6 @@
 
 pub(super) mod alarms;
 pub(super) mod boots;
-pub(super) mod clock;
+pub(super) mod logger_clock;
 pub(super) mod site;
 pub(super) mod thermometer;

@@ -3,8 +3,8 @@
 use super::{half_width_pct, subject};
 use crate::{
     diagnose::{
-        drift::{explain::percent, start},
-        gauges::{Change, Gauge},
+        drift::explain::percent,
+        gauges::{Change, Gauge, start},
     },
     throw::Direction,
 };

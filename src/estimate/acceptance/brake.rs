@@ -7,13 +7,8 @@
 //! motor's largest and releases up to 40 ms are fitted, and the uncertainty of the scale includes every brake that fits
 //! the start.
 
-use crate::estimate::{
-    rejection::Rejection,
-    trace::{
-        movement::samples_in,
-        start::{Fitted, free_movement},
-    },
-};
+use super::start::{Fitted, free_movement};
+use crate::estimate::{rejection::Rejection, trace::movement::samples_in};
 
 /// Length of the part of the movement that is fitted \[s\].
 const START_S: f64 = 0.06;

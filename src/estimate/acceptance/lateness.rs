@@ -14,13 +14,11 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::start::{Fitted, LEAST_SAMPLES, START_SHARE};
 use crate::estimate::{
     rejection::Rejection,
     sriv::filter::{Discrete, Hold, dot},
-    trace::{
-        movement::samples_in,
-        start::{Fitted, LEAST_SAMPLES, START_SHARE},
-    },
+    trace::movement::samples_in,
 };
 
 /// Longest part of the movement that counts as its start \[s\], for a toe that hardly moves.

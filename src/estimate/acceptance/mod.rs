@@ -2,10 +2,11 @@
 
 pub(super) mod brake;
 pub(super) mod lateness;
-pub(super) mod load;
+pub(super) mod start;
 
 use nalgebra::Matrix3;
 
+use self::start::Fitted;
 use super::{
     identification::{Estimate, Grade},
     rejection::Rejection,
@@ -13,7 +14,6 @@ use super::{
     sriv::Solution,
     trace::{
         movement::{MIN_QUIET, samples_in},
-        start::Fitted,
         window::Window,
     },
 };

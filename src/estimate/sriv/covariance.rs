@@ -32,8 +32,8 @@ use super::{
     problem::{Problem, Signal, Sriv, Workspace},
 };
 use crate::estimate::{
-    acceptance::load::{Load, STEPS},
-    small::{sandwich, times},
+    load::{Load, STEPS},
+    matrix::{sandwich, times},
 };
 
 /// Variances of the white noise on the signals of a problem.

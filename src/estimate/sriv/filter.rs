@@ -32,7 +32,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::polynomial::{normalised, root_radius};
-use crate::estimate::small::{invert, product, times};
+use crate::estimate::matrix::{invert, product, times};
 
 /// The values of a signal between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -37,8 +37,8 @@ use self::{
     sums::{LANES, Sums},
 };
 use super::{
+    matrix::{Inverse, invert, times},
     rejection::Rejection,
-    small::{Inverse, invert, times},
 };
 
 pub use problem::{Problem, Signal, Sriv, Workspace};

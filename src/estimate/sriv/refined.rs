@@ -30,7 +30,7 @@ use super::{
     problem::{Problem, Signal, Sriv, Workspace},
     solve,
 };
-use crate::estimate::small::times;
+use crate::estimate::matrix::times;
 
 impl Sriv<2, 1, 3> {
     /// Refines `solution`, which must be stable, for this noise of output and input. Its `fit` stays that of the model

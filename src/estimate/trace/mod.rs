@@ -1,6 +1,6 @@
 //! The samples of a throw: checks, repairs, and the phases of the movement, before a model is estimated.
 
-pub(super) mod course;
+pub(super) mod completeness;
 pub(super) mod damage;
 pub(super) mod decimate;
 pub(super) mod held;
@@ -9,5 +9,4 @@ pub(super) mod missing;
 pub(super) mod movement;
 pub(super) mod noise;
 pub(super) mod release;
-pub(super) mod start;
 pub(super) mod window;

@@ -184,7 +184,7 @@ impl Disk {
 
     /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full
     /// removes the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
-    pub(super) fn worst_level(&self) -> DiskLevel {
+    pub(crate) fn worst_level(&self) -> DiskLevel {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 

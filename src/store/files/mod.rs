@@ -15,7 +15,6 @@ pub(super) mod graft;
 pub(super) mod open;
 pub(super) mod path;
 pub(super) mod salvage;
-pub(super) mod trouble;
 
 use std::{
     fs::File,

@@ -4,7 +4,6 @@ pub(super) mod export;
 pub(super) mod fleet;
 pub(super) mod overview;
 pub(super) mod read_only;
-pub(super) mod statistics;
 
 use std::{future::Future, path::Path, sync::Arc, time::Duration};
 
@@ -24,7 +23,7 @@ use super::{
     recent::RecentThrows,
     rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, timestamp},
     statements as sql,
-    writer::page::{self, Cursor},
+    writer::backlog_page::{self, Cursor},
 };
 use crate::{
     throw::MachineId,
@@ -242,7 +241,7 @@ impl Reader {
     pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
-            page::current(&mut connection, machine).await
+            backlog_page::current(&mut connection, machine).await
         };
         self.limited(read).await
     }

@@ -1,23 +1,23 @@
 //! The task that writes: commits queued writes in groups.
 //!
-//! The caller of a write gets its answer after the commit. No future in this file is cancelled: SQLite may still
+//! The caller of a write gets its answer after the commit. No future in this module is cancelled: SQLite may still
 //! complete the commit of a dropped future.
 
+pub(super) mod backlog_page;
 pub(super) mod batch;
+pub(super) mod connection;
 pub(super) mod cursor;
 pub(super) mod judgement;
-pub(super) mod page;
 pub(super) mod quarantine;
 pub(super) mod retention;
 pub(super) mod spool;
 pub(super) mod write;
-pub(super) mod writing;
 
 use tokio::sync::{mpsc, oneshot};
 
 use self::{
+    connection::WritingConnection,
     write::{CommitReceiver, Job, Write, job},
-    writing::WritingConnection,
 };
 use super::error::StoreError;
 

@@ -21,9 +21,9 @@ use crate::store::{
     error::StoreError,
     files::disk::DiskLevel,
     rate_limit::seldom,
-    reader::statistics::Statistics,
     settings::{MIB, PAGE_BYTES},
     statements as sql,
+    statistics::Statistics,
 };
 
 /// Largest number of rows dropped in one transaction: some tens of milliseconds of work.

@@ -4,14 +4,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{condition::streak, threshold::WINDOWS};
+use super::{Gauge, Gauges, Level};
 use crate::diagnose::{
     alarm::{
-        found::{Found, count_over},
+        rule_result::{RuleResult, count_over},
         step::Step,
     },
+    drift::{condition::streak, threshold::WINDOWS},
     event::Cause,
-    gauges::{Gauge, Gauges, Level},
     text,
 };
 
@@ -80,7 +80,7 @@ impl Change {
 impl StartWatch {
     /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
     /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
-    pub(crate) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> Found {
+    pub(crate) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> RuleResult {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
@@ -89,10 +89,10 @@ impl StartWatch {
         match change {
             Some(change) if self.named >= NAMED_THROWS => {
                 let text = text::start(step.name, &change, WINDOWS[2]);
-                Found::Fault(Box::new(step.warning(Cause::Unattributed, text)))
+                RuleResult::Fault(Box::new(step.warning(Cause::Unattributed, text)))
             }
-            _ if self.calm >= step.settings.off_delay_throws => Found::Nothing,
-            _ => Found::Unclear,
+            _ if self.calm >= step.settings.off_delay_throws => RuleResult::Nothing,
+            _ => RuleResult::Unclear,
         }
     }
 }

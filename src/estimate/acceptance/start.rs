@@ -12,7 +12,7 @@
 //! acceleration. Friction, motor and inertia hardly change δ. Dry friction and the elastic drive are not in the model,
 //! so a healthy machine has a δ of some milliseconds of either sign. Only changes of δ show a fault.
 
-use super::movement::samples_in;
+use crate::estimate::trace::movement::samples_in;
 
 /// Share of the travel that counts as the start: after 3 % the inrush is over.
 pub(crate) const START_SHARE: f64 = 0.03;

@@ -24,7 +24,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::estimate::{small::unit_diagonal, trace::movement::samples_in};
+use super::{matrix::unit_diagonal, trace::movement::samples_in};
 
 /// Length of a window \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load. With 0.05 s, 20 um of noise
 /// in the position look like a load that varies by 2 % within 50 ms.

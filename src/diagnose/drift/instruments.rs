@@ -24,19 +24,19 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{Circuit, Gauge, Gauges, Level, Offset};
+use super::{
+    Drift,
+    cause::{Attribution, Naming},
+    condition::streak,
+    explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
+    origin::{Awaited, Origin, SensorFault},
+    threshold::WINDOWS,
+    window::Window,
+};
 use crate::diagnose::{
-    alarm::{found::count_over, rule::Rule, step::Step},
-    drift::{
-        Drift,
-        cause::{Attribution, Naming},
-        condition::streak,
-        explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
-        origin::{Awaited, Origin, SensorFault},
-        threshold::WINDOWS,
-        window::Window,
-    },
+    alarm::{rule::Rule, rule_result::count_over, step::Step},
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
+    gauges::{Circuit, Gauge, Gauges, Level, Offset},
     settings::Settings,
     text,
 };

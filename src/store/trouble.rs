@@ -1,7 +1,10 @@
 //! Problems of the store, as the text of an alarm.
 
-use super::{DatabaseFiles, disk::DiskLevel};
-use crate::{diagnose::Severity, store::database::Store, throw::counted};
+use super::{
+    database::Store,
+    files::{DatabaseFiles, disk::DiskLevel},
+};
+use crate::{diagnose::Severity, throw::counted};
 
 impl Store {
     /// The highest severity of all problems that exist now or occurred since the last call, and of the problems in

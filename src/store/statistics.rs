@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::store::{database::Store, error::StoreError, files::disk::DiskLevel, statements as sql};
+use super::{database::Store, error::StoreError, files::disk::DiskLevel, statements as sql};
 
 /// Figures of the database. Retention reads every second only the first seven, which are fast to read.
 #[derive(Debug, Clone, PartialEq, Eq, Default, sqlx::FromRow)]

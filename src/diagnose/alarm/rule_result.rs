@@ -21,7 +21,7 @@ pub(crate) fn count_over(over: &mut u32, size: Option<f64>) {
 
 /// Result of a rule over the last throws.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Found {
+pub(crate) enum RuleResult {
     /// A fault.
     Fault(Box<AlarmEvent>),
     /// A fault that is much larger than at its last report.
@@ -32,7 +32,7 @@ pub(crate) enum Found {
     Unclear,
 }
 
-impl Found {
+impl RuleResult {
     /// Raises, escalates or ends the alarm of `rule`. A fault that an active alarm explains raises no alarm.
     pub(crate) fn apply(self, rule: Rule, step: &mut Step) {
         let Step { alarms, name, .. } = step;

@@ -8,12 +8,12 @@ use std::{
 
 use jiff::Timestamp;
 
-use super::health::{TWO_LOGGERS, health, observation, repeated};
+use super::{
+    health::{TWO_LOGGERS, health, observation, repeated},
+    logger_clocks::LoggerClocks,
+};
 use crate::{
-    daemon::{
-        receive::{logger_clocks::LoggerClocks, presence::Loggers},
-        supervision::status::FleetCounts,
-    },
+    daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
     diagnose::{
         AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
         Settings, Severity,
@@ -43,9 +43,9 @@ pub(crate) struct JudgementContext<'a> {
 
 /// The monitors of all machines.
 #[derive(Default)]
-pub(crate) struct Fleet {
+pub(crate) struct Monitors {
     /// Sorted, so that the machines of a site are neighbours. Boxed, as up to half of the slots in a B-tree are empty.
-    monitors: BTreeMap<MachineId, Box<MachineMonitor>>,
+    of_machines: BTreeMap<MachineId, Box<MachineMonitor>>,
     /// Machines whose stored monitor may differ from the monitor in memory. They are stored again at the next tick.
     to_store: HashSet<MachineId>,
     /// Number of ticks since the start, modulo [`TICKS_AN_HOUR`].
@@ -54,7 +54,7 @@ pub(crate) struct Fleet {
     pub(crate) clocks: LoggerClocks,
 }
 
-impl Fleet {
+impl Monitors {
     /// Restores monitors from the database. If a snapshot cannot be read, as after a return to an earlier version, the
     /// machine gets a new monitor, which keeps the text of the snapshot and has a caveat about it.
     pub(crate) fn restore(&mut self, stored: Vec<StoredMonitor>) {
@@ -72,15 +72,15 @@ impl Fleet {
             if state != Some(monitor.state()) {
                 self.to_store.insert(machine.clone());
             }
-            self.monitors.insert(machine, Box::new(monitor));
+            self.of_machines.insert(machine, Box::new(monitor));
         }
     }
 
     /// Counts the machines in each state, their shelved alarms, and the open alarms about the daemon itself.
     pub(crate) fn fleet_counts(&self, own_machine: &MachineId) -> FleetCounts {
-        let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
+        let own_alarms = self.of_machines.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
         let mut counts = FleetCounts { own_alarms, ..FleetCounts::default() };
-        for (machine, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
+        for (machine, monitor) in self.of_machines.iter().filter(|(machine, _)| *machine != own_machine) {
             if machine.machine.as_str() != ALL_MACHINES {
                 *counts.machines.entry(monitor.state()).or_default() += 1;
             }
@@ -92,11 +92,11 @@ impl Fleet {
 
     /// Whether a machine has a monitor. It gets one with its first throw.
     pub(crate) fn knows(&self, machine: &MachineId) -> bool {
-        self.monitors.contains_key(machine)
+        self.of_machines.contains_key(machine)
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
-        self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
+        self.of_machines.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
     /// Adds the `open` alarms that no monitor has, as after the loss of a snapshot, to the monitors of their machines.
@@ -122,15 +122,15 @@ impl Fleet {
         identification: Option<Identification>,
         context: JudgementContext,
     ) -> Judgement {
-        let before = self.monitors.get(&stored.machine).cloned();
+        let before = self.of_machines.get(&stored.machine).cloned();
         let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, context));
         catch_unwind(attempt).unwrap_or_else(|_| {
             let ThrowRef { boot_id, throw_no } = &stored.id;
             tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
             // The panic may have left the monitor half changed.
             match before {
-                Some(before) => self.monitors.insert(stored.machine.clone(), before),
-                None => self.monitors.remove(&stored.machine),
+                Some(before) => self.of_machines.insert(stored.machine.clone(), before),
+                None => self.of_machines.remove(&stored.machine),
             };
             self.diagnose(stored, None, context)
         })
@@ -193,7 +193,7 @@ impl Fleet {
     fn trusted_reception(&mut self, stored: &StoredThrow) -> Option<Timestamp> {
         let has_other = |machine: &MachineId| *machine != stored.machine && machine.machine.as_str() != ALL_MACHINES;
         let is_alone = || {
-            let mut loggers = self.monitors.iter().filter(|(_, monitor)| !monitor.has_no_logger());
+            let mut loggers = self.of_machines.iter().filter(|(_, monitor)| !monitor.has_no_logger());
             !loggers.any(|(machine, _)| has_other(machine))
         };
         let confirmed = self.clocks.note(&stored.machine, stored.started_at, stored.received_at);
@@ -211,7 +211,7 @@ impl Fleet {
     ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
         self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
-        for (index, (machine, monitor)) in self.monitors.iter_mut().enumerate() {
+        for (index, (machine, monitor)) in self.of_machines.iter_mut().enumerate() {
             let before = (monitor.is_announced(), monitor.state());
             let mut events = Vec::new();
             if !monitor.is_announced() && loggers.gone.contains(machine) {
@@ -230,7 +230,7 @@ impl Fleet {
             }
         }
         self.to_store.clear();
-        let mut sites: Vec<Name> = self.monitors.keys().map(|machine| machine.site.clone()).collect();
+        let mut sites: Vec<Name> = self.of_machines.keys().map(|machine| machine.site.clone()).collect();
         sites.dedup();
         for site in sites {
             let common = self.common(&site, None, now);
@@ -241,7 +241,7 @@ impl Fleet {
 
     /// The outcome with the present monitor of a machine and new events.
     pub(crate) fn outcome(&self, machine: &MachineId, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
-        outcome(machine, self.monitors.get(machine).map(Box::as_ref), at, events)
+        outcome(machine, self.of_machines.get(machine).map(Box::as_ref), at, events)
     }
 
     /// Stores the monitor of a machine at the next tick even if it does not change.
@@ -252,7 +252,7 @@ impl Fleet {
     /// The common change of the machines of a site, `except` for one of them.
     fn common(&self, site: &Name, except: Option<&MachineId>, at: Timestamp) -> Common {
         let first = MachineId { site: site.clone(), machine: Name::fixed(SMALLEST_NAME) };
-        let of_site = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
+        let of_site = self.of_machines.range(first..).take_while(|(machine, _)| machine.site == *site);
         let others = of_site.filter(|(machine, _)| Some(*machine) != except).map(|(_, monitor)| &**monitor);
         MachineMonitor::common(others.filter(|monitor| monitor.has_departures()), at)
     }
@@ -266,7 +266,7 @@ impl Fleet {
         settings: &Settings,
     ) -> Option<(MachineId, Vec<AlarmEvent>)> {
         let id = MachineId { site: site.clone(), machine: Name::fixed(ALL_MACHINES) };
-        if !common.is_change() && !self.monitors.contains_key(&id) {
+        if !common.is_change() && !self.of_machines.contains_key(&id) {
             return None;
         }
         let events = self.monitor(&id).follow_site(common, now, settings);
@@ -317,7 +317,7 @@ impl Fleet {
         now: Timestamp,
         change: impl FnOnce(&mut MachineMonitor) -> Option<AlarmEvent>,
     ) -> Option<Outcome> {
-        if !is_needed && !self.monitors.contains_key(machine) {
+        if !is_needed && !self.of_machines.contains_key(machine) {
             return None;
         }
         let monitor = self.monitor(machine);
@@ -347,7 +347,7 @@ impl Fleet {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Result<(Outcome, String), CommandError>> {
-        let monitor = self.monitors.get_mut(machine)?;
+        let monitor = self.of_machines.get_mut(machine)?;
         let confirmation = command.confirmation(machine, monitor.learning(settings));
         let events = match monitor.command(command, now, settings) {
             Ok(events) => events,
@@ -355,7 +355,7 @@ impl Fleet {
         };
         let confirmation = confirmation + &command.consequence(&events);
         if matches!(command, Command::Retire { .. }) {
-            self.monitors.remove(machine);
+            self.of_machines.remove(machine);
         }
         Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
     }
@@ -382,10 +382,10 @@ mod tests {
         let written = json(&MachineMonitor::new("north/21B").named("21B".to_owned()));
         let newer = written.replacen("\"version\":2", "\"version\":3", 1);
         assert_ne!(newer, written);
-        let mut fleet = Fleet::default();
+        let mut monitors = Monitors::default();
         let stored = |snapshot| vec![StoredMonitor { machine: machine.clone(), snapshot, state: None }];
-        fleet.restore(stored(newer.clone()));
-        let record = fleet.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
+        monitors.restore(stored(newer.clone()));
+        let record = monitors.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
         let caveats = &record.present.caveats;
         assert!(caveats.iter().any(|caveat| caveat.contains("cannot read")), "{caveats:?}");
         // This version stands for the newer one, which must be able to read the text that was kept.
