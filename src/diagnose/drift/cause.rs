@@ -95,6 +95,9 @@ impl Known<'_> {
             let since = since.add_scalar(-scale);
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
+        // With complete coefficients, b0 shows a loss of torque.
+        let may_be_weaker = window.shows(Cause::Inertia) || !back_emf.excludes_weaker_motor();
+        let is_new = is_new && may_be_weaker;
         let is_known = self.causes.contains(&Cause::Kt);
         if !is_new && !is_known {
             return true;

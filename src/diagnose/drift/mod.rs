@@ -112,7 +112,7 @@ impl Drift {
         let excess = strongest.map_or(0.0, |(window, ..)| window.excess);
         let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter, side)| {
             let last = side.map_or_else(|| mean_of_both(&last_few), |side| last_few[side]);
-            let is_before = last.is_some_and(|last| is_before_motor_fault(&window, &last, settings));
+            let is_before = last.is_some_and(|last| is_before_motor_fault(&window, &last, known, settings));
             let gauges = known.gauges.filter(|_| !is_before);
             let known = &Known { gauges, ..known.clone() };
             Attribution::of(&Case { window: &window, of_one_throw: &scatter.of_one_throw(), known, settings })
@@ -283,9 +283,11 @@ fn mean_of_both(levels: &[Option<Window>; 2]) -> Option<Window> {
 
 /// Whether the last few throws show a new fault of the motor, and most of `window` is from before it. The gauges are
 /// those of the last few throws, so they do not apply to such a window.
-fn is_before_motor_fault(window: &Window, last: &Window, settings: &Settings) -> bool {
+fn is_before_motor_fault(window: &Window, last: &Window, known: &Known, settings: &Settings) -> bool {
     const SHOWN_SD: f64 = 3.0;
-    if window.throws <= last.throws {
+    let back_emf = known.gauges.and_then(|gauges| gauges.back_emf(last.throws));
+    let may_be_weaker = last.shows(Cause::Inertia) || !back_emf.is_some_and(|shown| shown.excludes_weaker_motor());
+    if window.throws <= last.throws || !may_be_weaker {
         return false;
     }
     let since = best_single(&Window { mean: last.mean - window.mean, ..*last }, settings);

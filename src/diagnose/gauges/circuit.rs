@@ -61,6 +61,19 @@ pub(crate) struct AtStart {
 }
 
 impl BackEmf {
+    /// Whether the gauges exclude a weaker motor: neither the back-EMF nor the acceleration at the start has decreased.
+    ///
+    /// Ratios of the coefficients do not decide this alone. If chairs become dry on a machine with a soft toe drive, all
+    /// ratios change as with a loss of torque.
+    pub(crate) fn excludes_weaker_motor(&self) -> bool {
+        /// Significant decrease, in standard deviations.
+        const SHOWN_SD: f64 = 3.0;
+        let is_kept = |level: Level| level.value > -SHOWN_SD * level.sd;
+        !self.of_duration
+            && is_kept(self.level)
+            && self.at_start.is_some_and(|start| start.is_prompt && is_kept(start.level))
+    }
+
     /// The change, if it is not only concluded from a shorter duration.
     pub(crate) fn of_motor(self) -> Option<Level> {
         (!self.of_duration).then_some(self.level)
