@@ -56,8 +56,8 @@ pub(super) fn start_failure(error: StartError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The same as [`start_failure`]. If the database belongs to another program, the text also names file, line and key of
-/// the configuration.
+/// The exit code and text for an error at the start, as in [`start_failure`]. If the database belongs to another
+/// program, the text also names file, line and key of the configuration.
 pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)

@@ -30,9 +30,9 @@ const DIRECTION: Direction = Direction::NormalToReverse;
 /// Expected change of one coefficient since test 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Expected {
-    /// A change of this size \[%\].
+    /// A change by this value \[%\].
     Change(f64),
-    /// A change of at most this size, of either sign \[%\].
+    /// A change by at most this value \[%\], of either sign.
     Within(f64),
 }
 

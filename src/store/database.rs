@@ -48,7 +48,7 @@ const MEMORY_BUDGET_KIB: u32 = 64 * 1024;
 pub struct Opened {
     /// The store, ready for throws.
     pub store: Store,
-    /// How the database was found, and the changes to it.
+    /// Condition of the database when it was opened, and the changes to it.
     pub report: Report,
 }
 

@@ -79,7 +79,7 @@ pub(crate) struct Links {
     pub(crate) spooled: Arc<Notify>,
     /// Notified when the outbox has a new message.
     pub(crate) outbox: Arc<Notify>,
-    /// The same for the loop of the webhook.
+    /// Notified too, for the loop that sends alarms to the webhook.
     pub(crate) webhook: Arc<Notify>,
     pub(crate) watchers: broadcast::Sender<Judged>,
     pub(crate) loggers: watch::Receiver<Loggers>,

@@ -31,7 +31,7 @@ pub(crate) struct Peers {
 #[derive(Debug, Clone, Copy)]
 struct Absence {
     since: Instant,
-    /// The same as wall time; `None` if the daemon was away at the start.
+    /// Time by the clock of the computer; `None` if the daemon was away at the start.
     at: Option<Timestamp>,
 }
 

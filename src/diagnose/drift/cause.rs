@@ -40,23 +40,24 @@ const NEW_MOTOR_FAULT: f64 = 0.5;
 /// Least change of the back-EMF that decides about the motor beside a known or new fault of it, as part of the change
 /// of the motor.
 const CHANGED: f64 = 0.5;
-/// Least change of the back-EMF that is significant, in standard deviations of this change.
+/// Least significant change of the back-EMF, in its standard deviations.
 const CHANGED_SD: f64 = 3.0;
 /// Upper bound of the misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_BACK_EMF_MISFIT: f64 = 40.0;
 /// Range of the part of a change of the motor that shows in the acceleration per ampere at the start.
 const MOTOR_AT_START: Range<f64> = 0.4..1.1;
-/// The same on a machine with a late brake. It is released when the acceleration is measured, and a faster motor then
-/// starts with less current.
+/// Range of this part on a machine with a late brake. The acceleration is measured when the brake has been released;
+/// a faster motor then starts with less current.
 const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
-/// Largest part of a rise of friction that lowers this acceleration: dry friction behind the play of a soft drive.
+/// Largest part of a rise of friction that lowers the acceleration at the start: dry friction behind the play of a soft
+/// drive.
 const FRICTION_AT_START: f64 = 0.4;
-/// Upper bound of the misfit of this acceleration, so that a brake or play that changes at the same time does not
-/// decide alone.
+/// Upper bound of the misfit of the acceleration at the start, so that a brake or play that changes at the same time
+/// does not decide alone.
 const MOST_START_MISFIT: f64 = 20.0;
 /// Penalty of the explanation that a motor lost torque and kept its back-EMF: odds of 1 to 5 against weak magnets.
 const TORQUE_ALONE: f64 = 3.0;
-/// Standard deviation of such a loss of torque, as a logarithm: commutation loses a part of the torque, not most of it.
+/// Standard deviation of a loss of torque, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
 /// Change of ln b0 below which a rise of friction may hide a loss of torque, and change of the back-EMF below which the
 /// magnets are weak: the default warning limit of the motor.

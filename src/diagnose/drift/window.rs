@@ -30,7 +30,7 @@ use crate::{
 /// Largest part of the limit of T that a single innovation may contribute to a window of three throws: two throws show
 /// a step.
 const MOST_OF_ONE: f64 = 0.4;
-/// The same for scatter with heavy tails: four throws show a step.
+/// Largest such part if the scatter has heavy tails: four throws show a step.
 const MOST_OF_ONE_WITH_HEAVY_TAILS: f64 = 0.08;
 /// Least T, along the drift, of the innovations without an outlier. Of healthy innovations, 0.1 % have more and the
 /// sign of the drift.

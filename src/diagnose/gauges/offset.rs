@@ -9,12 +9,14 @@ use crate::{diagnose::drift::threshold::WINDOWS, estimate::Features, throw::Dire
 /// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
 /// warm, and back.
 const REST_A: f64 = 0.6;
-/// The same as a part of the inrush: the zero of a sensor drifts in proportion to its range.
+/// Least reported change of the current at rest, as part of the inrush: the zero of a sensor drifts in proportion to
+/// its range.
 const REST_SHARE: f64 = 0.02;
-/// Least significance of such a change, in standard deviations of a level: hum in a few quiet samples scatters.
+/// Least significance of a change of the current at rest, in standard deviations of a level: the mean of a few samples
+/// with hum scatters.
 const REST_SD: f64 = 4.0;
-/// Least reported shift of the position sensor's zero, as part of the travel: this shift changes the friction by 5 % in
-/// one direction and by -5 % in the other.
+/// Least reported shift of the position sensor's zero, as part of the travel. A shift of 4 % changes the friction by
+/// 5 % in one direction and by -5 % in the other.
 const SHIFT_SHARE: f64 = 0.04;
 /// Least change of a start or end position that counts as changed, as part of the travel.
 const END_SHARE: f64 = 0.01;

@@ -347,7 +347,8 @@ impl Tracks {
         Some(Blindness { cause, below_pct, temperature: None })
     }
 
-    /// The same for one direction: cause, least visible size \[%\], and this size relative to the critical limit.
+    /// The cause that the scatter of one direction hides most; its least visible size \[%\], also relative to the
+    /// critical limit.
     fn hidden_by_scatter_of(&self, track: &Track, settings: &Settings) -> Option<(Cause, f64, f64)> {
         let baseline = track.baseline.as_ref().filter(|baseline| baseline.is_final(settings))?;
         let own = (&baseline.scatter, track.thresholds.as_ref()?, baseline.centre_throws());

@@ -32,9 +32,10 @@ const FITTED_SHARE: f64 = 0.3;
 /// Relative error of the common scale of b0, a1 and a0 for each second by which the toe starts late: the inrush, which
 /// determines the scale, takes 50 ms.
 const SCALE_PER_S: f64 = 20.0;
-/// The same for each millimetre of slow departure from the model: the toe moves about one millimetre in the inrush.
+/// Relative error of this scale for each millimetre of slow departure from the model: the toe moves about one
+/// millimetre in the inrush.
 const SCALE_PER_MM: f64 = 3.0;
-/// The same for a departure of the current's rise from that of an armature by as much as the peak of the current.
+/// Relative error of this scale if the rise of the current departs from that of an armature by the peak of the current.
 const SCALE_PER_RISE: f64 = 2.0;
 
 /// Departure of an accepted movement from the model.

@@ -48,7 +48,7 @@ const HEADER: &str = "SQLite format 3";
 /// Longest wait for a lock that another program holds.
 const BUSY: Duration = Duration::from_secs(5);
 
-/// How the database was found.
+/// Condition of the database when it was opened.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
     /// There was no database.
