@@ -44,7 +44,8 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// The four physical causes, in the order of the diagnosis.
+    /// The four physical causes: the three that change one coefficient each (b0, a1, a0, in this order), and inertia,
+    /// which changes all of them.
     pub const PHYSICAL: [Self; 4] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia];
     /// The causes that change one coefficient each, in the order of b0, a1, a0.
     pub(super) const OF_COEFFICIENTS: [Self; 3] = [Self::Kt, Self::Friction, Self::Stiffness];

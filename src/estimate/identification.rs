@@ -89,10 +89,12 @@ impl Estimate {
 
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///
-    /// Errors that are equal in every throw cancel in this comparison. If only the ratios are known, they do not
-    /// cancel, as the baseline may consist of complete estimates. Nor do they average out over the throws of a window,
-    /// so their covariance is multiplied by [`Self::LONGEST_WINDOW`]. The same holds for `covariance` of the ratios,
-    /// which comes from the departure from the model, and this departure repeats.
+    /// For a complete estimate this is `covariance`: the errors that are equal in every throw (`systematic`) cancel.
+    ///
+    /// For an estimate of ratios only, the equal errors do not cancel, as the baseline may consist of complete
+    /// estimates. The errors in `covariance` come from the misfit of the model, which repeats from throw to throw. Both
+    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by
+    /// [`Self::LONGEST_WINDOW`].
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;

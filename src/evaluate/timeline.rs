@@ -83,9 +83,10 @@ impl Timeline {
         Self { faults: Vec::new(), onset: throws, throws, climate: None, wet: WetSpells::default(), leakage: 0.0 }
     }
 
-    /// Life number `trial` of a row. `baseline`: throws of the machine that the monitor's baseline needs.
+    /// Timeline of life number `trial` of a scenario. `baseline` is the number of throws of the machine that the monitor
+    /// needs for its baseline.
     ///
-    /// The sign of the faults alternates: a part can become weaker, or be replaced by a stronger one.
+    /// The sign of the fault alternates from life to life: the part becomes weaker, or is replaced by a stronger one.
     pub(super) fn of(scenario: &Scenario, trial: usize, baseline: usize, random: &mut ChaCha8Rng) -> Self {
         let situation = scenario.situation;
         let healthy = random.random_range(HEALTHY_THROWS);

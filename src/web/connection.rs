@@ -82,7 +82,7 @@ async fn permit(
         let oldest = asking.front().map(|(since, _)| *since + GRACE);
         tokio::select! {
             biased;
-            // Cannot fail, as the semaphore is never closed.
+            // The acquisition cannot fail, as the semaphore is never closed.
             permit = Arc::clone(permits).acquire_owned() => return permit.ok(),
             () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => drop(asking.pop_front()),
         }

@@ -260,7 +260,8 @@ pub(super) fn friction_over_spring([_, a1, a0]: [f64; 3], duration_s: f64) -> f6
 
 /// [`friction_over_spring`] of a machine: the geometric mean of its directions; 1 if no duration is known.
 pub(super) fn usual_friction_over_spring(baselines: [Option<&Baseline>; 2]) -> f64 {
-    /// A weaker spring hardly shows in a0: drives with a tenth of their load in the spring have 10.
+    /// Upper limit of the ratio. Where the spring takes a tenth of the load, the ratio is about 10; a weaker spring
+    /// hardly shows in a0, so a larger ratio is uncertain.
     const MOST: f64 = 10.0;
     let of_direction =
         |baseline: &Baseline| Some(friction_over_spring(baseline.centre.map(f64::exp), baseline.duration_s?).min(MOST));
@@ -347,8 +348,8 @@ pub(super) fn filling<'a>(
     Filling::new(throws, variance, [0, 1, 2].map(|i| sensor[(i, i)]))
 }
 
-/// Slopes of the logarithms over the throws of both directions \[per throw of the machine\]; 0 without a trend that
-/// matters.
+/// Trend of the throws of both directions: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; 0 for a coefficient
+/// without a trend that matters.
 pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     /// [`trend::AT_THE_END`] applies to this number of last throws of both baselines together: one direction may
     /// complete its baseline two throws before the other.

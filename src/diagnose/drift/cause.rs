@@ -500,7 +500,7 @@ pub(crate) fn explained<const K: usize>(
     };
     let BackEmf { level, of_duration, at_start } = back_emf;
     let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
-    // Complete coefficients contain the acceleration at the start in b0.
+    // In complete coefficients, b0 contains the acceleration at the start already: it must not count twice.
     let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
     let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
     // Dry friction leaks into the coefficients. The size of a change of the motor depends on the assumed leaks. The

@@ -74,7 +74,7 @@ impl BackEmf {
             && self.at_start.is_some_and(|start| start.is_prompt && is_kept(start.level))
     }
 
-    /// The change, if it is not only concluded from a shorter duration.
+    /// Change of the back-EMF; `None` if only a shorter duration shows it, as less friction shortens the throw too.
     pub(crate) fn of_motor(self) -> Option<Level> {
         (!self.of_duration).then_some(self.level)
     }

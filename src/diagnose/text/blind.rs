@@ -50,7 +50,7 @@ pub(crate) fn monitored_again(name: &str) -> String {
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
     let reason = if code == "current_only" { "without a toe position".to_owned() } else { code.replace('_', " ") };
     format!(
-        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected (the last: {reason}), so a \
+        "Machine {name}, {direction}: {rejected} of the last throws (at most {of}) were rejected (the last: {reason}), so a \
          fault is detected later. throws_not_evaluated has the reasons."
     )
 }

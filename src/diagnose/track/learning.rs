@@ -188,7 +188,7 @@ impl Tracks {
         filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
-    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without
+    /// Trend while a baseline is incomplete: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without a
     /// trend.
     pub(crate) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete =

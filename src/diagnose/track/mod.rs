@@ -124,7 +124,7 @@ impl Mixed {
 pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
-    /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; `None` without a trend.
+    /// Trend while the baselines fill: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without a trend.
     slopes: Option<[f64; 3]>,
     /// Wet spells in the throws of incomplete baselines.
     #[serde(default, skip_serializing_if = "<[WetSpell]>::is_empty")]
@@ -378,7 +378,8 @@ impl Tracks {
 
     /// Whether the last throws of the machine show only ratios of coefficients; they do not show a change of inertia.
     pub(super) fn lacks_scale(&self) -> bool {
-        /// Consecutive throws without a scale that decide this: a machine with both kinds of throws has shorter runs.
+        /// Number of consecutive throws with ratios only that decide. A machine that also has throws with complete
+        /// coefficients has shorter runs of ratios only.
         const LAST: usize = WINDOWS[2];
         let [normal, reverse] = &self.sides;
         let recent = Stream::all([&normal.recent, &reverse.recent]);

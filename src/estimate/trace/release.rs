@@ -37,7 +37,7 @@ const ROUGH_RISE_SIGMAS: f64 = 8.0;
 const ROUGH_RISE_SHARE: f64 = 0.03;
 /// Part of the departure of the rise that noise explains \[standard deviations\], and that does not count.
 const RISE_NOISE_SIGMAS: f64 = 4.0;
-/// Number of intervals between the tried starts of a pulse.
+/// Number of equal steps between the first and the last start of a pulse that the fit tries.
 const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;

@@ -100,7 +100,7 @@ pub(crate) struct FleetRow {
     pub spark: Vec<[f64; 3]>,
 }
 
-/// An open alarm about the condition of a machine, with its change when it was raised, and the present drifts.
+/// An open alarm about the condition of a machine, with the change when the alarm was raised, and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
     /// Last event of the alarm.

@@ -162,7 +162,7 @@ impl Reader {
         self.limited(answer).await
     }
 
-    /// Runs an external query for its first row.
+    /// Runs an external query, and returns its first row; `None` if it has no row.
     pub(super) async fn external_row<Row>(
         &self,
         query: QueryAs<'_, Sqlite, Row, SqliteArguments>,

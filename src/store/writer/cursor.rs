@@ -77,7 +77,7 @@ pub(super) async fn next_boot(
     sqlx::query_as(sql::NEXT_BOOT).bind(machine_row).bind(position).fetch_optional(connection).await
 }
 
-/// First and last number of the first awaited gap of a boot.
+/// First and last throw number of the first awaited gap of a boot; `None` if no gap is awaited.
 pub(crate) async fn awaited(connection: &mut SqliteConnection, boot_row: i64) -> sqlx::Result<Option<(i64, i64)>> {
     sqlx::query_as(sql::FIRST_AWAITED).bind(boot_row).fetch_optional(connection).await
 }
