@@ -1,22 +1,25 @@
 //! The kind of motor that current and speed of a throw show.
 //!
-//! The back-EMF of a motor with permanent magnets is K ω. That of a series-wound motor is k i ω, or less where its iron
-//! saturates. Two stretches of a throw show the difference, and must agree.
+//! The back-EMF of a motor with permanent magnets is K ω. The back-EMF of a series-wound motor is k i ω, or less where
+//! its iron saturates. Two parts of a throw show the difference, and both must agree.
 //!
-//! The first one is from the first movement of the toe to its end. The integrated equation of the armature (see `armature`) is one of
+//! The first part begins with the first movement of the toe and ends with the travel. The integrated equation of the
+//! armature (see `armature`), divided by the voltage, has one of two forms:
 //!
 //! ```text
-//! t = r ∫i dt + l i + κ θ + c        or        t = r ∫i dt + l i + κ ∫i dθ + c        (all over the voltage)
+//! t = r ∫i dt + l i + κ θ + c        permanent magnets
+//! t = r ∫i dt + l i + κ ∫i dθ + c    series-wound
 //! ```
 //!
-//! and the right one leaves the smaller residual. The rest of the inrush decides most.
+//! The form of the motor leaves the smaller residual. The end of the inrush decides most.
 //!
-//! The second one is after the inrush. A load that rises along the stroke raises the current and slows the motor. With magnets
-//! ω = ω0 (1 - i/I), where I = V/R is the current at standstill. The inrush cannot exceed it, so the line through speed and current
-//! of the running motor meets ω = 0 at the inrush or later. The speed of a series motor is about V/(k i), and its line meets ω = 0
-//! at about twice the running current, long before the inrush.
+//! The second part begins after the inrush. A load that rises along the stroke raises the current and slows the motor.
+//! With magnets, ω = ω0 (1 - i/I), where I = V/R is the current at standstill. The inrush cannot exceed I, so a line
+//! through speed and current of the running motor reaches ω = 0 at the inrush current or above. The speed of a series
+//! motor is about V/(k i); its line reaches ω = 0 at about twice the running current, far below the inrush.
 //!
-//! A voltage that falls during the throw looks like a series motor in the second stretch, play or a soft drive in the first.
+//! Two effects resemble a series motor: in the second part, a voltage that falls during the throw; in the first part,
+//! play or a soft drive.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -27,25 +30,34 @@ use super::{
 
 /// Lowest sampling rate that resolves the inrush, as for the constants of the armature \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
-/// Travel after which the toe moves, as share of the whole, and in standard deviations of the position's noise.
-const MOVES: (f64, f64) = (0.0026, 5.0);
-/// Largest residual of the likelier equation, as share of the duration. A motor that drives the toe by a crank leaves more.
+/// Travel at which the toe counts as moving, as part of the whole travel.
+const MOVES_SHARE: f64 = 0.0026;
+/// Travel at which the toe counts as moving, in standard deviations of the position's noise.
+const MOVES_SD: f64 = 5.0;
+/// Largest residual of the better equation, as part of the duration. A motor that drives the toe by a crank leaves
+/// more.
 const LARGEST_RESIDUAL: f64 = 1.5e-3;
-/// Residual of a series motor over that of magnets: below the first of a series motor, above the second of magnets. Simulated series
-/// motors with three laws of saturation had 0.1 to 6 in the median of their throws, motors with magnets 2.2 to 150.
-const RESIDUALS: (f64, f64) = (3.0, 6.0);
-/// Inrush over the current at which the line of the running motor meets ω = 0: above the first of a series motor, below the second
-/// of magnets; that of a series motor whose residual is the smaller one is above the second. The same series motors had 1.0 to 4,
-/// those with magnets 0.7 to 1.8.
-const INRUSH: (f64, f64) = (1.2, 1.0);
+/// Largest ratio of the residuals, series-wound to magnets, of a series-wound motor. The medians of simulated series
+/// motors, with three laws of saturation, were 0.1 to 6.
+const LARGEST_OF_SERIES: f64 = 3.0;
+/// Least ratio of the residuals, series-wound to magnets, of a motor with magnets. The medians of simulated motors with
+/// magnets were 2.2 to 150.
+const LEAST_OF_MAGNETS: f64 = 6.0;
+/// Inrush as part of the current at which the line of the running motor reaches ω = 0: more shows a series-wound motor.
+/// Simulated series motors had 1.0 to 4.
+const INRUSH_OF_SERIES: f64 = 1.2;
+/// Inrush as part of this current: less shows magnets; more shows a series-wound motor whose residual is also the
+/// smaller one. Simulated motors with magnets had 0.7 to 1.8.
+const INRUSH_OF_MAGNETS: f64 = 1.0;
 /// Largest correlation of speed and current of the running motor.
 const CORRELATION: f64 = -0.8;
-/// Part of the movement that is skipped as the inrush, and number of blocks of the rest.
+/// Part of the movement that is skipped as the inrush.
 const SKIPPED_SHARE: f64 = 0.3;
+/// Number of blocks of the rest, whose mean speeds and currents make the line.
 const BLOCKS: usize = 12;
 /// Time over which the inrush is a mean: a period of the ripple of rectified mains \[s\].
 const RIPPLE_S: f64 = 0.01;
-/// Samples in the sums of the first stretch. More of them show no more, as its errors are correlated.
+/// Samples in the sums of the first part. More samples would not help, as their errors are correlated.
 const ROWS: usize = 250;
 
 /// The kind of motor; `None` if the throw does not decide it.
@@ -57,19 +69,20 @@ pub(super) fn shown(movement: &Movement<'_>) -> Option<Motor> {
     let way = Way { movement, drive: movement.drive(), start, len: end - start };
     let [magnets, series] = way.residuals()?;
     let inrush = way.inrush_of_standstill()?;
-    let is_series = series < RESIDUALS.0 * magnets && inrush > INRUSH.0 || series < magnets && inrush > INRUSH.1;
+    let is_series = series < LARGEST_OF_SERIES * magnets && inrush > INRUSH_OF_SERIES
+        || series < magnets && inrush > INRUSH_OF_MAGNETS;
     if magnets.min(series) > LARGEST_RESIDUAL * way.len as f64 * movement.interval_s {
         None
     } else if is_series {
         Some(Motor::Series)
-    } else if series > RESIDUALS.1 * magnets && inrush < INRUSH.1 {
+    } else if series > LEAST_OF_MAGNETS * magnets && inrush < INRUSH_OF_MAGNETS {
         Some(Motor::PermanentMagnet)
     } else {
         None
     }
 }
 
-/// The movement from the start of the motor.
+/// The movement from the start of the motor to the end of the travel.
 struct Way<'a> {
     movement: &'a Movement<'a>,
     /// Sign of the driving current.
@@ -85,7 +98,7 @@ impl Way<'_> {
         self.drive * (self.movement.current_a[self.start + sample] - self.movement.current.mean)
     }
 
-    /// Done part of the travel, in proportion to the angle of the motor.
+    /// Travelled part of the whole, which is proportional to the angle of the motor.
     fn done(&self, sample: usize) -> f64 {
         self.movement.progress_mm(self.start + sample) / self.movement.travel_mm
     }
@@ -93,7 +106,7 @@ impl Way<'_> {
     /// Root mean square residuals of the armature's equation with magnets and with a series motor \[s\].
     fn residuals(&self) -> Option<[f64; 2]> {
         let interval_s = self.movement.interval_s;
-        let moves = MOVES.0.max(MOVES.1 * self.movement.position.sd / self.movement.travel_mm);
+        let moves = MOVES_SHARE.max(MOVES_SD * self.movement.position.sd / self.movement.travel_mm);
         let every = (self.len / ROWS).max(1);
         // Sums of the products of charge, current, 1, angle, ∫i dθ and time; only i <= j.
         let (mut sums, mut charge, mut turned, mut rows) = ([[0.0; 6]; 6], 0.0, 0.0, 0.0);
@@ -128,8 +141,8 @@ impl Way<'_> {
         Some([residual(3)?, residual(4)?])
     }
 
-    /// The inrush over the current at which the running motor would stand still, by the line through its speed and current;
-    /// `None` if they have no such line.
+    /// The inrush over the current at which the running motor would stand still, by the line through its speed and
+    /// current; `None` if they have no such line.
     fn inrush_of_standstill(&self) -> Option<f64> {
         let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
         let place = |from: usize, to: usize| mean((from..to).map(|k| self.done(k)));

@@ -83,8 +83,8 @@ impl Timeline {
         Self { faults: Vec::new(), onset: throws, throws, climate: None, wet: WetSpells::default(), leakage: 0.0 }
     }
 
-    /// Timeline of life number `trial` of a scenario. `baseline` is the number of throws of the machine that the monitor
-    /// needs for its baseline.
+    /// Timeline of life number `trial` of a scenario. `baseline` is the number of throws of the machine that the
+    /// monitor needs for its baseline.
     ///
     /// The sign of the fault alternates from life to life: the part becomes weaker, or is replaced by a stronger one.
     pub(super) fn of(scenario: &Scenario, trial: usize, baseline: usize, random: &mut ChaCha8Rng) -> Self {

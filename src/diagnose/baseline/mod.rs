@@ -348,8 +348,8 @@ pub(super) fn filling<'a>(
     Filling::new(throws, variance, [0, 1, 2].map(|i| sensor[(i, i)]))
 }
 
-/// Trend of the throws of both directions: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; 0 for a coefficient
-/// without a trend that matters.
+/// Trend of the throws of both directions: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; 0 for a
+/// coefficient without a trend that matters.
 pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     /// [`trend::AT_THE_END`] applies to this number of last throws of both baselines together: one direction may
     /// complete its baseline two throws before the other.

@@ -7,14 +7,15 @@ use crate::{
     estimate::Motor,
 };
 
-/// Throws of each direction that decide.
+/// Number of first throws of each direction that decide.
 const FIRST: u8 = 12;
-/// Least number of them that show a kind. In both directions: where the toe is driven by levers or the position sensor is not
-/// linear, the speed varies along the stroke as it would with a load, which has the opposite effect in the other direction.
+/// Least number of these throws that show another kind, in each direction. Levers between motor and toe, or a position
+/// sensor that is not linear, change the speed along the stroke as a load does, but as the opposite load in the other
+/// direction.
 const LEAST: u8 = 8;
 
-/// The first throws of each direction: their number in the lower four bits, and in the upper four the number of those that show
-/// another kind than the configured one. Packed, as a fleet has many monitors.
+/// The first throws of each direction, in one byte, as a fleet has many monitors: the lower four bits are their number,
+/// the upper four bits the number of those that show another kind of motor than the configured one.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct ShownMotor([u8; 2]);
 

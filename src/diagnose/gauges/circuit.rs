@@ -63,8 +63,8 @@ pub(crate) struct AtStart {
 impl BackEmf {
     /// Whether the gauges exclude a weaker motor: neither the back-EMF nor the acceleration at the start has decreased.
     ///
-    /// Ratios of the coefficients do not decide this alone. If chairs become dry on a machine with a soft toe drive, all
-    /// ratios change as with a loss of torque.
+    /// Ratios of the coefficients do not decide this alone. If chairs become dry on a machine with a soft toe drive,
+    /// all ratios change as with a loss of torque.
     pub(crate) fn excludes_weaker_motor(&self) -> bool {
         /// Significant decrease, in standard deviations.
         const SHOWN_SD: f64 = 3.0;

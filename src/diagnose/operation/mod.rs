@@ -1,5 +1,5 @@
-//! What concerns the operation and not a part: incomplete, slow and lost throws, silence, clocks of loggers, two loggers
-//! for one machine, thermometers, and the weather of a site.
+//! Alarms about the operation, not about a part: incomplete, slow and lost throws, silence, clocks of loggers, two
+//! loggers for one machine, thermometers, and the weather of a site.
 
 pub(super) mod alarms;
 pub(super) mod boots;

@@ -188,8 +188,8 @@ impl Tracks {
         filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
-    /// Trend while a baseline is incomplete: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without a
-    /// trend.
+    /// Trend while a baseline is incomplete: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without
+    /// a trend.
     pub(crate) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete =
             self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(|baseline| baseline.complete));

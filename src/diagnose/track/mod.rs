@@ -124,7 +124,8 @@ impl Mixed {
 pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
-    /// Trend while the baselines fill: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without a trend.
+    /// Trend while the baselines fill: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without a
+    /// trend.
     slopes: Option<[f64; 3]>,
     /// Wet spells in the throws of incomplete baselines.
     #[serde(default, skip_serializing_if = "<[WetSpell]>::is_empty")]

@@ -241,8 +241,8 @@ fn inrush_step(movement: &Movement<'_>, sd: f64) -> Result<(), Rejection> {
 /// Rejects a lasting step between two samples. Inductance and inertia prevent such a step in current and position, so
 /// the cause is a changed gain, a shifted offset or lost samples. The difference of the means over 8 ms before and
 /// after a sample, without the trend, is compared with that over 4 ms: both are the height of a step, but for a smooth
-/// signal the shorter means differ by only an eighth as much. Many steps are a ripple that the sampling hardly resolves,
-/// and pass.
+/// signal the shorter means differ by only an eighth as much. Many steps are a ripple that the sampling hardly
+/// resolves, and pass.
 pub(crate) fn steps(
     movement: &Movement<'_>,
     channel: Channel,

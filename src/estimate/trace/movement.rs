@@ -218,9 +218,9 @@ impl<'a> Movement<'a> {
         self.sign * (self.position_mm[sample] - self.position.mean)
     }
 
-    /// Last sample of the window: the first sample at 95 % of the travel, or an earlier one where the motor current ends
-    /// and the toe then slows down. If the toe does not slow down, the motor is still switched on: a spring that drives
-    /// the throw has reduced the motor current to zero.
+    /// Last sample of the window: the first sample at 95 % of the travel, or an earlier one where the motor current
+    /// ends and the toe then slows down. If the toe does not slow down, the motor is still switched on: a spring that
+    /// drives the throw has reduced the motor current to zero.
     pub(crate) fn end(&self) -> usize {
         let position = self.position_mm;
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
