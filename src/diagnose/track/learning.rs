@@ -32,10 +32,6 @@ const MOST_ASIDE: usize = WINDOWS[3];
 /// Numbers of throws set aside in a direction at which the scatter is computed again.
 const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
 
-/// Throws of a machine from one test for a trend to the next. A trend shows over dozens of throws, and the test is most
-/// of the work of learning.
-const TREND_EVERY: u64 = 4;
-
 /// Reason not to add a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Suspicion {
@@ -120,9 +116,7 @@ impl Tracks {
             track.aside.push(BaselineThrow::new(order, throw));
             track.sensor = mean_with(track.sensor, &throw.sensor, track.learned.len() + track.aside.len());
         }
-        if order.is_multiple_of(TREND_EVERY) {
-            self.follow_trend(settings);
-        }
+        self.follow_trend(settings);
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
