@@ -230,9 +230,9 @@ impl Monitors {
             }
         }
         self.to_store.clear();
-        let mut sites: Vec<Name> = self.of_machines.keys().map(|machine| machine.site.clone()).collect();
+        let mut sites: Vec<&Name> = self.of_machines.keys().map(|machine| &machine.site).collect();
         sites.dedup();
-        for site in sites {
+        for site in sites.into_iter().cloned().collect::<Vec<_>>() {
             let common = self.common(&site, None, now);
             changed.extend(self.update_site_alarm(&site, &common, now, settings));
         }

@@ -96,9 +96,7 @@ impl Known<'_> {
             let since = since.add_scalar(-scale);
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
-        // With complete coefficients, b0 shows a loss of torque.
-        let may_be_weaker = window.shows(Cause::Inertia) || !back_emf.excludes_weaker_motor();
-        let is_new = is_new && may_be_weaker;
+        let is_new = is_new && may_show_weaker_motor(window, Some(back_emf));
         let is_known = self.causes.contains(&Cause::Kt);
         if !is_new && !is_known {
             return true;
@@ -534,6 +532,12 @@ fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
 /// once.
 fn grows_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
     best.size_of(Cause::Friction) > 0.0 && pair.includes(Cause::Friction) && pair.size_of(Cause::Stiffness) > 0.0
+}
+
+/// Whether a drift that looks like a weaker motor may be one. Complete coefficients show a loss of torque in b0; of
+/// ratios, the gauges may exclude a weaker motor.
+pub(super) fn may_show_weaker_motor(window: &Window, back_emf: Option<&BackEmf>) -> bool {
+    window.shows(Cause::Inertia) || !back_emf.is_some_and(BackEmf::excludes_weaker_motor)
 }
 
 /// Misfit of the acceleration per ampere at the start. A weaker motor lowers this acceleration by about its own change,

@@ -17,7 +17,7 @@ pub(super) mod window;
 use nalgebra::{Matrix3, Vector3};
 
 use self::{
-    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single},
+    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single, may_show_weaker_motor},
     condition::{Claim, Reading},
     explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
     origin::{Awaited, Origin},
@@ -286,8 +286,7 @@ fn mean_of_both(levels: &[Option<Window>; 2]) -> Option<Window> {
 fn is_before_motor_fault(window: &Window, last: &Window, known: &Known, settings: &Settings) -> bool {
     const SHOWN_SD: f64 = 3.0;
     let back_emf = known.gauges.and_then(|gauges| gauges.back_emf(last.throws));
-    let may_be_weaker = last.shows(Cause::Inertia) || !back_emf.is_some_and(|shown| shown.excludes_weaker_motor());
-    if window.throws <= last.throws || !may_be_weaker {
+    if window.throws <= last.throws || !may_show_weaker_motor(last, back_emf.as_ref()) {
         return false;
     }
     let since = best_single(&Window { mean: last.mean - window.mean, ..*last }, settings);

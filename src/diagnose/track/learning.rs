@@ -137,8 +137,9 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        self.follow_wet_spells();
-        self.follow_trend(settings);
+        if self.follow_wet_spells() {
+            self.follow_trend(settings);
+        }
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
@@ -162,9 +163,12 @@ impl Tracks {
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// Looks for wet spells in these throws.
-    fn follow_wet_spells(&mut self) {
-        self.wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
+    /// Looks for wet spells in these throws. Returns whether the spells changed.
+    fn follow_wet_spells(&mut self) -> bool {
+        let wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
+        let is_changed = wet != self.wet;
+        self.wet = wet;
+        is_changed
     }
 
     /// Whether both directions are compared by the same values: all coefficients, or ratios only.
