@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{CENTIMETRE_MM, INCH_MM, brief};
+use crate::throw::{CENTIMETRE_MM, INCH_MM, brief, rounded};
 
 /// One of the two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
@@ -78,7 +78,7 @@ pub enum Rejection {
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
-         unit ({field})", brief(*.value), field = .channel.field()
+         unit ({field})", brief(rounded(*.value)), field = .channel.field()
     )]
     #[serde(rename = "implausible_value")]
     #[strum(serialize = "implausible_value")]
@@ -156,7 +156,8 @@ pub enum Rejection {
     },
     /// The movement took longer than possible for a point machine.
     #[error(
-        "the toe moved for {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {rate_hz} Hz"
+        "the toe moved for {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {} Hz",
+        rounded(*.rate_hz)
     )]
     TooSlow {
         /// Time from the start of the motor to 95 % of the travel \[s\].
@@ -436,5 +437,18 @@ impl Rejection {
             self,
             Self::NoMovement | Self::Incomplete { .. } | Self::Obstructed { .. } | Self::MovedBackwards { .. }
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn measured_values_in_a_reason_have_six_digits() {
+        let value = Rejection::Implausible { channel: Channel::Current, at_s: 0.1, value: 188_776.123_456_7 };
+        assert!(value.to_string().contains("at 0.100 s is 188776, "), "{value}");
+        let slow = Rejection::TooSlow { duration_s: 60.0, longest_s: 30.0, rate_hz: 1.0 / 0.03 };
+        assert!(slow.to_string().ends_with("check sample_rate_hz, 33.3333 Hz"), "{slow}");
     }
 }

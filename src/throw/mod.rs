@@ -19,7 +19,7 @@ pub use range::OutOfRange;
 pub(crate) use range::Range;
 pub(crate) use settings::{Number, settings};
 pub use text::{brief, utc};
-pub(crate) use text::{counted, without_digits};
+pub(crate) use text::{counted, rounded, without_digits};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.
@@ -138,9 +138,9 @@ impl Throw {
         let celsius = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius));
         filter_hz.or(supply_v).or(celsius)?;
         let unused = |key: &str, value: Option<f64>, must: String| {
-            Some(OutOfRange { key: key.to_owned(), value: value?, must }.to_string() + ", and is not used")
+            Some(OutOfRange { key: key.to_owned(), value: rounded(value?), must }.to_string() + ", and is not used")
         };
-        let half = format!("above 0 and up to {} Hz, half of sample_rate_hz", brief(self.half_rate_hz()));
+        let half = format!("above 0 and up to {} Hz, half of sample_rate_hz", brief(rounded(self.half_rate_hz())));
         let (volts, possible) = (POSSIBLE_SUPPLY_V, POSSIBLE_C);
         let sentences = [
             unused("anti_alias_hz", filter_hz, half),

@@ -10,6 +10,11 @@ pub fn brief(value: f64) -> String {
     if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
+/// The number with six significant digits. A measured value in a sentence needs no more, and a 32-bit float has no more.
+pub(crate) fn rounded(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
+}
+
 /// A number of things: "1 throw", "2 throws". The noun is singular if the text of the number is "1", so a number that
 /// `format_args!` rounds to 1 is singular too.
 pub(crate) fn counted(number: impl Display, thing: &str) -> String {

@@ -9,7 +9,7 @@ use crate::{
         observation::Unusable,
         operation::thermometer::Implausible,
     },
-    throw::{POSSIBLE_C, brief, utc},
+    throw::{POSSIBLE_C, brief, rounded, utc},
 };
 
 /// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
@@ -144,7 +144,7 @@ pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String
             utc(&since)
         ),
         Implausible::Supply(volts) => {
-            let volts = brief(volts);
+            let volts = brief(rounded(volts));
             format!(
                 "sensor of the supply voltage reads {volts} V, which is impossible. Checks with the voltage are omitted"
             )
