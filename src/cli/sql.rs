@@ -12,7 +12,10 @@ use super::{
     output,
     runtime::block_on,
 };
-use crate::store::{ResultWriter, StoreError, Value, run_query};
+use crate::{
+    store::{ResultWriter, StoreError, Value, run_query},
+    throw::rounded,
+};
 
 /// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
 /// columns.
@@ -151,9 +154,7 @@ fn plain(value: Value) -> serde_json::Value {
 /// The text of a value for people: real numbers have six significant digits.
 fn short(value: &Value) -> String {
     match value {
-        Value::Real(number) => {
-            format!("{number:.5e}").parse::<f64>().map_or_else(|_| text(value), |rounded| rounded.to_string())
-        }
+        Value::Real(number) => rounded(*number).to_string(),
         _ => text(value),
     }
 }

@@ -45,6 +45,8 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     for (refused, says) in [
         ("DELETE FROM throw", "it writes to the database"),
         ("SELECT wrong FROM nowhere", "no such table: nowhere"),
+        ("", "the query is empty"),
+        ("-- SELECT 1", "the query is empty"),
         ("not SQL", "near \"not\": syntax error"),
         (&vacuum, "VACUUM writes a file"),
         (&second, "VACUUM writes a file"),

@@ -95,19 +95,25 @@ pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultW
     let query = AssertSqlSafe(query.to_owned()).into_sql_str();
     let statement = connection.prepare(query.clone()).await.map_err(StoreError::statement)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
-    output.columns(&names(statement.columns())).map_err(StoreError::Output)?;
     let mut results = connection.fetch_many(sqlx::raw_sql(query));
+    let mut next = results.try_next().await.map_err(StoreError::statement)?;
+    if next.is_none() {
+        let problem = "the query is empty: write a statement, or leave it out for a list of the views";
+        return Err(StoreError::Statement(problem.to_owned()));
+    }
+    output.columns(&names(statement.columns())).map_err(StoreError::Output)?;
     let mut is_next_statement = false;
-    while let Some(next) = results.try_next().await.map_err(StoreError::statement)? {
-        let Either::Right(row) = next else {
+    while let Some(result) = next {
+        if let Either::Right(row) = result {
+            if std::mem::take(&mut is_next_statement) {
+                output.columns(&names(row.columns())).map_err(StoreError::Output)?;
+            }
+            let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
+            output.row(values.map_err(StoreError::read)?).map_err(StoreError::Output)?;
+        } else {
             is_next_statement = true;
-            continue;
-        };
-        if std::mem::take(&mut is_next_statement) {
-            output.columns(&names(row.columns())).map_err(StoreError::Output)?;
         }
-        let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
-        output.row(values.map_err(StoreError::read)?).map_err(StoreError::Output)?;
+        next = results.try_next().await.map_err(StoreError::statement)?;
     }
     output.end().map_err(StoreError::Output)
 }
