@@ -114,6 +114,7 @@ mod tests {
     /// Queues a message with this memory.
     fn push(queue: &FairQueue, key: &str, memory: usize) -> bool {
         let message = || Message {
+            is_delete: false,
             key: key.to_owned(),
             content_type: String::new(),
             payload: vec![0; memory.saturating_sub(key.len())],

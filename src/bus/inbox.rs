@@ -6,11 +6,7 @@ use std::sync::{
 };
 
 use tokio::sync::{Notify, mpsc};
-use zenoh::{
-    Session,
-    pubsub::Subscriber,
-    sample::{Sample, SampleKind},
-};
+use zenoh::{Session, pubsub::Subscriber, sample::Sample};
 
 use super::{
     error::BusError,
@@ -108,9 +104,6 @@ struct Callback {
 
 impl Callback {
     fn on_sample(&self, sample: &Sample) {
-        if sample.kind() != SampleKind::Put {
-            return;
-        }
         self.counters.received.fetch_add(1, Relaxed);
         let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
         let memory = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();

@@ -1,6 +1,9 @@
 //! A received message, and its size limits.
 
-use zenoh::{bytes::ZBytes, sample::Sample};
+use zenoh::{
+    bytes::ZBytes,
+    sample::{Sample, SampleKind},
+};
 
 /// A received message, live or from a backlog.
 #[derive(Debug)]
@@ -12,6 +15,8 @@ pub(crate) struct Message {
     pub payload: Vec<u8>,
     /// Size of the whole payload \[bytes\].
     pub bytes: usize,
+    /// Whether the sender deleted the key. Such a message has no payload, and is no throw.
+    pub is_delete: bool,
 }
 
 /// Size limits of received payloads.
@@ -40,7 +45,8 @@ impl Message {
         let bytes = sample.payload().len();
         let payload = beginning(sample.payload(), limits.kept(bytes));
         let key = sample.key_expr().as_str().to_owned();
-        Self { key, content_type: sample.encoding().to_string(), payload, bytes }
+        let is_delete = sample.kind() == SampleKind::Delete;
+        Self { key, content_type: sample.encoding().to_string(), payload, bytes, is_delete }
     }
 }
 

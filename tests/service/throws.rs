@@ -109,6 +109,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     put(&session, KEY, json(), b"{\"schema\": 7}".to_vec()).await;
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![0x9f; 50_000]).await;
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![b'x'; 2_000_000]).await;
+    session.delete(KEY).await.unwrap();
     for machine in ["north/no name!", "fleet/pointsd", "north/all-machines", "north/second", "north/third"] {
         put(&session, &format!("points/v1/{machine}/throw"), json(), good(1)).await;
     }
@@ -123,8 +124,9 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     daemon.terminate();
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
-    assert_eq!(reasons.len(), 7, "{reasons:?}");
+    assert_eq!(reasons.len(), 8, "{reasons:?}");
     let says = [
+        "a delete, which is no throw",
         "not a throw in JSON",
         "not valid CBOR",
         "2000000 bytes",
@@ -136,7 +138,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     for word in says {
         assert!(reasons.iter().any(|reason| reason.contains(word)), "{word}: {reasons:?}");
     }
-    assert!(status.contains("\"quarantined\":7"), "{status}");
+    assert!(status.contains("\"quarantined\":8"), "{status}");
     let sizes =
         rig.sql("SELECT payload_bytes, length(payload_start) AS kept FROM quarantine WHERE reason LIKE '2000000%'");
     assert_eq!((&sizes[0]["payload_bytes"], &sizes[0]["kept"]), (&2_000_000.into(), &1024.into()));

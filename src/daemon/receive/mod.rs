@@ -343,6 +343,9 @@ fn encoding(message: &Message) -> Encoding {
 
 fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Received, String> {
     let Message { key, payload, bytes, .. } = message;
+    if message.is_delete {
+        return Err("a delete, which is no throw: a logger only puts".to_owned());
+    }
     if *bytes > limit {
         return Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"));
     }
@@ -362,6 +365,7 @@ mod tests {
             content_type: String::new(),
             payload: vec![7; 2 * QUARANTINED_BYTES],
             bytes: 2 * QUARANTINED_BYTES,
+            is_delete: false,
         };
         let decoded = ["good", "poison", "good"].map(|key| {
             guarded(message(key), Timestamp::UNIX_EPOCH, |message| {
