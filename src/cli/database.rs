@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::{Exit, Failure, ResultExt};
 use crate::{
-    daemon::config::Document,
+    daemon::config::{Document, check_sections},
     store::{self, StoreError},
 };
 
@@ -62,14 +62,17 @@ pub(super) fn cannot_open(error: StoreError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The path of the database in a configuration file. Only the section `[store]` is read, and checked: a misspelt key
-/// would select another database. The other sections may be invalid.
+/// The path of the database in a configuration file. Only the names of the sections and `[store]` are checked: a misspelt
+/// one would select another database. The content of the other sections may be invalid.
 fn configured(config: &Path) -> Result<PathBuf, Failure> {
     #[derive(Deserialize)]
     struct Section {
         #[serde(default)]
         store: store::Settings,
     }
-    let section = Document::read(config).and_then(|document| document.deserialize::<Section>());
+    let section = Document::read(config).and_then(|document| {
+        check_sections(&document)?;
+        document.deserialize::<Section>()
+    });
     Ok(section.or_exit(Exit::Config)?.store.path)
 }

@@ -15,6 +15,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
+use operator::DAEMON_SECTIONS;
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
@@ -205,7 +206,7 @@ impl Config {
             .then(|| "[web]: has no effect without web.listen".to_owned());
         let webhook = (self.webhook.url.is_none() && self.webhook != Webhook::default())
             .then(|| "[webhook]: has no effect without webhook.url".to_owned());
-        other.chain(web).chain(webhook).collect()
+        other.chain(web).chain(webhook).chain(self.log.without_effect()).collect()
     }
 
     /// Checks a document.
@@ -256,6 +257,19 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
     Ok(Machines { default: config.machine_defaults.clone(), overrides })
 }
 
+/// Checks the names of the sections, for a command that reads only some of them.
+///
+/// # Errors
+/// The first section that the configuration of a daemon does not have.
+pub(crate) fn check_sections(document: &Document) -> Result<(), ConfigError> {
+    let file: toml::Table = document.deserialize()?;
+    let known = || DAEMON_SECTIONS.into_iter().chain(["log", "zenoh"]);
+    file.keys().find(|name| known().all(|known| known != name.as_str())).map_or(Ok(()), |name| {
+        let known = known().collect::<Vec<_>>().join(", ");
+        Err(document.error_at(name, format!("unknown section, expected one of {known}")))
+    })
+}
+
 /// The `[diagnosis]` section alone, for a command that only reads the database: its user may have no right to the files
 /// that the other sections name.
 ///
@@ -295,6 +309,34 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
         return Err(document.error_at("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
     }
     Ok(())
+}
+
+/// Other crates that write log lines; those of zenoh begin with its name. A directive applies to every module whose path
+/// begins with its own.
+const LOGGING_CRATES: [&str; 6] = ["zenoh", "sqlx", "hyper", "rustls", "tokio", "axum"];
+/// Modules of this crate.
+const MODULES: [&str; 13] = [
+    "bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "logger", "report", "simulate", "store", "throw",
+    "web", "wire",
+];
+
+impl Log {
+    /// Warnings about directives for modules that do not exist.
+    fn without_effect(&self) -> impl Iterator<Item = String> {
+        let modules = self.level.split(',').filter_map(|part| part.split_once('=')).map(|(module, _)| module);
+        modules.filter(|module| !is_module(module)).map(|module| {
+            format!(
+                "log.level: {module:?} has no effect, as no module of this program begins with it; modules are \
+                 pointsd::daemon, pointsd::store or zenoh, for example"
+            )
+        })
+    }
+}
+
+fn is_module(path: &str) -> bool {
+    let own = MODULES.map(|module| format!("pointsd::{module}"));
+    let all = || own.iter().map(String::as_str).chain(LOGGING_CRATES);
+    all().any(|known| known.starts_with(path) || path.starts_with(known))
 }
 
 /// Checks the `[log]` section.

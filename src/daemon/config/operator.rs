@@ -10,7 +10,7 @@ use super::{
 use crate::throw::MachineId;
 
 /// Sections that only the configuration file of a daemon has.
-const DAEMON_SECTIONS: [&str; 9] =
+pub(super) const DAEMON_SECTIONS: [&str; 9] =
     ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web", "webhook"];
 /// Sections that only the file of `pointsim` has; its `[zenoh]` section is that of a client.
 const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
@@ -134,6 +134,7 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
         let problem = "names no daemon: give --connect tls/HOST:7447, or write connect.endpoints = [\"tls/HOST:7447\"]";
         return Err(document.error_at("zenoh.connect.endpoints", problem));
     }
+    sessions::check_endpoints(zenoh, document)?;
     Ok(endpoints(&config, "connect", "client"))
 }
 
@@ -218,6 +219,7 @@ mod tests {
             ("[store]\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n", "the system chooses the port"),
             ("[store]\n[zenoh]\nlisten.endpoints = []\n", "has no endpoint"),
             ("[store]\nsise = 1\n", "b.toml:2: store.sise: unknown field"),
+            ("[zenoh]\nmode = \"client\"\nconnect.endpoints = [\"tcp/h\"]\n", "\"tcp/h\": the port is missing"),
         ] {
             let error = session(text).unwrap_err().to_string();
             assert!(error.starts_with("b.toml:") && error.contains(expected), "{text}: {error}");
