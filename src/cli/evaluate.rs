@@ -22,7 +22,7 @@ use crate::{
 ///
 /// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
 /// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not
-/// met, each named on stderr; 73 the file of --out cannot be created.
+/// met, each named on stderr; 64 --out is no .svg or .html; 73 the file of --out cannot be created.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \
@@ -47,6 +47,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
+    arguments.out.as_deref().map_or(Ok(()), |out| output::of_format(out, ["svg", "html"]))?;
     let amount = if arguments.quick { Amount::QUICK } else { Amount::FULL };
     let plan = Plan::new(arguments.seed, amount, Settings::default());
     arguments.out.as_deref().map_or(Ok(()), output::creatable)?;

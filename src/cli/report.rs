@@ -24,7 +24,7 @@ use crate::{
 /// The file contains everything that it shows, and no links. The daemon may run. The limits in the charts are those of
 /// the configuration.
 ///
-/// Exit codes: 0 written; 65 the file is no database of pointsd, or of another version; 66 there is no database, or no
+/// Exit codes: 0 written; 64 --out names another format than HTML; 65 the file is no database of pointsd, or of another version; 66 there is no database, or no
 /// throw of this machine; 73 the file cannot be written; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
@@ -43,6 +43,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
+    output::of_format(&arguments.out, ["html", "htm"])?;
     let path = arguments.location.find()?;
     let diagnosis = match arguments.location.config() {
         Some(file) => Document::read(file).and_then(|document| diagnosis(&document)).or_exit(Exit::Config)?,
