@@ -81,6 +81,11 @@ pub(super) fn size(change_pct: f64, change_pct_sd: f64) -> String {
     web::size(change_pct, change_pct_sd).replace('−', "-")
 }
 
+/// A change \[%\] of one throw, as on the pages, but with an ASCII minus sign.
+pub(super) fn signed(change_pct: f64) -> String {
+    web::signed(change_pct, 1).replace('−', "-")
+}
+
 /// A table without borders.
 pub(super) fn plain_table(header: impl Into<Row>) -> Table {
     let mut table = Table::new();
@@ -144,6 +149,19 @@ pub(super) fn width() -> u16 {
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
+/// Refuses an output file whose extension names a format that the command does not write.
+pub(super) fn of_format(path: &Path, formats: [&str; 2]) -> Result<(), Failure> {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    match extension.filter(|extension| !formats.contains(&extension.as_str())) {
+        None => Ok(()),
+        Some(other) => {
+            let problem =
+                format!("--out {}: cannot write {other}, only {} or {}", path.display(), formats[0], formats[1]);
+            Err(Failure::new(Exit::Usage, anyhow::anyhow!(problem)))
+        }
+    }
+}
+
 /// Creates an output file before the long work of a command, so that an error shows at once. An existing file keeps its
 /// content.
 pub(super) fn creatable(path: &Path) -> Result<(), Failure> {
@@ -177,6 +195,14 @@ mod tests {
         assert_eq!(after(Ok(()), Exit::Negative).unwrap(), Exit::Negative);
         assert_eq!(after(failed(io::ErrorKind::BrokenPipe), Exit::Negative).unwrap(), Exit::Negative);
         assert_eq!(after(failed(io::ErrorKind::StorageFull), Exit::Negative).unwrap_err().exit, Exit::Io);
+    }
+
+    #[test]
+    fn a_file_of_another_format_is_refused() {
+        let check =
+            |name: &str| of_format(Path::new(name), ["svg", "html"]).map_err(|refused| refused.error.to_string());
+        assert!(["a.svg", "a.HTML", "a", "-", "/dev/stdout"].iter().all(|name| check(name).is_ok()));
+        assert_eq!(check("b/a.png").unwrap_err(), "--out b/a.png: cannot write png, only svg or html");
     }
 
     #[test]

@@ -213,8 +213,8 @@ fn print_machines(
         for row in *rows {
             let of_ratio = [None, row.a1_per_b0_pct, row.a0_per_b0_pct];
             let change = |of: usize| match (row.change_pct, of_ratio[of]) {
-                (Some(pct), _) => format!("{:+.1} %", pct[of]),
-                (None, Some(pct)) => format!("{pct:+.1} % per motor"),
+                (Some(pct), _) => format!("{} %", output::signed(pct[of])),
+                (None, Some(pct)) => format!("{} % per motor", output::signed(pct)),
                 (None, None) => String::new(),
             };
             let rejected = if row.is_rejected() { ", rejected" } else { "" };

@@ -46,7 +46,7 @@ use overview::Web;
 use page::{Failure, STYLE, asset};
 
 pub use machine::{Span, report};
-pub(crate) use state::{forecast, size};
+pub(crate) use state::{forecast, signed, size};
 
 const REFRESH: &str = include_str!("pages/refresh.js");
 const CHARTS: &str = include_str!("pages/charts.js");

@@ -50,7 +50,7 @@ pub(crate) fn size(change_pct: f64, sd: f64) -> String {
 }
 
 /// A signed number with a typographic minus sign, never "−0".
-pub(super) fn signed(value: f64, decimals: usize) -> String {
+pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = format!("{value:+.decimals$}");
     if text.chars().all(|c| !c.is_ascii_digit() || c == '0') {
         text.replace('-', "+")
