@@ -114,6 +114,7 @@ async fn import(
 ) -> Outcome {
     let mut first = Some(first);
     let mut last = pipeline.last_start(&arguments.machine).await.or_exit(Exit::Io)?;
+    let mut is_warned = false;
     for (number, file) in arguments.files.iter().enumerate() {
         let throws = first.take().map_or_else(|| read(arguments, number, file, exports), Ok)?;
         for throw in throws {
@@ -127,8 +128,13 @@ async fn import(
             match spooled {
                 Spooled::New(_) => {
                     count.new += 1;
-                    if let Some(last) = last.take_if(|last| throw.started_at < *last) {
-                        warn_about_order(&arguments.machine, throw.started_at, last, file);
+                    match last {
+                        Some(before) if throw.started_at < before => {
+                            if !std::mem::replace(&mut is_warned, true) {
+                                warn_about_order(&arguments.machine, throw.started_at, before, file);
+                            }
+                        }
+                        _ => last = Some(throw.started_at),
                     }
                 }
                 Spooled::Duplicate => count.known += 1,
@@ -139,7 +145,7 @@ async fn import(
     Ok(Exit::Ok)
 }
 
-/// Warns that a throw is older than the last throw in the database: throws are judged in the order of the import.
+/// Warns that a throw is older than an earlier one in the database: throws are judged in the order of the import.
 fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp, file: &Path) {
     eprintln!(
         "warning: {}: this throw is of {}, before the last one of {machine} in the database, of {}. Imported throws are \
@@ -152,7 +158,11 @@ fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp,
 }
 
 fn read(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Vec<Throw>, Failure> {
-    if is_json(file) { read_json(file) } else { read_csv(arguments, number, file, exports).map(|throw| vec![throw]) }
+    if is_json(file) {
+        read_json(&arguments.machine, file)
+    } else {
+        read_csv(arguments, number, file, exports).map(|throw| vec![throw])
+    }
 }
 
 fn is_json(file: &Path) -> bool {
@@ -160,7 +170,7 @@ fn is_json(file: &Path) -> bool {
     file == Path::new("-") || file.extension().is_some_and(is_name)
 }
 
-fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
+fn read_json(machine: &MachineId, file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
     let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
     let bytes = wire::without_byte_order_mark(&bytes);
@@ -169,7 +179,10 @@ fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
         return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
     }
     match wire::decode_throw(Encoding::Json, bytes) {
-        Ok(throw) => return Ok(vec![throw]),
+        Ok(throw) => {
+            check_machine(machine, bytes).with_context(name).or_exit(Exit::Data)?;
+            return Ok(vec![throw]);
+        }
         // Any other file may have a throw on each line, and an error must name the line.
         Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
@@ -179,10 +192,28 @@ fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
     lines
         .map(|(at, line)| {
-            let throw = wire::decode_throw(Encoding::Json, line);
+            let throw = wire::decode_throw(Encoding::Json, line).map_err(anyhow::Error::new);
+            let throw = throw.and_then(|throw| check_machine(machine, line).map(|()| throw));
             throw.with_context(|| format!("{}, line {}", name(), at + 1)).or_exit(Exit::Data)
         })
         .collect()
+}
+
+/// Refuses a throw with the name of another machine. The message has no field for it, but a program that records
+/// throws of several machines may add one.
+fn check_machine(machine: &MachineId, json: &[u8]) -> anyhow::Result<()> {
+    #[derive(Deserialize)]
+    struct Names {
+        site: String,
+        machine: String,
+    }
+    match serde_json::from_slice(json) {
+        Ok(Names { site, machine: name }) if site != machine.site.as_str() || name != machine.machine.as_str() => {
+            bail!("a throw of {site}/{name}, and --machine is {machine}: import each machine alone")
+        }
+        // Without both fields, or with other values in them, the message does not name a machine.
+        _ => Ok(()),
+    }
 }
 
 /// Whether the bytes are a single JSON object, over one or more lines.

@@ -87,6 +87,27 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
 }
 
 #[test]
+fn throws_out_of_order_are_warned_about_and_those_of_another_machine_refused() {
+    let rig = Rig::new();
+    let json: Vec<_> = throws("recorded", 4).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let file = rig.folder().join("many.jsonl");
+    fs::write(&file, [&json[1][..], &json[0], &json[2]].join(&b'\n')).unwrap();
+    let (said, error) = imported(&rig, &[&file], &[]);
+    assert!(said.starts_with("3 throws imported"), "{said}");
+    assert!(error.starts_with("warning: ") && error.contains("judged as the newest"), "{error}");
+    assert_eq!(error.matches("warning").count(), 1, "{error}");
+
+    let named = |names: &str| [b"{", names.as_bytes(), &json[3][1..]].concat();
+    fs::write(&file, named(r#""site":"north","machine":"21C","#)).unwrap();
+    refused(&rig, &[&file], 65, "a throw of north/21C, and --machine is north/21B");
+    // One of these fields alone, or the right names, are no reason to refuse.
+    fs::write(&file, named(r#""machine":"S700K","#)).unwrap();
+    imported(&rig, &[&file], &[]);
+    fs::write(&file, named(r#""site":"north","machine":"21B","#)).unwrap();
+    imported(&rig, &[&file], &[]);
+}
+
+#[test]
 fn no_database_is_made_for_a_missing_or_invalid_file() {
     let rig = Rig::new();
     let [good, bad, missing] = ["good.json", "bad.csv", "missing.csv"].map(|name| rig.folder().join(name));
