@@ -353,8 +353,19 @@ impl Reader {
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
+    /// The state of a machine now, with its drifts and caveats. A retired machine has only a caveat that says so.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        Ok(self.external_row(machine_query(sql::STATE, machine)).await?.unwrap_or_default())
+        if let Some(present) = self.external_row(machine_query(sql::STATE, machine)).await? {
+            return Ok(present);
+        }
+        // Without a monitor the last command may have retired the machine: its state alone would hide this.
+        let last = self.commands_of(machine, 1).await?;
+        let caveat = |command: &CommandRow| {
+            let (at, by, why) = (utc(&command.at), &command.by, command.why.as_deref().unwrap_or_default());
+            format!("Machine {machine}: it is not monitored, as it was retired at {at} by {by}: {why}.")
+        };
+        let caveats = last.iter().filter(|command| command.command == "retire").map(caveat).collect();
+        Ok(Present { caveats, ..Present::default() })
     }
 
     /// The previous and the next throw of a machine, in the order of their start.
