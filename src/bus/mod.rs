@@ -14,10 +14,10 @@ mod presence;
 mod queries;
 mod session;
 
-pub(crate) use backlog::{PageEnd, page};
+pub(crate) use backlog::page;
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
-pub(crate) use message::{Limits, Message};
+pub(crate) use message::Message;
 pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
