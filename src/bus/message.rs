@@ -37,7 +37,7 @@ impl Message {
 }
 
 /// The first `limit` bytes of a payload, or all of it.
-pub(super) fn beginning(payload: &ZBytes, limit: usize) -> Vec<u8> {
+fn beginning(payload: &ZBytes, limit: usize) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(payload.len().min(limit));
     for slice in payload.slices() {
         let left = limit - bytes.len();

@@ -38,7 +38,7 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, BusError, Inbox, Outlet, QueryQueue, SubscriberWatch},
+    bus::{self, BusError, Inbox, Outlet, QueryQueue},
     store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
@@ -259,7 +259,7 @@ impl Starting {
             outlet,
             status: Arc::clone(&self.status),
             outbox: Arc::clone(&self.outbox),
-            audience: SubscriberWatch::of(&self.session, &self.scope(Kind::Alarm)).await?,
+            audience: bus::declare_publisher(&self.session, self.scope(Kind::Alarm)).await?,
             is_first,
             is_client: bus::is_client(&self.config.zenoh),
         };

@@ -3,10 +3,7 @@
 use std::{path::Path, sync::Arc};
 
 use jiff::Timestamp;
-use tokio::{
-    sync::{OwnedSemaphorePermit, Semaphore},
-    task,
-};
+use tokio::task;
 
 use super::{
     error::StoreError,
@@ -37,13 +34,7 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
-    /// The unused part of [`MEMORY_BUDGET_KIB`].
-    memory_budget: Arc<Semaphore>,
 }
-
-/// Largest memory of the throws that wait for their commit \[KiB\]: four throws of the largest size, or a thousand of
-/// usual size. Further callers wait.
-const MEMORY_BUDGET_KIB: u32 = 64 * 1024;
 
 /// The result of [`Store::open`].
 pub struct Opened {
@@ -80,8 +71,7 @@ impl Store {
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
-        let memory_budget = Arc::new(Semaphore::new(MEMORY_BUDGET_KIB as usize));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files, memory_budget };
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files };
         Ok(Opened { store, report })
     }
 
@@ -114,7 +104,7 @@ impl Store {
     /// # Errors
     /// When the throws could not be stored; the same call may be repeated.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Result<Vec<Spooled>, StoreError> {
-        let (spools, _memory) = self.prepare(throws.to_vec()).await?;
+        let spools = compress(throws.to_vec()).await?;
         let spooled = self.writer.write(Spools(spools)).await?;
         for ((_, throw, _), spooled) in throws.iter().zip(&spooled) {
             if let Spooled::New(row) = spooled {
@@ -122,19 +112,6 @@ impl Store {
             }
         }
         Ok(spooled)
-    }
-
-    /// Compresses throws on a blocking thread, and waits for the memory that they need: at most the whole budget, which
-    /// the permit gives back.
-    async fn prepare(
-        &self,
-        throws: Vec<(MachineId, Throw, Timestamp)>,
-    ) -> Result<(Vec<Spool>, OwnedSemaphorePermit), StoreError> {
-        let compress = move || throws.into_iter().map(|(machine, throw, at)| Spool::new(machine, throw, at)).collect();
-        let spools: Vec<Spool> = task::spawn_blocking(compress).await.map_err(|_| StoreError::Closed)?;
-        let kib = spools.iter().map(Spool::kib).fold(0, u32::saturating_add).min(MEMORY_BUDGET_KIB);
-        let memory = Arc::clone(&self.memory_budget).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)?;
-        Ok((spools, memory))
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
@@ -149,7 +126,7 @@ impl Store {
         at: Timestamp,
     ) -> Result<PageStored, StoreError> {
         let throws = throws.iter().map(|throw| (machine.clone(), throw.clone(), at)).collect();
-        let (throws, _memory) = self.prepare(throws).await?;
+        let throws = compress(throws).await?;
         self.writer.write(Page { machine: machine.clone(), after: after.cloned(), throws, at }).await
     }
 
@@ -228,4 +205,10 @@ impl Store {
         self.reader.close().await;
         self.writer.close().await
     }
+}
+
+/// Compresses throws, on a blocking thread.
+async fn compress(throws: Vec<(MachineId, Throw, Timestamp)>) -> Result<Vec<Spool>, StoreError> {
+    let compress = move || throws.into_iter().map(|(machine, throw, at)| Spool::new(machine, throw, at)).collect();
+    task::spawn_blocking(compress).await.map_err(|_| StoreError::Closed)
 }

@@ -43,11 +43,6 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    /// Memory of the waiting throw \[KiB\].
-    pub(crate) fn kib(&self) -> u32 {
-        u32::try_from((self.current.data.len() + self.position.data.len()) / 1024 + 1).unwrap_or(u32::MAX)
-    }
-
     pub(crate) fn new(machine: MachineId, throw: Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         let has_position = throw.trace.has_position();
