@@ -10,7 +10,7 @@ use zenoh::{
     sample::SampleKind,
 };
 
-use super::message::{Limits, Message};
+use super::message::{Message, kept};
 use crate::wire::BacklogQuery;
 
 /// Largest page \[bytes\]. The first reply is kept whatever its size. Replies beyond the limit are dropped and queried
@@ -21,29 +21,20 @@ const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest kept text of an error reply \[characters\].
 const MAX_ERROR: usize = 200;
 
-/// How a page ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum PageEnd {
-    /// All replies of the logger arrived.
-    #[default]
-    Complete,
-    /// The query failed or timed out: the logger may have more throws.
-    Broken,
-}
-
 /// The replies of a logger to a query for a page.
 #[derive(Debug, Default)]
 pub(crate) struct Page {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    pub ending: PageEnd,
+    /// Whether all replies of the logger arrived; otherwise it may have more throws.
+    pub is_complete: bool,
     /// The last error reply: from the logger, or from zenoh at the time limit.
     pub error: Option<String>,
 }
 
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
-pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
+pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max_payload_bytes: usize) -> Page {
     // The page so far, and its size \[bytes\].
     let collected = Arc::new(Mutex::new((Page::default(), 0)));
     // Zenoh drops the callback, and the sender with it, after the last reply.
@@ -65,8 +56,8 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
         let is_wanted = sample.kind() == SampleKind::Put && sample.key_expr().as_str() == asked_key;
         if !is_wanted || page.messages.len() >= limit {
             page.ignored += 1;
-        } else if page.messages.is_empty() || *bytes + limits.kept(sample.payload().len()) <= PAGE_BYTES {
-            let message = Message::of(&sample, limits);
+        } else if page.messages.is_empty() || *bytes + kept(sample.payload().len(), max_payload_bytes) <= PAGE_BYTES {
+            let message = Message::of(&sample, max_payload_bytes);
             *bytes += message.memory();
             page.messages.push(message);
         } else {
@@ -83,6 +74,5 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let (page, _) = std::mem::take(&mut *collected.lock());
-    let ending = if has_ended && page.error.is_none() { PageEnd::Complete } else { PageEnd::Broken };
-    Page { ending, ..page }
+    Page { is_complete: has_ended && page.error.is_none(), ..page }
 }

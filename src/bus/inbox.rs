@@ -11,7 +11,7 @@ use zenoh::{Session, pubsub::Subscriber, sample::Sample};
 use super::{
     error::BusError,
     fair_queue::FairQueue,
-    message::{Limits, Message},
+    message::{Message, kept},
 };
 
 /// Payload after which a batch is full \[bytes\]; decoded throws take up to four times as much memory.
@@ -49,11 +49,11 @@ impl Inbox {
     pub(crate) async fn subscribe(
         session: &Session,
         key_expression: &str,
-        limits: Limits,
+        max_payload_bytes: usize,
     ) -> Result<(Self, mpsc::Receiver<String>), BusError> {
         let (dropped, dropped_keys) = mpsc::channel(DROPPED_KEYS);
         let counters = Arc::<InboxCounters>::default();
-        let callback = Callback { dropped, counters: Arc::clone(&counters), limits };
+        let callback = Callback { dropped, counters: Arc::clone(&counters), max_payload_bytes };
         let subscriber = session
             .declare_subscriber(key_expression.to_owned())
             .callback(move |sample| callback.on_sample(&sample))
@@ -99,15 +99,15 @@ impl Inbox {
 struct Callback {
     dropped: mpsc::Sender<String>,
     counters: Arc<InboxCounters>,
-    limits: Limits,
+    max_payload_bytes: usize,
 }
 
 impl Callback {
     fn on_sample(&self, sample: &Sample) {
         self.counters.received.fetch_add(1, Relaxed);
         let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
-        let memory = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();
-        if self.counters.queue.push(key, memory, || Message::of(sample, self.limits)) {
+        let memory = kept(sample.payload().len(), self.max_payload_bytes) + key.len() + content_type.len();
+        if self.counters.queue.push(key, memory, || Message::of(sample, self.max_payload_bytes)) {
             return self.counters.queued.notify_one();
         }
         self.counters.dropped.fetch_add(1, Relaxed);

@@ -19,20 +19,12 @@ pub(crate) struct Message {
     pub is_delete: bool,
 }
 
-/// Size limits of received payloads.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Limits {
-    /// Largest accepted payload \[bytes\].
-    pub max_payload_bytes: usize,
-    /// Bytes kept of a larger payload, for the quarantine.
-    pub kept_of_larger_bytes: usize,
-}
+/// Bytes kept of a payload above the size limit: enough to recognise format and sender in the quarantine.
+const KEPT_OF_LARGER: usize = 1024;
 
-impl Limits {
-    /// Number of bytes that are kept of a payload of this size.
-    pub(super) fn kept(self, bytes: usize) -> usize {
-        if bytes > self.max_payload_bytes { self.kept_of_larger_bytes } else { bytes }
-    }
+/// Number of bytes that are kept of a payload of `bytes`, with the limit `max_bytes`.
+pub(super) fn kept(bytes: usize, max_bytes: usize) -> usize {
+    if bytes > max_bytes { KEPT_OF_LARGER } else { bytes }
 }
 
 impl Message {
@@ -41,9 +33,9 @@ impl Message {
         self.payload.len() + self.key.len() + self.content_type.len()
     }
 
-    pub(super) fn of(sample: &Sample, limits: Limits) -> Self {
+    pub(super) fn of(sample: &Sample, max_bytes: usize) -> Self {
         let bytes = sample.payload().len();
-        let payload = beginning(sample.payload(), limits.kept(bytes));
+        let payload = beginning(sample.payload(), kept(bytes, max_bytes));
         let key = sample.key_expr().as_str().to_owned();
         let is_delete = sample.kind() == SampleKind::Delete;
         Self { key, content_type: sample.encoding().to_string(), payload, bytes, is_delete }
@@ -51,7 +43,7 @@ impl Message {
 }
 
 /// The first `limit` bytes of a payload, or all of it.
-pub(super) fn beginning(payload: &ZBytes, limit: usize) -> Vec<u8> {
+fn beginning(payload: &ZBytes, limit: usize) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(payload.len().min(limit));
     for slice in payload.slices() {
         let left = limit - bytes.len();

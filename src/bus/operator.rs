@@ -1,6 +1,6 @@
 //! Queries and commands from operators' programs to running daemons.
 
-use std::time::Duration;
+use std::{borrow::Cow, time::Duration};
 
 use zenoh::{
     Session,
@@ -28,44 +28,9 @@ pub enum OperatorError {
         "no daemon answers: none is connected to this router. Is pointsd running, and does [zenoh] connect to the same router?"
     )]
     NoDaemon,
-    /// Daemons run, and none of them accepts commands for the machine.
-    #[error(
-        "no daemon serves {0}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
-    )]
-    NotServed(String),
-    /// Daemons run, and none of them has a throw of the machine.
-    #[error(
-        "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does \
-         subscribe.key of a running pointsd include it?"
-    )]
-    Unknown(String),
-    /// More than one daemon would apply the command.
-    #[error(
-        "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: correct \
-         subscribe.key, or connect to a daemon that no router joins to the others"
-    )]
-    Several {
-        /// The machine.
-        machine: String,
-        /// Names and sessions of the daemons.
-        daemons: String,
-    },
-    /// The daemon that answers is not the one named in the configuration.
-    #[error(
-        "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
-    )]
-    AnotherDaemon {
-        /// Name of the daemon that answers.
-        found: String,
-        /// The name in the configuration.
-        expected: String,
-    },
-    /// A daemon answers without its name.
-    #[error("nothing was sent: a daemon that serves {0} does not give its name; it may be an older version")]
-    Nameless(String),
-    /// The daemon stopped answering between the query and the command.
-    #[error("the daemon {0} stopped answering: check with pointsd alarms whether the command was applied")]
-    Gone(String),
+    /// The running daemons do not fit the query or command, or the daemon stopped answering; as a sentence.
+    #[error("{0}")]
+    WrongDaemons(String),
     /// A daemon did not answer in time.
     #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
     Timeout,
@@ -81,6 +46,14 @@ pub struct Answers {
     pub messages: Vec<(String, Vec<u8>)>,
     /// The errors of daemons that gave no answer.
     pub errors: Vec<OperatorError>,
+}
+
+impl OperatorError {
+    fn another_daemon(found: &str, expected: &str) -> Self {
+        Self::WrongDaemons(format!(
+            "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
+        ))
+    }
 }
 
 impl Answers {
@@ -123,13 +96,9 @@ pub async fn ask(
                 answers.messages.push((sample.key_expr().to_string(), payload));
             }
             Err(error) => {
-                let text =
-                    error.payload().try_to_string().map_or_else(|_| "an error".to_owned(), |text| text.to_string());
-                answers.errors.push(if text == TIMEOUT {
-                    OperatorError::Timeout
-                } else {
-                    OperatorError::Refused(text)
-                });
+                let text = error.payload().try_to_string().map_or_else(|_| "an error".to_owned(), Cow::into_owned);
+                let is_timeout = text == TIMEOUT;
+                answers.errors.push(if is_timeout { OperatorError::Timeout } else { OperatorError::Refused(text) });
             }
         }
     }
@@ -149,21 +118,38 @@ pub(crate) async fn command(
     let key = machine_key(machine, Kind::Command);
     let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
     let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload));
-    let daemons = daemons.collect::<Result<Vec<_>, _>>().map_err(|_| OperatorError::Nameless(machine.to_string()))?;
+    let wrong = |problem: String| Err(OperatorError::WrongDaemons(problem));
+    let Ok(daemons) = daemons.collect::<Result<Vec<_>, _>>() else {
+        return wrong(format!(
+            "nothing was sent: a daemon that serves {machine} does not give its name; it may be an older version"
+        ));
+    };
     let commander = match daemons.as_slice() {
         [only] => only,
-        [] if !monitors(session).await?.is_empty() => return Err(OperatorError::NotServed(machine.to_string())),
-        [] => return Err(OperatorError::NoDaemon),
+        [] if monitors(session).await?.is_empty() => return Err(OperatorError::NoDaemon),
+        [] => {
+            return wrong(format!(
+                "no daemon serves {machine}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
+            ));
+        }
         several => {
             let names = several.iter().map(|daemon| format!("{} (session {})", daemon.monitor, daemon.session));
             let daemons = names.collect::<Vec<_>>().join(" and ");
-            return Err(OperatorError::Several { machine: machine.to_string(), daemons });
+            return wrong(format!(
+                "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: \
+                 correct subscribe.key, or connect to a daemon that no router joins to the others"
+            ));
         }
     };
     if let Some(expected) = expected.map(ToString::to_string).filter(|expected| *expected != commander.monitor) {
-        return Err(OperatorError::AnotherDaemon { found: commander.monitor.clone(), expected });
+        return Err(OperatorError::another_daemon(&commander.monitor, &expected));
     }
-    let gone = || OperatorError::Gone(commander.monitor.clone());
+    let gone = || {
+        let name = &commander.monitor;
+        OperatorError::WrongDaemons(format!(
+            "the daemon {name} stopped answering: check with pointsd alarms whether the command was applied"
+        ))
+    };
     let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), ANSWER_TIMEOUT).await?;
     match answers.complete() {
         Ok(replies) => replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(gone),
@@ -201,7 +187,7 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     } else if found.is_empty() {
         Err(OperatorError::NoDaemon)
     } else {
-        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected })
+        Err(OperatorError::another_daemon(&found.join(" and "), &expected))
     }
 }
 
@@ -215,7 +201,10 @@ pub(crate) async fn require_monitored(session: &Session, machine: Option<&Machin
     let health = ask(session, &machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
     if health.is_empty() && !is_running(session, machine).await? {
-        return Err(OperatorError::Unknown(machine.to_string()));
+        return Err(OperatorError::WrongDaemons(format!(
+            "no daemon knows {machine}, which is not the same as no alarms: is the name right, has it sent a throw, and \
+             does subscribe.key of a running pointsd include it?"
+        )));
     }
     Ok(())
 }

@@ -30,21 +30,10 @@ const ALARMS: usize = 16;
 /// From this number of machines on, the keys of a site are declared. Zenoh keeps 2.6 kB for a declared key and its
 /// route, as long as the session is open. At each put with an undeclared key, zenoh compares it with every key of the
 /// site, which takes 0.2 µs for each of them.
-const LARGE_SITE: usize = 100;
-/// From this number of machines on, the keys of a site are declared even if [`DECLARED`] keys are declared already. A
-/// put with an undeclared key of a smaller site takes up to 60 µs longer.
-const VERY_LARGE_SITE: usize = 300;
-/// From this number of declared keys on, only keys of very large sites are declared. With 20,000 machines in sites of a
-/// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this limit.
-const DECLARED: usize = 1_000;
+const LARGE_SITE: usize = 300;
 
-/// The keys of the machines, and how many of them are declared.
-#[derive(Default)]
-struct Keys {
-    /// The keys of each site; `None` if a key is not declared.
-    sites: HashMap<String, HashMap<String, Option<KeyExpr<'static>>>>,
-    declared: usize,
-}
+/// The keys of the machines of each site; `None` if a key is not declared.
+type Keys = HashMap<String, HashMap<String, Option<KeyExpr<'static>>>>;
 
 /// Counters since the start.
 #[derive(Debug, Default)]
@@ -147,12 +136,11 @@ fn put(session: &Session, keys: &mut Keys, key: &str, payload: Vec<u8>, priority
     let failed = |error| BusError::new(format!("publish on {key}"))(error);
     // The start of the key, up to the site.
     let site = key.rsplitn(3, '/').last().unwrap_or(key);
-    let site = keys.sites.entry(site.to_owned()).or_default();
-    let is_large = site.len() >= if keys.declared < DECLARED { LARGE_SITE } else { VERY_LARGE_SITE };
+    let site = keys.entry(site.to_owned()).or_default();
+    let is_large = site.len() >= LARGE_SITE;
     let declared = site.entry(key.to_owned()).or_default();
     if is_large && declared.is_none() {
         *declared = Some(session.declare_keyexpr(key.to_owned()).wait().map_err(failed)?);
-        keys.declared += 1;
     }
     let put = match declared {
         Some(declared) => session.put(&*declared, payload),

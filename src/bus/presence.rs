@@ -1,8 +1,7 @@
-//! Watches the liveliness tokens of loggers and daemons, and whether there are subscribers.
+//! Watches the liveliness tokens of loggers and daemons.
 
 use zenoh::{
     Session,
-    pubsub::Publisher,
     sample::{Sample, SampleKind},
 };
 
@@ -24,20 +23,4 @@ pub(crate) async fn watch_tokens(
         .background()
         .await
         .map_err(BusError::new(format!("watch the liveliness of {key_expression}")))
-}
-
-/// Watches the subscribers to a key expression, by a zenoh publisher that publishes nothing.
-pub(crate) struct SubscriberWatch(Publisher<'static>);
-
-impl SubscriberWatch {
-    /// Watches for subscribers to any key in the key expression.
-    pub(crate) async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
-        let publisher = session.declare_publisher(key_expression.to_owned()).await;
-        publisher.map(Self).map_err(BusError::new(format!("see the subscribers to {key_expression}")))
-    }
-
-    /// Whether any subscriber is connected now.
-    pub(crate) async fn is_connected(&self) -> bool {
-        self.0.matching_status().await.is_ok_and(|status| status.matching())
-    }
 }

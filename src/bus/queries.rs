@@ -18,7 +18,7 @@ use zenoh::{
     query::{Query, Queryable},
 };
 
-use super::{error::BusError, message::beginning, session::intersect};
+use super::error::BusError;
 
 /// Capacity of the queue \[queries\]: a dashboard sends a few queries per second.
 const QUEUE: usize = 64;
@@ -29,43 +29,11 @@ const BUSY: &str = "too many queries wait at this daemon: ask again in some seco
 /// Largest payload of a query \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
-/// A received query.
-pub struct ReceivedQuery {
-    query: Query,
-}
-
-impl ReceivedQuery {
-    /// Key expression of the query.
-    pub fn key(&self) -> &str {
-        self.query.key_expr().as_str()
-    }
-
-    /// The parameters, the part of the selector after `?`.
-    pub(crate) fn parameters(&self) -> &str {
-        self.query.parameters().as_str()
-    }
-
-    /// The value of a parameter, as in `?name=value`.
-    pub(crate) fn parameter(&self, name: &str) -> Option<&str> {
-        self.query.parameters().get(name)
-    }
-
-    /// The payload, at most `MAX_PAYLOAD`.
-    pub(crate) fn payload(&self) -> Vec<u8> {
-        self.query.payload().map(|payload| beginning(payload, MAX_PAYLOAD)).unwrap_or_default()
-    }
-
-    /// Whether the key expression of the query includes `key`.
-    pub(crate) fn asks_about(&self, key: &str) -> bool {
-        intersect(self.key(), key)
-    }
-}
-
 /// A queryable with a bounded queue of queries.
 pub struct QueryQueue {
-    waiting: mpsc::Receiver<ReceivedQuery>,
+    waiting: mpsc::Receiver<Query>,
     /// Queries that found `waiting` full, for an error reply.
-    refused: mpsc::Receiver<ReceivedQuery>,
+    refused: mpsc::Receiver<Query>,
     dropped: Arc<AtomicU64>,
     /// A permit for each query whose replies are being sent.
     sending: Arc<Semaphore>,
@@ -85,13 +53,13 @@ impl QueryQueue {
         let (refuse, refused) = mpsc::channel(QUEUE);
         let queryable = session
             .declare_queryable(key_expression.to_owned())
-            .callback(move |query| {
+            .callback(move |query: Query| {
                 // A waiting query keeps its payload in memory, so one with a large payload ends without a reply.
                 if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
                     counter.fetch_add(1, Relaxed);
                     return;
                 }
-                if let Err(TrySendError::Full(question)) = sender.try_send(ReceivedQuery { query }) {
+                if let Err(TrySendError::Full(question)) = sender.try_send(query) {
                     counter.fetch_add(1, Relaxed);
                     // If this queue is full too, the query ends without a reply.
                     let _ = refuse.try_send(question);
@@ -110,7 +78,7 @@ impl QueryQueue {
 
     /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this
     /// reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
-    pub async fn next(&mut self) -> Option<ReceivedQuery> {
+    pub async fn next(&mut self) -> Option<Query> {
         // Only the queries that are refused now: during a flood others follow without end.
         for _ in 0..self.refused.len() {
             let question = self.refused.recv().await?;
@@ -124,7 +92,7 @@ impl QueryQueue {
 
     /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are
     /// sent, but first waits while replies to `SENDING` other queries are being sent.
-    pub(crate) async fn answer(&self, question: ReceivedQuery, replies: Result<Vec<(String, Vec<u8>)>, String>) {
+    pub(crate) async fn answer(&self, question: Query, replies: Result<Vec<(String, Vec<u8>)>, String>) {
         // The result is always `Ok`, as nothing closes the semaphore.
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
             send(question, replies, permit);
@@ -134,11 +102,7 @@ impl QueryQueue {
 
 /// Sends replies on a blocking thread: a reply blocks on a slow link, until zenoh closes the link after 5 s without
 /// progress.
-fn send(
-    ReceivedQuery { query }: ReceivedQuery,
-    replies: Result<Vec<(String, Vec<u8>)>, String>,
-    permit: OwnedSemaphorePermit,
-) {
+fn send(query: Query, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
     task::spawn_blocking(move || {
         let _permit = permit;
         let failed = |error| tracing::debug!(%error, "sending a reply failed");

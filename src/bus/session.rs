@@ -6,7 +6,7 @@ use tokio::{
     sync::oneshot,
     time::{self, Instant},
 };
-use zenoh::{Config, Session, Wait as _, key_expr::keyexpr, liveliness::LivelinessToken};
+use zenoh::{Config, Session, Wait as _, key_expr::keyexpr, liveliness::LivelinessToken, pubsub::Publisher};
 
 use super::error::{BusError, OPEN};
 
@@ -52,6 +52,12 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
 pub(crate) async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
     let declared = session.liveliness().declare_token(key.to_owned()).await;
     declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
+}
+
+/// Declares a publisher.
+pub(crate) async fn declare_publisher(session: &Session, key: String) -> Result<Publisher<'static>, BusError> {
+    let declared = session.declare_publisher(key.clone()).await;
+    declared.map_err(BusError::new(format!("see the subscribers to {key}")))
 }
 
 /// Whether two key expressions have a key in common; false if one of the two is invalid.

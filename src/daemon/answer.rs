@@ -1,8 +1,10 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
+use zenoh::{bytes::ZBytes, query::Query};
+
 use super::{judge::commands::CommandSender, supervision::status::StatusSources};
 use crate::{
-    bus::{QueryQueue, ReceivedQuery},
+    bus::{self, QueryQueue},
     store::{Reader, Selector, StoreError, seldom},
     wire::{self, Alarm, CommandTarget, Health, HistoryQuery, Kind},
 };
@@ -35,14 +37,14 @@ impl Answers {
         }
     }
 
-    async fn replies(&self, question: &ReceivedQuery) -> Replies {
+    async fn replies(&self, question: &Query) -> Replies {
         match self {
             Self::Health(reader) => health_replies(question, reader).await,
-            Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
+            Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
             Self::Commands { sender, itself } => {
                 takes_only(question, &["session"])?;
-                match question.parameter("session") {
+                match question.parameters().get("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
                     _ => command_reply(question, sender, itself).await,
                 }
@@ -55,13 +57,18 @@ impl Answers {
     }
 }
 
-/// Refuses a query with a parameter that is not in `known`.
-fn takes_only(question: &ReceivedQuery, known: &[&str]) -> Result<(), String> {
-    wire::check_parameters(question.parameters(), known).map_err(|error| error.to_string())
+/// Whether the key expression of a query includes `key`.
+fn asks_about(question: &Query, key: &str) -> bool {
+    bus::intersect(question.key_expr(), key)
 }
 
-async fn health_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
-    let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
+/// Refuses a query with a parameter that is not in `known`.
+fn takes_only(question: &Query, known: &[&str]) -> Result<(), String> {
+    wire::check_parameters(question.parameters().as_str(), known).map_err(|error| error.to_string())
+}
+
+async fn health_replies(question: &Query, reader: &Reader) -> Replies {
+    let rows = match HistoryQuery::parse(question.parameters().as_str()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
     };
@@ -69,8 +76,8 @@ async fn health_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
     messages(question, rows, message)
 }
 
-async fn alarm_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
-    let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
+async fn alarm_replies(question: &Query, reader: &Reader) -> Replies {
+    let rows = match HistoryQuery::parse(question.parameters().as_str()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.open_alarms(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.alarm_history(&selector(question), since, limit).await,
     };
@@ -80,17 +87,17 @@ async fn alarm_replies(question: &ReceivedQuery, reader: &Reader) -> Replies {
 
 /// The replies for some rows, without those whose key the query does not match.
 fn messages<T>(
-    question: &ReceivedQuery,
+    question: &Query,
     rows: Result<Vec<T>, StoreError>,
     message: impl Fn(T) -> (String, Vec<u8>),
 ) -> Replies {
     let rows = rows.map_err(|error| format!("the daemon cannot answer: {error}"))?;
-    Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
+    Ok(rows.into_iter().map(message).filter(|(key, _)| asks_about(question, key)).collect())
 }
 
-async fn command_reply(question: &ReceivedQuery, sender: &CommandSender, itself: &CommandTarget) -> Replies {
-    let payload = question.payload();
-    let machine = match wire::parse_key(question.key()) {
+async fn command_reply(question: &Query, sender: &CommandSender, itself: &CommandTarget) -> Replies {
+    let payload = question.payload().map(ZBytes::to_bytes).unwrap_or_default();
+    let machine = match wire::parse_key(question.key_expr()) {
         Ok((machine, _)) => machine,
         // A query without payload is no command. On a wildcard as `points/v1/north/21B/*` health and alarms answer it.
         Err(_) if payload.is_empty() => return Ok(Vec::new()),
@@ -106,6 +113,7 @@ async fn command_reply(question: &ReceivedQuery, sender: &CommandSender, itself:
 
 /// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]
 /// then filters their replies.
-fn selector(question: &ReceivedQuery) -> Selector {
-    wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
+fn selector(question: &Query) -> Selector {
+    wire::machine_patterns(question.key_expr())
+        .map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

@@ -16,7 +16,7 @@ use super::{
     supervision::{heartbeat::TaskName, status::Status},
 };
 use crate::{
-    bus::{self, Outlet, SubscriberWatch},
+    bus::{self, Outlet},
     store::{Store, seldom},
 };
 
@@ -40,7 +40,8 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    pub(super) audience: SubscriberWatch,
+    /// Publishes nothing: shows whether alarms have a subscriber.
+    pub(super) audience: zenoh::pubsub::Publisher<'static>,
     /// Whether the database is new: no earlier process published from it, so no subscriber has to reconnect.
     pub(super) is_first: bool,
     pub(super) is_client: bool,
@@ -63,7 +64,7 @@ impl Publisher {
             let since = start.elapsed();
             let waited = since >= AUDIENCE_LIMIT;
             let may_begin = self.is_first || since >= RECONNECT_WAIT;
-            if reaches && may_begin && (stopping || waited || self.audience.is_connected().await) {
+            if reaches && may_begin && (stopping || waited || self.has_audience().await) {
                 last = self.publish(last, &mut accepted).await;
             }
             self.remove_settled(&mut accepted).await;
@@ -77,6 +78,11 @@ impl Publisher {
                 _ = beat.tick() => {}
             }
         }
+    }
+
+    /// Whether any subscriber to alarms is connected now.
+    async fn has_audience(&self) -> bool {
+        self.audience.matching_status().await.is_ok_and(|status| status.matching())
     }
 
     /// Publishes the messages after the row `last`; returns the last row that zenoh accepted.

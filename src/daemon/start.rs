@@ -38,7 +38,7 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, BusError, Inbox, Limits, Outlet, QueryQueue, SubscriberWatch},
+    bus::{self, BusError, Inbox, Outlet, QueryQueue},
     store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
@@ -259,7 +259,7 @@ impl Starting {
             outlet,
             status: Arc::clone(&self.status),
             outbox: Arc::clone(&self.outbox),
-            audience: SubscriberWatch::of(&self.session, &self.scope(Kind::Alarm)).await?,
+            audience: bus::declare_publisher(&self.session, self.scope(Kind::Alarm)).await?,
             is_first,
             is_client: bus::is_client(&self.config.zenoh),
         };
@@ -312,9 +312,8 @@ impl Starting {
         loggers: watch::Receiver<Loggers>,
     ) -> Result<StatusSources, StartError> {
         let subscribe = &self.config.subscribe;
-        let limits =
-            Limits { max_payload_bytes: subscribe.max_payload_bytes, kept_of_larger_bytes: store::QUARANTINED_BYTES };
-        let (inbox, dropped) = Inbox::subscribe(&self.session, &self.scope(Kind::Throw), limits).await?;
+        let (inbox, dropped) =
+            Inbox::subscribe(&self.session, &self.scope(Kind::Throw), subscribe.max_payload_bytes).await?;
         let sources = StatusSources {
             status: Arc::clone(&self.status),
             inbox: inbox.counters(),
@@ -337,7 +336,6 @@ impl Starting {
         let querier = Querier {
             session: self.session.clone(),
             intake: Arc::clone(&intake),
-            limits,
             is_client: bus::is_client(&self.config.zenoh),
             spooled: Arc::clone(&self.stored),
         };

@@ -5,7 +5,7 @@
 
 use pco::{ChunkConfig, DeltaSpec, ModeSpec, standalone};
 
-use crate::throw::{InvalidTrace, MAX_SAMPLES, Trace};
+use crate::throw::{MAX_SAMPLES, Trace};
 
 /// Settings of the compressor, with the measured reasons:
 ///
@@ -63,15 +63,17 @@ pub enum UnreadableTrace {
     /// Retention has deleted the trace.
     #[error("the trace was dropped to save space")]
     Dropped,
-    /// A newer version wrote the trace with an unknown codec.
-    #[error("the codec {0:?} is unknown: a newer version of this program wrote it")]
-    Codec(String),
-    /// The bytes are damaged, with the reason.
-    #[error("the stored bytes are damaged ({0})")]
-    Damaged(String),
-    /// The values do not form a trace.
-    #[error("the stored values do not form a trace: {0}")]
-    Invalid(#[from] InvalidTrace),
+    /// The bytes are damaged, or a newer version wrote them; as a sentence.
+    #[error("{0}")]
+    Unreadable(String),
+}
+
+fn damaged(reason: impl std::fmt::Display) -> UnreadableTrace {
+    UnreadableTrace::Unreadable(format!("the stored bytes are damaged ({reason})"))
+}
+
+fn no_trace(problem: impl std::fmt::Display) -> UnreadableTrace {
+    UnreadableTrace::Unreadable(format!("the stored values do not form a trace: {problem}"))
 }
 
 /// Compresses a channel.
@@ -135,26 +137,28 @@ fn hasher(values: &[f64]) -> crc32fast::Hasher {
 
 /// Decodes `samples` values of a channel.
 fn decode(channel: &Channel, samples: usize) -> Result<Vec<f64>, UnreadableTrace> {
-    let codec = channel.codec.parse().map_err(|_| UnreadableTrace::Codec(channel.codec.clone()))?;
-    match codec {
+    let unknown = |_| {
+        let codec = &channel.codec;
+        UnreadableTrace::Unreadable(format!("the codec {codec:?} is unknown: a newer version of this program wrote it"))
+    };
+    match channel.codec.parse().map_err(unknown)? {
         Codec::PcoF32 => Ok(unpacked::<f32>(&channel.data, samples)?.into_iter().map(f64::from).collect()),
         Codec::PcoF64 => unpacked(&channel.data, samples),
         Codec::RawF64 if channel.data.len() == samples * size_of::<f64>() => {
             Ok(channel.data.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
         }
-        Codec::RawF64 => Err(UnreadableTrace::Damaged(format!("{} bytes for {samples} samples", channel.data.len()))),
+        Codec::RawF64 => Err(damaged(format!("{} bytes for {samples} samples", channel.data.len()))),
     }
 }
 
 /// Decompresses exactly `samples` values, so that damaged bytes cannot use more memory.
 fn unpacked<T: pco::data_types::Number + Default>(data: &[u8], samples: usize) -> Result<Vec<T>, UnreadableTrace> {
     let mut values = vec![T::default(); samples];
-    let progress = standalone::simple_decompress_into(data, &mut values)
-        .map_err(|error| UnreadableTrace::Damaged(error.to_string()))?;
+    let progress = standalone::simple_decompress_into(data, &mut values).map_err(damaged)?;
     if progress.finished && progress.n_processed == samples {
         Ok(values)
     } else {
-        Err(UnreadableTrace::Damaged(format!("{} of {samples} samples", progress.n_processed)))
+        Err(damaged(format!("{} of {samples} samples", progress.n_processed)))
     }
 }
 
@@ -167,13 +171,13 @@ pub(super) fn trace(
     crc32: u32,
 ) -> Result<Trace, UnreadableTrace> {
     if samples > MAX_SAMPLES {
-        return Err(InvalidTrace::SampleCount { samples }.into());
+        return Err(no_trace(format!("{samples} samples a channel, must be 1 to {MAX_SAMPLES}")));
     }
     let (current_a, position_mm) = (decode(current, samples)?, decode(position, samples)?);
     if Checksums::of(&current_a, &position_mm).both != crc32 {
-        return Err(UnreadableTrace::Damaged("wrong checksum".to_owned()));
+        return Err(damaged("wrong checksum"));
     }
-    Ok(Trace::new(sample_rate_hz, current_a, position_mm)?)
+    Trace::new(sample_rate_hz, current_a, position_mm).map_err(no_trace)
 }
 
 #[cfg(test)]

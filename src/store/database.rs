@@ -3,7 +3,7 @@
 use std::{path::Path, sync::Arc};
 
 use jiff::Timestamp;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task;
 
 use super::{
     error::StoreError,
@@ -18,12 +18,10 @@ use super::{
     writer::{
         Writer,
         backlog_page::{Cursor, Page, PageStored, WriteOff},
-        batch::MAX_ROWS,
         connection::WritingConnection,
         judgement::{Judgement, Judgements, Outcome},
         quarantine::{Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
-        write::CommitReceiver,
     },
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
@@ -36,13 +34,7 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
-    /// The unused part of [`MEMORY_BUDGET_KIB`].
-    memory_budget: Arc<Semaphore>,
 }
-
-/// Largest memory of the throws that wait for their commit \[KiB\]: four throws of the largest size, or a thousand of
-/// usual size. Further callers wait.
-const MEMORY_BUDGET_KIB: u32 = 64 * 1024;
 
 /// The result of [`Store::open`].
 pub struct Opened {
@@ -79,8 +71,7 @@ impl Store {
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
-        let memory_budget = Arc::new(Semaphore::new(MEMORY_BUDGET_KIB as usize));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files, memory_budget };
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files };
         Ok(Opened { store, report })
     }
 
@@ -104,48 +95,23 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        let throw = Spool::new(machine, throw, received_at);
-        let mut spooled = self.submit(vec![throw]).await?.await.map_err(|_| StoreError::Closed)??;
+        let mut spooled = self.spool_all(&[(machine.clone(), throw.clone(), received_at)]).await?;
         spooled.pop().ok_or(StoreError::Closed)
     }
 
-    /// Stores several throws in as few commits as possible; returns the results in their order.
-    pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut submitted = Vec::with_capacity(throws.len().div_ceil(MAX_ROWS));
-        for group in throws.chunks(MAX_ROWS) {
-            let writes = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
-            submitted.push((group, self.submit(writes).await));
-        }
-        let mut answers = Vec::with_capacity(throws.len());
-        for (group, submitted) in submitted {
-            let mut stored = match submitted {
-                Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
-                Err(error) => Err(error),
-            }
-            .map(Vec::into_iter);
-            for (_, throw, _) in group {
-                let answer = match &mut stored {
-                    Ok(stored) => stored.next().ok_or(StoreError::Closed),
-                    Err(error) => Err(error.repeated()),
-                };
-                if let Ok(Spooled::New(row)) = answer {
-                    self.reader.recent.keep(row, throw);
-                }
-                answers.push(answer);
+    /// Stores several throws in one transaction; returns the results in their order.
+    ///
+    /// # Errors
+    /// When the throws could not be stored; the same call may be repeated.
+    pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Result<Vec<Spooled>, StoreError> {
+        let spools = compress(throws.to_vec()).await?;
+        let spooled = self.writer.write(Spools(spools)).await?;
+        for ((_, throw, _), spooled) in throws.iter().zip(&spooled) {
+            if let Spooled::New(row) = spooled {
+                self.reader.recent.keep(*row, throw);
             }
         }
-        answers
-    }
-
-    async fn submit(&self, throws: Vec<Spool>) -> Result<CommitReceiver<Vec<Spooled>>, StoreError> {
-        let memory = self.reserve(&throws).await?;
-        self.writer.submit(Spools { throws, memory }).await
-    }
-
-    /// Waits for the memory that these throws need, at most the whole budget.
-    async fn reserve(&self, throws: &[Spool]) -> Result<OwnedSemaphorePermit, StoreError> {
-        let kib = throws.iter().map(Spool::kib).fold(0, u32::saturating_add).min(MEMORY_BUDGET_KIB);
-        Arc::clone(&self.memory_budget).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)
+        Ok(spooled)
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
@@ -159,10 +125,9 @@ impl Store {
         throws: &[Throw],
         at: Timestamp,
     ) -> Result<PageStored, StoreError> {
-        let throws = throws.iter().map(|throw| Spool::new(machine, throw, at)).collect();
-        let page = Page { machine: machine.clone(), after: after.cloned(), throws, at };
-        let _memory = self.reserve(&page.throws).await?;
-        self.writer.write(page).await
+        let throws = throws.iter().map(|throw| (machine.clone(), throw.clone(), at)).collect();
+        let throws = compress(throws).await?;
+        self.writer.write(Page { machine: machine.clone(), after: after.cloned(), throws, at }).await
     }
 
     /// Writes off the throws of a machine that were missing when the backlog query with `cursor` was sent: the backlog
@@ -240,4 +205,10 @@ impl Store {
         self.reader.close().await;
         self.writer.close().await
     }
+}
+
+/// Compresses throws, on a blocking thread.
+async fn compress(throws: Vec<(MachineId, Throw, Timestamp)>) -> Result<Vec<Spool>, StoreError> {
+    let compress = move || throws.into_iter().map(|(machine, throw, at)| Spool::new(machine, throw, at)).collect();
+    task::spawn_blocking(compress).await.map_err(|_| StoreError::Closed)
 }

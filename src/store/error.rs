@@ -90,17 +90,6 @@ impl StoreError {
             _ => Self::read(source),
         }
     }
-
-    /// A copy of the error for another throw of the same write: the source of an error cannot be cloned.
-    pub(super) fn repeated(&self) -> Self {
-        match self {
-            Self::Full => Self::Full,
-            Self::Closed => Self::Closed,
-            Self::Refused(problem) => Self::Refused(problem.clone()),
-            Self::Write(problem) => Self::Write(problem.clone()),
-            other => Self::Write(other.to_string()),
-        }
-    }
 }
 
 /// The primary result code of an SQLite error.

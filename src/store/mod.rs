@@ -46,6 +46,6 @@ pub(crate) use statements::ALL_MACHINES;
 pub use statistics::Statistics;
 pub use writer::backlog_page::{Cursor, PageStored};
 pub use writer::judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
-pub use writer::quarantine::{QUARANTINED_BYTES, QuarantinedMessage};
+pub use writer::quarantine::QuarantinedMessage;
 pub use writer::retention::Dropped;
 pub use writer::spool::Spooled;

@@ -8,7 +8,7 @@ use tokio::time::Instant;
 /// Least time between two log lines about the same problem: a full disk fails ten writes per second.
 const LOG_INTERVAL: Duration = Duration::from_secs(30);
 /// Time for which a problem is shown after its last occurrence.
-const SHOWN: Duration = Duration::from_hours(1);
+pub(super) const SHOWN: Duration = Duration::from_hours(1);
 
 /// Limits the rate of one log line: time of the last line, and number of lines omitted since.
 pub(crate) struct LogRateLimit(Mutex<Option<(Instant, u64)>>);

@@ -166,6 +166,11 @@ pub(super) fn word<T: std::str::FromStr>(row: &SqliteRow, column: &str) -> sqlx:
     Ok(word.and_then(|word| word.parse().ok()))
 }
 
+/// Parses JSON that a statement made.
+pub(super) fn from_json<T: DeserializeOwned>(text: &str) -> sqlx::Result<T> {
+    serde_json::from_str(text).map_err(decode_error)
+}
+
 /// Parses JSON; `None` for NULL and for JSON that this version cannot read.
 pub(super) fn json<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> sqlx::Result<Option<T>> {
     let json: Option<&str> = row.try_get(column)?;

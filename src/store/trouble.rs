@@ -2,7 +2,10 @@
 
 use super::{
     database::Store,
-    files::{DatabaseFiles, disk::DiskLevel},
+    files::{
+        DatabaseFiles,
+        disk::{DiskLevel, Replaced},
+    },
 };
 use crate::{diagnose::Severity, throw::counted};
 
@@ -36,20 +39,20 @@ impl Store {
             );
             (Severity::Critical, text)
         });
-        let replaced = self.disk.replaced().map(|succeeded| {
+        let replaced = self.disk.replaced().map(|replaced| {
             let file = self.path().display();
-            let text = match (succeeded, self.disk.foreign()) {
-                (true, None) => format!(
+            let text = match replaced {
+                Replaced::WrittenAgain(None) => format!(
                     "its database {file} was deleted during operation. All data were written to a new file there. \
                      Find out who or what deleted it"
                 ),
-                (true, Some(foreign)) => format!(
+                Replaced::WrittenAgain(Some(foreign)) => format!(
                     "its database {file} was replaced during operation. All data were written to a new file there, and the file \
                      found in its place is now {}. If this was a backup to restore, stop pointsd first, then put it in place. \
                      Otherwise find out who or what replaced the database",
                     foreign.display()
                 ),
-                (false, _) => format!(
+                Replaced::Failed => format!(
                     "its database {file} was deleted or replaced during operation, and cannot be written again. Check its folder \
                      and disk, and do not stop pointsd before: it has the only copy open"
                 ),

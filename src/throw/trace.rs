@@ -24,30 +24,10 @@ pub struct Trace {
     position_mm: Arc<Vec<f64>>,
 }
 
-/// The reason why two channels do not form a trace.
+/// The reason why two channels do not form a trace, as a sentence.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum InvalidTrace {
-    /// The sampling rate is not finite or out of range.
-    #[error("sample_rate_hz is {}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}", brief(*.rate_hz))]
-    SampleRate {
-        /// The rate given \[Hz\].
-        rate_hz: f64,
-    },
-    /// The channels differ in length.
-    #[error("current_a has {current} samples and position_mm {position}: they must be equally long")]
-    UnequalLengths {
-        /// Samples of current.
-        current: usize,
-        /// Samples of position.
-        position: usize,
-    },
-    /// No sample, or more than [`MAX_SAMPLES`].
-    #[error("{samples} samples a channel, must be 1 to {MAX_SAMPLES}")]
-    SampleCount {
-        /// Samples of each channel.
-        samples: usize,
-    },
-}
+#[error("{0}")]
+pub struct InvalidTrace(String);
 
 impl Trace {
     /// A trace of `current_a` \[A\] and `position_mm` \[mm\] at `sample_rate_hz` \[Hz\].
@@ -55,16 +35,19 @@ impl Trace {
     /// # Errors
     /// When the rate is out of range, the channels differ in length, or their length is 0 or above [`MAX_SAMPLES`].
     pub fn new(sample_rate_hz: f64, current_a: Vec<f64>, position_mm: Vec<f64>) -> Result<Self, InvalidTrace> {
-        if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&sample_rate_hz) {
-            return Err(InvalidTrace::SampleRate { rate_hz: sample_rate_hz });
-        }
-        if current_a.len() != position_mm.len() {
-            return Err(InvalidTrace::UnequalLengths { current: current_a.len(), position: position_mm.len() });
-        }
-        if !(1..=MAX_SAMPLES).contains(&current_a.len()) {
-            return Err(InvalidTrace::SampleCount { samples: current_a.len() });
-        }
-        Ok(Self { sample_rate_hz, current_a: Arc::new(current_a), position_mm: Arc::new(position_mm) })
+        let (current, position) = (current_a.len(), position_mm.len());
+        let problem = if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&sample_rate_hz) {
+            let rate = brief(sample_rate_hz);
+            format!("sample_rate_hz is {rate}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}")
+        } else if current != position {
+            format!("current_a has {current} samples and position_mm {position}: they must be equally long")
+        } else if !(1..=MAX_SAMPLES).contains(&current) {
+            format!("{current} samples a channel, must be 1 to {MAX_SAMPLES}")
+        } else {
+            let (current_a, position_mm) = (Arc::new(current_a), Arc::new(position_mm));
+            return Ok(Self { sample_rate_hz, current_a, position_mm });
+        };
+        Err(InvalidTrace(problem))
     }
 
     /// Replaces the sampling rate, which was computed from the times of the samples, by `nominal_hz`, if the two are
@@ -122,10 +105,11 @@ mod tests {
     #[test]
     fn a_trace_is_bounded_and_its_channels_are_equally_long() {
         assert!(Trace::new(1000.0, vec![0.0], vec![f64::NAN]).is_ok());
+        let problem = |rate, current, position| Trace::new(rate, current, position).unwrap_err().to_string();
         for rate in [f64::NAN, f64::INFINITY, 0.0, -1.0, 2e6] {
-            assert!(matches!(Trace::new(rate, vec![0.0], vec![0.0]), Err(InvalidTrace::SampleRate { .. })));
+            assert!(problem(rate, vec![0.0], vec![0.0]).starts_with("sample_rate_hz is "));
         }
-        assert!(matches!(Trace::new(1e3, vec![0.0], vec![]), Err(InvalidTrace::UnequalLengths { .. })));
-        assert!(matches!(Trace::new(1e3, vec![], vec![]), Err(InvalidTrace::SampleCount { samples: 0 })));
+        assert!(problem(1e3, vec![0.0], vec![]).contains("must be equally long"));
+        assert!(problem(1e3, vec![], vec![]).starts_with("0 samples a channel"));
     }
 }

@@ -41,7 +41,7 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
         queries.push(session.get(KEY).await.unwrap());
     }
     let first = questions.next().await.unwrap();
-    assert_eq!(first.key(), KEY);
+    assert_eq!(first.key_expr().as_str(), KEY);
     let reply = tokio::time::timeout(Duration::from_secs(5), queries[64].recv_async()).await.unwrap().unwrap();
     let error = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert!(error.contains("ask again"), "{error}");

@@ -65,7 +65,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
-    store.spool_all(&flood).await;
+    store.spool_all(&flood).await.unwrap();
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
     store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
@@ -105,7 +105,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     judged(&store, 1, 150).await;
     store.keep_bounds(at(0), true).await.unwrap();
     let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
-    store.spool_all(&burst).await;
+    store.spool_all(&burst).await.unwrap();
     store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.pending, statistics.counters()["dropped_pending_throws"]), (100, 150));
@@ -134,8 +134,8 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         let (_folder, store) = fresh_with(with_bounds).await;
         judged(&store, 1, 40).await;
         let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
-        for answer in store.spool_all(&flood).await {
-            let Spooled::New(row) = answer.unwrap() else { panic!() };
+        for answer in store.spool_all(&flood).await.unwrap() {
+            let Spooled::New(row) = answer else { panic!() };
             judge(&store, judgement(row, "loud")).await.unwrap();
         }
         for _ in 0..20 {
@@ -269,7 +269,7 @@ async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alo
 async fn stopped() -> tempfile::TempDir {
     let (folder, store) = fresh().await;
     let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
-    store.spool_all(&batch).await;
+    store.spool_all(&batch).await.unwrap();
     store.close().await.unwrap();
     folder
 }
@@ -525,7 +525,7 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     assert!(!store.is_copying());
     let holder = reading(&store).await;
     let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
-    store.spool_all(&throws).await;
+    store.spool_all(&throws).await.unwrap();
     // The writer copies after its answer; the next write waits for the copy.
     store.outbox_sent(&[]).await.unwrap();
     assert!(store.is_copying(), "no progress was recorded");

@@ -128,10 +128,10 @@ async fn a_batch_is_answered_in_its_order() {
     let (_folder, store) = fresh().await;
     let mut batch: Vec<_> = (1..=150).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     batch.push((machine("21B"), throw("b1", 3), at(0)));
-    let answers = store.spool_all(&batch).await;
-    let rows: Vec<_> = answers[..150].iter().map(|answer| answer.as_ref().unwrap()).collect();
-    assert_eq!(rows, (1..=150).map(|row| Spooled::New(ThrowRow(row))).collect::<Vec<_>>().iter().collect::<Vec<_>>());
-    assert_eq!(*answers[150].as_ref().unwrap(), Spooled::Duplicate);
+    let answers = store.spool_all(&batch).await.unwrap();
+    let stored: Vec<_> = (1..=150).map(|row| Spooled::New(ThrowRow(row))).collect();
+    assert_eq!(answers[..150], stored);
+    assert_eq!(answers[150..], [Spooled::Duplicate]);
 }
 
 /// The first throws of a large fleet arrive together. The stored rows are the same as if each throw had arrived alone.
@@ -144,7 +144,7 @@ async fn new_machines_in_a_batch_are_stored_like_single_ones() {
     batch.extend([also(70, "b1", 4), also(71, "b1", 0), also(72, "b1", 1), also(72, "b1", 0), also(70, "b0", 1)]);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let [together, alone] = [open(folders[0].path()).await.store, open(folders[1].path()).await.store];
-    let answers: Vec<Spooled> = together.spool_all(&batch).await.into_iter().map(Result::unwrap).collect();
+    let answers = together.spool_all(&batch).await.unwrap();
     for ((machine, throw, received_at), answer) in batch.iter().zip(answers) {
         let single = alone.spool(machine, throw, *received_at).await.unwrap();
         assert_eq!(matches!(answer, Spooled::New(_)), matches!(single, Spooled::New(_)), "{machine} {:?}", throw.id);

@@ -24,8 +24,8 @@ use crate::{
         receive::presence::Loggers,
         supervision::{heartbeat::TaskName, peers::Peers, status::Status},
     },
-    diagnose::{Away, Command, Irregularity, Missing},
-    store::{ALL_MACHINES, Gap, Judgement, Outcome, Store, StoreError, seldom},
+    diagnose::{Away, Command, Irregularity, MachineMonitor, Missing},
+    store::{ALL_MACHINES, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
@@ -182,32 +182,31 @@ impl JudgeLoop {
     /// throws.
     async fn judge_one_by_one(&mut self, judgements: &[Judgement]) -> Result<(), StoreError> {
         for judgement in judgements {
-            let Err(error) = self.judge_alone(judgement.clone()).await else { continue };
-            let StoreError::Refused(problem) = error else { return Err(error) };
+            let Some(problem) = self.refusal(judgement.clone()).await? else { continue };
             let (machine, throw_no) = (&judgement.health.machine, judgement.health.throw.throw_no);
             seldom!(error, %machine, throw_no, problem, "the database rejects a judgement: the throw is stored as not evaluated");
             self.judge.monitors.store_again(machine);
             let [with_events, alone] = judgement.instead(&problem);
-            let Err(error) = self.judge_alone(with_events).await else { continue };
-            let StoreError::Refused(problem) = error else { return Err(error) };
+            let Some(problem) = self.refusal(with_events).await? else { continue };
             self.log_lost(&judgement.outcome, &problem);
-            match self.judge_alone(alone).await {
-                Err(StoreError::Refused(problem)) => {
-                    seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
-                    self.pause().await;
-                }
-                stored => stored?,
+            if let Some(problem) = self.refusal(alone).await? {
+                seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
+                self.pause().await;
             }
         }
         Ok(())
     }
 
-    async fn judge_alone(&mut self, judgement: Judgement) -> Result<(), StoreError> {
+    /// Stores and publishes a single judgement; returns the reason if the database rejects it.
+    async fn refusal(&mut self, judgement: Judgement) -> Result<Option<String>, StoreError> {
         let alone: Arc<[Judgement]> = Arc::new([judgement]);
-        if self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await? {
-            self.publish(&alone[0]);
+        match self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await {
+            Ok(true) => self.publish(&alone[0]),
+            Ok(false) => {}
+            Err(StoreError::Refused(problem)) => return Ok(Some(problem)),
+            Err(error) => return Err(error),
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end before. The
@@ -294,7 +293,8 @@ impl JudgeLoop {
         self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
-            if let Some(outcome) = self.judge.monitors.report_irregularity(&machine, invalid, now, &config.diagnosis) {
+            let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
+            if let Some(outcome) = self.judge.monitors.update(&machine, false, now, report) {
                 self.record(outcome).await?;
             } else if !self.judge.monitors.knows(&machine)
                 && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
@@ -305,7 +305,8 @@ impl JudgeLoop {
         let away = self.links.peers.away();
         let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
-            let outcome = self.judge.monitors.update_peer_alarm(&self.own_machine, &away, now, &config.diagnosis);
+            let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
+            let outcome = self.judge.monitors.update(&self.own_machine, !away.daemons.is_empty(), now, update);
             self.away = Some(away);
             if let Some(outcome) = outcome {
                 self.record(outcome).await?;
@@ -318,7 +319,16 @@ impl JudgeLoop {
     /// Reports gaps that no backlog will fill to the monitors.
     async fn report_gaps(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        for (machine, gaps) in self.old_gaps(now).await {
+        let read = self.judge.store.reader().unreported_gaps(GAPS, now, self.judge.backlog_wait()).await;
+        let read = read.unwrap_or_else(|error| {
+            seldom!(warn, %error, "reading gaps failed; retrying");
+            Vec::new()
+        });
+        let mut of_machines = HashMap::<_, Vec<_>>::new();
+        for gap in read {
+            of_machines.entry(gap.machine.clone()).or_default().push(gap);
+        }
+        for (machine, gaps) in of_machines {
             let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
             let mut missing = Missing { reason, ..Missing::default() };
             for gap in &gaps {
@@ -356,7 +366,9 @@ impl JudgeLoop {
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
-        let new = self.judge.monitors.update_daemon_alarm(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let text = trouble.as_ref().map(|(severity, text)| (*severity, text.as_str()));
+        let update = |monitor: &mut MachineMonitor| monitor.trouble(text, now, &config.diagnosis);
+        let new = self.judge.monitors.update(&self.own_machine, text.is_some(), now, update);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
         while let Some(alarm) = self.daemon_alarms.pop_front() {
@@ -390,28 +402,12 @@ impl JudgeLoop {
         }
     }
 
-    /// The gaps of each machine that no backlog filled in time, and that are not reported yet.
-    async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, Vec<Gap>> {
-        let mut old = HashMap::<_, Vec<_>>::new();
-        let wait = self.judge.backlog_wait();
-        let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
-            seldom!(warn, %error, "reading gaps failed; retrying");
-            Vec::new()
-        });
-        for gap in gaps {
-            old.entry(gap.machine.clone()).or_default().push(gap);
-        }
-        old
-    }
-
     async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
         let PendingCommand { machine, command, reply } = pending;
         let (config, now) = (self.judge.config(), clock::now());
-        let allowed = self.budget.take(clock::monotonic());
-        let (done, text) = if let Err(wait) = allowed {
-            (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1))
-        } else {
-            self.apply_command(&machine, &command, now, &config).await?
+        let (done, text) = match self.budget.take(clock::monotonic()) {
+            Err(wait) => (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
+            Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
         };
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
         // Fails if the operator stopped waiting.
@@ -447,11 +443,9 @@ impl JudgeLoop {
             Some(Ok(applied)) => applied,
         };
         let is_stored = self.record(outcome).await?;
-        if !is_stored {
-            self.judge.monitors.store_again(machine);
-        }
         self.update_report();
         if !is_stored {
+            self.judge.monitors.store_again(machine);
             let text = "the database did not store the command, which is in effect until the daemon restarts";
             return Ok((false, text.to_owned()));
         }

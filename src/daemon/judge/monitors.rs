@@ -15,8 +15,8 @@ use super::{
 use crate::{
     daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
     diagnose::{
-        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
-        Settings, Severity,
+        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
+        Settings,
     },
     estimate::{Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -273,44 +273,9 @@ impl Monitors {
         (!events.is_empty()).then_some((id, events))
     }
 
-    /// Updates the alarm about the daemon itself, which has the name of the daemon in place of a machine's.
-    pub(super) fn update_daemon_alarm(
-        &mut self,
-        own_machine: &MachineId,
-        trouble: Option<&(Severity, String)>,
-        now: Timestamp,
-        settings: &Settings,
-    ) -> Option<Outcome> {
-        let text = trouble.map(|(severity, text)| (*severity, text.as_str()));
-        self.update(own_machine, trouble.is_some(), now, |monitor| monitor.trouble(text, now, settings))
-    }
-
-    /// Updates the alarm about the watched daemons that are `away`.
-    pub(super) fn update_peer_alarm(
-        &mut self,
-        own_machine: &MachineId,
-        away: &Away,
-        now: Timestamp,
-        settings: &Settings,
-    ) -> Option<Outcome> {
-        self.update(own_machine, !away.daemons.is_empty(), now, |monitor| monitor.peers(away, now, settings))
-    }
-
-    /// Reports an irregularity of a logger that belongs to no stored throw. `None` if the machine has no monitor, or if
-    /// no alarm event follows.
-    pub(super) fn report_irregularity(
-        &mut self,
-        machine: &MachineId,
-        irregularity: Irregularity,
-        now: Timestamp,
-        settings: &Settings,
-    ) -> Option<Outcome> {
-        self.update(machine, false, now, |monitor| monitor.irregular(irregularity, None, now, settings))
-    }
-
     /// Applies a change that may raise an event, and returns the outcome to store; `None` without an event. A machine
     /// without a monitor gets one if it `is_needed`; otherwise the result is `None`.
-    fn update(
+    pub(super) fn update(
         &mut self,
         machine: &MachineId,
         is_needed: bool,

@@ -22,7 +22,7 @@ use super::{
     schedule::{AT_A_TIME, Schedule},
 };
 use crate::{
-    bus::{self, Limits, PageEnd},
+    bus,
     daemon::clock,
     store::{Cursor, StoreError, seldom},
     throw::{MachineId, Throw, ThrowRef},
@@ -202,11 +202,20 @@ impl Backlog {
     }
 }
 
+/// The reply of a logger to the query for a page.
+struct Page {
+    /// The usable throws, oldest first.
+    throws: Vec<Throw>,
+    /// Whether all replies arrived.
+    is_complete: bool,
+    /// Whether the logger sent no message at all.
+    is_empty: bool,
+}
+
 /// Queries one logger.
 pub(crate) struct Querier {
     pub(crate) session: Session,
     pub(crate) intake: Arc<Intake>,
-    pub(crate) limits: Limits,
     pub(crate) is_client: bool,
     pub(crate) spooled: Arc<Notify>,
 }
@@ -231,30 +240,30 @@ impl Querier {
         let (mut repeated, mut least, start) = (0, 1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, *size).max(least);
-            let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
-            let Some(page) = page else {
+            let Page { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
+            if throws.is_empty() {
                 // Valid throws may follow after messages that are invalid, or that zenoh drops because of their size.
-                if ending == PageEnd::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
                     least = (WIDER * limit).min(wire::MAX_PAGE);
                     continue;
                 }
-                return Ok(match ending {
-                    PageEnd::Broken => {
+                return Ok(match is_complete {
+                    false => {
                         *size = (*size / 2).max(1);
                         QueryEnd::Broken
                     }
-                    PageEnd::Complete if cursor.awaits => QueryEnd::Without(cursor),
-                    PageEnd::Complete => QueryEnd::Complete,
+                    true if cursor.awaits => QueryEnd::Without(cursor),
+                    true => QueryEnd::Complete,
                 });
-            };
-            let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
+            }
+            let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &throws, clock::now()).await?;
             self.intake.status.edit().stored += stored.new;
             self.intake.status.edit().duplicates += stored.duplicates;
             self.spooled.notify_one();
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
             least = 1;
-            if ending == PageEnd::Broken {
+            if !is_complete {
                 *size = (*size / 2).max(1);
                 return Ok(QueryEnd::Broken);
             }
@@ -269,11 +278,12 @@ impl Querier {
         Ok(QueryEnd::More)
     }
 
-    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns the end of
-    /// the page, and whether the logger sent no message at all.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> (Option<Vec<Throw>>, PageEnd, bool) {
+    /// Queries a page of throws after the cursor.
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Page {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
-        let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
+        let answer =
+            bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.intake.max_payload_bytes)
+                .await;
         if let Some(error) = &answer.error {
             seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
         }
@@ -289,7 +299,7 @@ impl Querier {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        ((!throws.is_empty()).then_some(throws), answer.ending, received == 0)
+        Page { throws, is_complete: answer.is_complete, is_empty: received == 0 }
     }
 }
 

@@ -25,7 +25,7 @@ use super::{
 };
 use crate::{
     bus::{Inbox, Message},
-    store::{QUARANTINED_BYTES, QuarantinedMessage, Spooled, Store, StoreError, seldom},
+    store::{QuarantinedMessage, Spooled, Store, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
@@ -232,25 +232,20 @@ impl ReceiveLoop {
     async fn spool(&mut self) {
         let mut pause = FIRST_PAUSE;
         while !self.unstored.is_empty() {
-            let answers = self.intake.store.spool_all(&self.unstored).await;
-            let mut error = None;
-            for (received, answer) in std::mem::take(&mut self.unstored).into_iter().zip(answers) {
-                match answer {
-                    Ok(spooled) => self.count(spooled),
-                    Err(why) => {
-                        error = Some(why);
-                        self.unstored.push(received);
+            match self.intake.store.spool_all(&self.unstored).await {
+                Ok(spooled) => {
+                    self.unstored.clear();
+                    spooled.into_iter().for_each(|spooled| self.count(spooled));
+                }
+                Err(error) => {
+                    self.intake.status.heartbeats.beat(TaskName::Receive);
+                    if !std::mem::replace(&mut self.storing_fails, true) {
+                        tracing::error!(%error, "storing throws failed; retrying");
                     }
+                    self.quarantine_the_unstorable(&error).await;
                 }
             }
             self.spooled.notify_one();
-            if let Some(error) = error {
-                self.intake.status.heartbeats.beat(TaskName::Receive);
-                if !std::mem::replace(&mut self.storing_fails, true) {
-                    tracing::error!(%error, "storing throws failed; retrying");
-                }
-                self.quarantine_the_unstorable(&error).await;
-            }
             if self.unstored.is_empty() {
                 // The database has stored or quarantined every throw of the batch.
                 if std::mem::take(&mut self.storing_fails) {
@@ -331,8 +326,7 @@ fn guarded(
     let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(with_id)));
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
-        let Message { key, payload: mut beginning, bytes, .. } = message;
-        beginning.truncate(QUARANTINED_BYTES);
+        let Message { key, payload: beginning, bytes, .. } = message;
         QuarantinedMessage { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
     })
 }
@@ -363,8 +357,8 @@ mod tests {
         let message = |key: &str| Message {
             key: key.to_owned(),
             content_type: String::new(),
-            payload: vec![7; 2 * QUARANTINED_BYTES],
-            bytes: 2 * QUARANTINED_BYTES,
+            payload: vec![7; 2_048],
+            bytes: 2_048,
             is_delete: false,
         };
         let decoded = ["good", "poison", "good"].map(|key| {

@@ -282,9 +282,6 @@ impl StatusReport {
     /// The parts of [`Self::line`]: each problem, then the counts.
     pub fn parts(&self) -> Vec<String> {
         let mut parts = self.problems();
-        if !self.connected {
-            parts.push("not connected".to_owned());
-        }
         let states: Vec<String> =
             [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
                 .into_iter()
@@ -292,25 +289,17 @@ impl StatusReport {
                 .filter(|(count, _)| *count > 0)
                 .map(|(count, state)| format!("{count} {state}"))
                 .collect();
-        if !states.is_empty() {
-            parts.push(format!("machines: {}", states.join(", ")));
-        }
-        if self.fleet_counts.own_alarms > 0 {
-            parts.push(format!(
-                "{} OF THE DAEMON ITSELF",
-                counted(self.fleet_counts.own_alarms, "alarm").to_uppercase()
-            ));
-        }
-        if self.fleet_counts.shelved_alarms > 0 {
-            parts.push(format!("{} shelved", counted(self.fleet_counts.shelved_alarms, "alarm")));
-        }
-        if !self.without_throw.is_empty() {
-            parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));
-        }
-        if self.backlog > 0 {
-            let are = if self.backlog == 1 { "is" } else { "are" };
-            parts.push(format!("{} {are} still in the backlogs of loggers", counted(self.backlog, "throw")));
-        }
+        let FleetCounts { own_alarms, shelved_alarms, .. } = self.fleet_counts;
+        let mut add = |is_so: bool, part: String| parts.extend(is_so.then_some(part));
+        add(!self.connected, "not connected".to_owned());
+        add(!states.is_empty(), format!("machines: {}", states.join(", ")));
+        add(own_alarms > 0, format!("{} OF THE DAEMON ITSELF", counted(own_alarms, "alarm").to_uppercase()));
+        add(shelved_alarms > 0, format!("{} shelved", counted(shelved_alarms, "alarm")));
+        let without_throw = self.without_throw.join(", ");
+        add(!without_throw.is_empty(), format!("connected, but no throw yet: {without_throw}"));
+        let are = if self.backlog == 1 { "is" } else { "are" };
+        let missing = counted(self.backlog, "throw");
+        add(self.backlog > 0, format!("{missing} {are} still in the backlogs of loggers"));
         parts.push(format!(
             "{}, {} stored, {} judged ({} not evaluated), {} in quarantine",
             counted(self.loggers as u64, "logger"),

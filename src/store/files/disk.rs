@@ -5,7 +5,6 @@ use std::{
     fs::File,
     io::{self, Read as _},
     path::{Path, PathBuf},
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::Duration,
 };
 
@@ -14,7 +13,11 @@ use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
 use super::path::{beside, folder_of};
-use crate::store::{error::StoreError, rate_limit::RecentCount, settings::MIB};
+use crate::store::{
+    error::StoreError,
+    rate_limit::{RecentCount, SHOWN},
+    settings::MIB,
+};
 
 /// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before
 /// they were published or before the webhook accepted them.
@@ -44,6 +47,16 @@ pub enum DiskLevel {
     Failing,
 }
 
+/// Outcome after the database file was found deleted or replaced during operation.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Replaced {
+    /// The database was written again. Has the new path of the file that was found in its place; `None` if it was
+    /// deleted.
+    WrittenAgain(Option<PathBuf>),
+    /// The database could not be written again.
+    Failed,
+}
+
 /// Measures the free space and owns the ballast file.
 #[derive(Debug, Default)]
 pub(crate) struct Disk {
@@ -51,23 +64,24 @@ pub(crate) struct Disk {
     ballast: PathBuf,
     ballast_bytes: u64,
     low_bytes: u64,
-    full: AtomicBool,
-    /// Whether the disk was full since the last call of `worst_level`.
-    was_full: AtomicBool,
-    failing: AtomicBool,
-    failures: AtomicU64,
-    /// Number of times that the database file was found deleted or replaced.
-    replaced: RecentCount,
-    /// Whether the last attempt to write the database again failed.
-    replacement_fails: AtomicBool,
-    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
-    foreign: Mutex<Option<PathBuf>>,
-    /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
-    copies_until: Mutex<Option<Instant>>,
-    /// The counters of the database at the last call of `note_dropped`.
-    counters: Mutex<Option<BTreeMap<String, u64>>>,
+    state: Mutex<State>,
     /// Numbers of dropped rows since the start, in the order of [`LOSSES`].
     lost: [RecentCount; LOSSES.len()],
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// [`DiskLevel::Full`] or [`DiskLevel::Failing`] if the last write failed.
+    last_write: Option<DiskLevel>,
+    /// Whether the disk was full since the last call of `worst_level`.
+    was_full: bool,
+    failures: u64,
+    /// The last outcome, with its time.
+    replaced: Option<(Replaced, Instant)>,
+    /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
+    copies_until: Option<Instant>,
+    /// The counters of the database at the last call of `note_dropped`.
+    counters: Option<BTreeMap<String, u64>>,
 }
 
 impl Disk {
@@ -94,49 +108,36 @@ impl Disk {
     }
 
     pub(crate) fn note_success(&self) {
-        self.failing.store(false, Ordering::Relaxed);
-        self.full.store(false, Ordering::Relaxed);
+        self.state.lock().last_write = None;
     }
 
     /// Records a failed write; removes the ballast if the disk was full.
     pub(crate) fn note_failure(&self, full: bool) {
-        self.failures.fetch_add(1, Ordering::Relaxed);
+        let mut state = self.state.lock();
+        state.failures += 1;
+        state.was_full |= full;
+        state.last_write = Some(if full { DiskLevel::Full } else { DiskLevel::Failing });
+        drop(state);
         if full {
-            self.full.store(true, Ordering::Relaxed);
-            self.was_full.store(true, Ordering::Relaxed);
             self.release_ballast();
-        } else {
-            self.failing.store(true, Ordering::Relaxed);
         }
     }
 
-    /// Records that the database file was deleted or replaced. `written_again` is `None` if the database could not be
-    /// written again; otherwise it has the new path of the file that was found in its place, if there was one.
-    pub(crate) fn note_replaced(&self, written_again: Option<&Option<PathBuf>>) {
-        self.replaced.add(1);
-        self.replacement_fails.store(written_again.is_none(), Ordering::Relaxed);
-        if let Some(foreign) = written_again {
-            self.foreign.lock().clone_from(foreign);
-        }
+    /// Records that the database file was deleted or replaced.
+    pub(crate) fn note_replaced(&self, outcome: Replaced) {
+        self.state.lock().replaced = Some((outcome, Instant::now()));
     }
 
-    /// Whether the database was written again after it was deleted or replaced. `None` without such an event; after a
-    /// success also `None` when an hour has passed.
-    pub(crate) fn replaced(&self) -> Option<bool> {
-        let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
-        (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
-    }
-
-    /// New path of the file that was found in the place of the database; `None` if the database was deleted.
-    pub(crate) fn foreign(&self) -> Option<PathBuf> {
-        self.foreign.lock().clone()
+    /// The outcome after the database file was deleted or replaced; after a success only for an hour.
+    pub(crate) fn replaced(&self) -> Option<Replaced> {
+        let (outcome, at) = self.state.lock().replaced.clone()?;
+        (outcome == Replaced::Failed || at.elapsed() < SHOWN).then_some(outcome)
     }
 
     /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those
     /// rows were dropped before this start.
     pub(crate) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
-        let mut before = self.counters.lock();
-        let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
+        let before = self.state.lock().counters.replace(now.clone()).unwrap_or_else(|| now.clone());
         for (name, lost) in LOSSES.iter().zip(&self.lost) {
             let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
             if of(now) > of(&before) {
@@ -152,40 +153,34 @@ impl Disk {
 
     /// Records a step of a copy of the database.
     pub(crate) fn note_copying(&self) {
-        *self.copies_until.lock() = Some(Instant::now() + COPY_HANGS);
+        self.state.lock().copies_until = Some(Instant::now() + COPY_HANGS);
     }
 
     /// Records the end of a copy of the database. It counts as running until the loops that waited for it work again.
     pub(crate) fn end_copying(&self) {
-        *self.copies_until.lock() = Some(Instant::now() + AFTER_COPY);
+        self.state.lock().copies_until = Some(Instant::now() + AFTER_COPY);
     }
 
     /// Whether a copy of the database made progress in the last 30 s, or ended in the last 5 s.
     pub(crate) fn is_copying(&self) -> bool {
-        self.copies_until.lock().is_some_and(|until| Instant::now() < until)
+        self.state.lock().copies_until.is_some_and(|until| Instant::now() < until)
     }
 
     /// Failed write transactions since the start.
     pub(crate) fn failures(&self) -> u64 {
-        self.failures.load(Ordering::Relaxed)
+        self.state.lock().failures
     }
 
     pub(crate) fn level(&self) -> DiskLevel {
-        if self.full.load(Ordering::Relaxed) {
-            DiskLevel::Full
-        } else if self.failing.load(Ordering::Relaxed) {
-            DiskLevel::Failing
-        } else if self.free_bytes().is_some_and(|free| free < self.low_bytes) {
-            DiskLevel::Low
-        } else {
-            DiskLevel::Ample
-        }
+        let last_write = self.state.lock().last_write;
+        let is_low = || self.free_bytes().is_some_and(|free| free < self.low_bytes);
+        last_write.unwrap_or_else(|| if is_low() { DiskLevel::Low } else { DiskLevel::Ample })
     }
 
     /// The level, or [`DiskLevel::Full`] if the disk was full since the last call. A write that finds the disk full
     /// removes the ballast and then succeeds, so [`Self::level`] alone would never show a full disk.
     pub(crate) fn worst_level(&self) -> DiskLevel {
-        if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
+        if std::mem::take(&mut self.state.lock().was_full) { DiskLevel::Full } else { self.level() }
     }
 
     fn release_ballast(&self) {

@@ -21,7 +21,7 @@ use super::{
     error::{StoreError, is_corrupt},
     files::open,
     recent::RecentThrows,
-    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, timestamp},
+    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, from_json, timestamp},
     statements as sql,
     writer::backlog_page::{self, Cursor},
 };
@@ -205,9 +205,7 @@ impl Reader {
             let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
             let query = sqlx::query(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine);
             let chosen = self.limited(query.fetch_one(&self.pool())).await?;
-            let chosen: &str = chosen.try_get(0).map_err(StoreError::read)?;
-            serde_json::from_str::<Vec<PendingRow>>(chosen)
-                .map_err(|error| StoreError::read(sqlx::Error::Decode(error.into())))
+            chosen.try_get(0).and_then(from_json::<Vec<PendingRow>>).map_err(StoreError::read)
         };
         let mut rows = turn(after).await?;
         if rows.is_empty() && after.is_some() {

@@ -5,7 +5,7 @@ use sqlx::SqliteConnection;
 
 use super::{
     cursor::{self, Boot, ThrowPosition},
-    spool::{Follows, Spool, Spooled, boot, machine_row},
+    spool::{Spool, Spooled, boot, machine_row},
     write::Write,
 };
 use crate::{
@@ -63,7 +63,7 @@ impl Write for Page {
         }
         let mut stored = PageStored { new: 0, duplicates: 0, cursor: Cursor::default() };
         for throw in &self.throws {
-            let (spooled, boot) = throw.store(connection, repeated, Follows::Boot(last.position)).await?;
+            let (spooled, boot) = throw.store(connection, repeated, Some(last.position)).await?;
             match spooled {
                 Spooled::New(_) => stored.new += 1,
                 Spooled::Duplicate => stored.duplicates += 1,

@@ -11,7 +11,10 @@ use tokio::time::Instant;
 use super::write::Job;
 use crate::store::{
     error::{StoreError, is_corrupt, is_full, is_refused},
-    files::{DatabaseFiles, Identity, disk::Disk},
+    files::{
+        DatabaseFiles, Identity,
+        disk::{Disk, Replaced},
+    },
     rate_limit::seldom,
     reader::Reader,
     statements as sql,
@@ -142,10 +145,13 @@ impl WritingConnection {
             Ok(foreign) => self.move_database("its files were deleted or replaced").await.map(|()| foreign),
             Err(error) => Err(error),
         };
-        self.disk.note_replaced(outcome.as_ref().ok());
-        if let Err(error) = outcome {
-            tracing::error!(%error, "writing the database again failed; retrying");
-        }
+        self.disk.note_replaced(outcome.map_or_else(
+            |error| {
+                tracing::error!(%error, "writing the database again failed; retrying");
+                Replaced::Failed
+            },
+            Replaced::WrittenAgain,
+        ));
     }
 
     /// Limits the log, which grows while a reader keeps an old state open: truncates the log, or moves the database to

@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// Number of bytes stored of a message, from its start: enough to recognise format and sender.
-pub const QUARANTINED_BYTES: usize = 1024;
+const QUARANTINED_BYTES: usize = 1024;
 /// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
 const MAX_STORED: usize = 256;
 /// Largest stored length of the key and of the reason \[characters\].
@@ -28,7 +28,7 @@ pub struct QuarantinedMessage {
     pub bytes: usize,
     /// Boot and number of the throw, if both can be read from the message.
     pub id: Option<Box<ThrowRef>>,
-    /// The start of the message, up to [`QUARANTINED_BYTES`].
+    /// The start of the message, of which the first 1,024 bytes are stored.
     pub beginning: Vec<u8>,
     /// Time of reception.
     pub at: Timestamp,

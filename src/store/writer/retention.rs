@@ -13,7 +13,7 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::{Sqlite, SqliteConnection, query::QueryScalar, sqlite::SqliteArguments};
+use sqlx::SqliteConnection;
 
 use super::{spool::count, write::Write};
 use crate::store::{
@@ -61,108 +61,91 @@ pub enum Dropped {
     Pages,
 }
 
-/// The statement that selects the machines with the most rows or bytes, which lose rows first.
-type LargestMachines = &'static str;
-
-/// Limits of the time of reception of a trace that is too old \[µs since 1970\].
-#[derive(Debug, Clone, Copy)]
-struct AgeLimits {
-    before_us: i64,
-    now_us: i64,
-}
-
-impl AgeLimits {
-    /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
-    const FIRST_US: i64 = 1_577_836_800_000_000;
-
-    /// The query for up to `rows` traces that are too old.
-    fn query<'q>(self, rows: u64) -> QueryScalar<'q, Sqlite, i64, SqliteArguments> {
-        let query = sqlx::query_scalar(sql::AGED_TRACES).bind(rows.cast_signed());
-        query.bind(self.before_us).bind(Self::FIRST_US).bind(self.now_us)
-    }
-}
-
 /// Rows that can be dropped.
-#[derive(Debug, Clone, Copy)]
-enum Kind {
-    Traces(LargestMachines),
-    AgedTraces(AgeLimits),
-    /// Judged throws.
-    Throws(LargestMachines),
-    /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
-    Pending(LargestMachines),
-    Alarms,
-    Messages,
-    Pages,
+struct Kind {
+    what: Dropped,
+    /// Selects the machines with the most rows or bytes, which lose rows first; `None` without a choice of machines.
+    largest: Option<&'static str>,
+    /// Selects the oldest ?1 rows; with `largest` those of the machine ?2.
+    oldest: &'static str,
+    /// Further parameters of `oldest`.
+    arguments: Vec<i64>,
+    /// Statements that drop the rows of the JSON list ?1.
+    drop: &'static [&'static str],
 }
 
 impl Kind {
+    /// Rows of the machines that `largest` selects.
+    fn of_largest(what: Dropped, largest: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
+        Self { what, largest: Some(largest), oldest, arguments: Vec::new(), drop }
+    }
+
+    fn traces(largest: &'static str) -> Self {
+        Self::of_largest(Dropped::Traces, largest, sql::OLDEST_TRACES, &[sql::DROP_TRACES, sql::TRACES_FROM])
+    }
+
+    /// Traces that were received before a time \[µs\].
+    fn aged_traces(before_us: i64, now_us: i64) -> Self {
+        /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
+        const FIRST_US: i64 = 1_577_836_800_000_000;
+        let (arguments, drop) = (vec![before_us, FIRST_US, now_us], &[sql::DROP_TRACES]);
+        Self { what: Dropped::Traces, largest: None, oldest: sql::AGED_TRACES, arguments, drop }
+    }
+
+    fn throws(largest: &'static str) -> Self {
+        Self::of_largest(Dropped::Throws, largest, sql::OLDEST_THROWS, DROP_THROWS)
+    }
+
+    /// A machine that sends more throws than can be judged loses its oldest pending ones.
+    fn pending(largest: &'static str) -> Self {
+        Self::of_largest(Dropped::PendingThrows, largest, sql::OLDEST_PENDING, DROP_THROWS)
+    }
+
+    fn of_all(what: Dropped, oldest: &'static str, drop: &'static [&'static str]) -> Self {
+        Self { what, largest: None, oldest, arguments: Vec::new(), drop }
+    }
+
+    fn alarms() -> Self {
+        Self::of_all(Dropped::Alarms, sql::OLDEST_ALARMS, &[sql::DROP_ALARMS])
+    }
+
     /// Drops up to `rows` rows; returns the number of dropped rows.
-    async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
-        let (what, chosen, statements): (_, _, &[&'static str]) = match self {
-            Self::Traces(holdings) => {
-                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await?;
-                (Dropped::Traces, chosen, &[sql::DROP_TRACES, sql::TRACES_FROM])
-            }
-            Self::AgedTraces(ages) => {
-                (Dropped::Traces, ages.query(rows).fetch_all(&mut *connection).await?, &[sql::DROP_TRACES])
-            }
-            Self::Throws(holdings) => {
-                (Dropped::Throws, oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await?, DROP_THROWS)
-            }
-            Self::Pending(holdings) => {
-                let chosen = oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await?;
-                (Dropped::PendingThrows, chosen, DROP_THROWS)
-            }
-            Self::Alarms => {
-                (Dropped::Alarms, oldest(connection, sql::OLDEST_ALARMS, rows, None).await?, &[sql::DROP_ALARMS])
-            }
-            Self::Messages => {
-                (Dropped::Messages, oldest(connection, sql::OLDEST_MESSAGES, rows, None).await?, &[sql::DROP_MESSAGES])
-            }
-            Self::Pages => {
-                sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
-                count(connection, "dropped_pages", PAGES.cast_signed()).await?;
-                return Ok((Dropped::Pages, PAGES));
-            }
-        };
-        let dropped = chosen.len() as u64;
-        if dropped > 0 {
+    async fn drop(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<u64> {
+        let dropped = if self.what == Dropped::Pages {
+            sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
+            PAGES
+        } else {
+            let chosen = self.choose(connection, rows).await?;
             let list = serde_json::Value::from(chosen.as_slice()).to_string();
-            for statement in statements {
+            for statement in self.drop.iter().filter(|_| !chosen.is_empty()) {
                 sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
             }
-            count(connection, &format!("dropped_{}", what.as_ref()), dropped.cast_signed()).await?;
+            chosen.len() as u64
+        };
+        if dropped > 0 {
+            count(connection, &format!("dropped_{}", self.what.as_ref()), dropped.cast_signed()).await?;
         }
-        Ok((what, dropped))
+        Ok(dropped)
     }
-}
 
-/// The row numbers from a statement for the oldest rows, whose second parameter is `argument`.
-async fn oldest(
-    connection: &mut SqliteConnection,
-    choice: &'static str,
-    rows: u64,
-    argument: Option<i64>,
-) -> sqlx::Result<Vec<i64>> {
-    let chosen = sqlx::query_scalar(choice).bind(rows.cast_signed());
-    let chosen = if let Some(argument) = argument { chosen.bind(argument) } else { chosen };
-    chosen.fetch_all(connection).await
-}
-
-/// The oldest rows of the machines that have the most rows or bytes.
-async fn oldest_of_largest(
-    connection: &mut SqliteConnection,
-    largest: LargestMachines,
-    choice: &'static str,
-    rows: u64,
-) -> sqlx::Result<Vec<i64>> {
-    let machines: Vec<Usage> = sqlx::query_as(largest).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
-    let mut chosen = Vec::new();
-    for (machine_row, rows) in shares(machines, rows) {
-        chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
+    /// Up to `rows` row numbers.
+    async fn choose(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
+        let limit = rows.cast_signed();
+        let Some(largest) = self.largest else {
+            let mut oldest = sqlx::query_scalar(self.oldest).bind(limit);
+            for argument in &self.arguments {
+                oldest = oldest.bind(argument);
+            }
+            return oldest.fetch_all(connection).await;
+        };
+        let machines: Vec<Usage> = sqlx::query_as(largest).bind(limit).fetch_all(&mut *connection).await?;
+        let mut chosen = Vec::new();
+        for (machine_row, rows) in shares(machines, rows) {
+            let oldest = sqlx::query_scalar::<_, i64>(self.oldest).bind(rows.cast_signed()).bind(machine_row);
+            chosen.extend(oldest.fetch_all(&mut *connection).await?);
+        }
+        Ok(chosen)
     }
-    Ok(chosen)
 }
 
 /// Number of rows or bytes that one machine has in the database.
@@ -202,9 +185,9 @@ impl Write for DropRows {
         let mut done = BTreeMap::new();
         let mut rest = self.rows;
         for kind in &self.kinds {
-            let (what, dropped) = kind.drop(connection, rest).await?;
+            let dropped = kind.drop(connection, rest).await?;
             if dropped > 0 {
-                *done.entry(what).or_default() += dropped;
+                *done.entry(kind.what).or_default() += dropped;
             }
             rest = rest.saturating_sub(dropped);
             if rest == 0 {
@@ -261,26 +244,31 @@ impl Store {
             // The number of rows is estimated from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
-            let mut kinds = vec![Kind::Traces(sql::MOST_TRACE_BYTES)];
+            let mut kinds = vec![Kind::traces(sql::MOST_TRACE_BYTES)];
             // If other programs fill the disk, only traces are dropped.
             if excess > 0 {
-                kinds.extend([Kind::Throws(sql::MOST_THROW_BYTES), Kind::Pending(sql::MOST_THROW_BYTES), Kind::Alarms]);
+                kinds.extend([
+                    Kind::throws(sql::MOST_THROW_BYTES),
+                    Kind::pending(sql::MOST_THROW_BYTES),
+                    Kind::alarms(),
+                ]);
             }
             due.push(DropRows { kinds, rows });
         }
+        let messages = Kind::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
         let counts = [
             (
                 figures.traces,
                 settings.max_traces,
-                vec![Kind::Traces(sql::MOST_TRACES), Kind::Pending(sql::MOST_TRACES)],
+                vec![Kind::traces(sql::MOST_TRACES), Kind::pending(sql::MOST_TRACES)],
             ),
             (
                 figures.throws,
                 settings.max_throws,
-                vec![Kind::Throws(sql::MOST_THROWS), Kind::Pending(sql::MOST_THROWS)],
+                vec![Kind::throws(sql::MOST_THROWS), Kind::pending(sql::MOST_THROWS)],
             ),
-            (figures.closed_alarms, settings.max_alarms, vec![Kind::Alarms]),
-            (figures.outbox, OUTBOX, vec![Kind::Messages]),
+            (figures.closed_alarms, settings.max_alarms, vec![Kind::alarms()]),
+            (figures.outbox, OUTBOX, vec![messages]),
         ];
         for (count, most, kinds) in counts {
             let rows = count.saturating_sub(most).min(BATCH);
@@ -290,14 +278,12 @@ impl Store {
         }
         if clock_trusted {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
-            let ages = AgeLimits { before_us: before.as_microsecond(), now_us: now.as_microsecond() };
-            if self.reader.limited(ages.query(1).fetch_optional(&self.reader.pool())).await?.is_some() {
-                due.push(DropRows { kinds: vec![Kind::AgedTraces(ages)], rows: BATCH });
-            }
+            let kinds = vec![Kind::aged_traces(before.as_microsecond(), now.as_microsecond())];
+            due.push(DropRows { kinds, rows: BATCH });
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
-            due.push(DropRows { kinds: vec![Kind::Pages], rows: PAGES });
+            due.push(DropRows { kinds: vec![Kind::of_all(Dropped::Pages, "", &[])], rows: PAGES });
         }
         Ok(due)
     }

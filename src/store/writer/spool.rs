@@ -4,7 +4,6 @@ use std::collections::HashSet;
 
 use jiff::Timestamp;
 use sqlx::{Row as _, SqliteConnection};
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     batch,
@@ -14,7 +13,7 @@ use super::{
 use crate::{
     store::{
         codec::{self, Channel, Checksums, reverse_checksum},
-        rows::{GapKind, RENUMBERED, ThrowRow},
+        rows::{GapKind, RENUMBERED, ThrowRow, from_json},
         statements as sql,
     },
     throw::{Direction, MachineId, Throw},
@@ -44,25 +43,20 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    /// Memory of the waiting throw \[KiB\].
-    pub(crate) fn kib(&self) -> u32 {
-        u32::try_from((self.current.data.len() + self.position.data.len()) / 1024 + 1).unwrap_or(u32::MAX)
-    }
-
-    pub(crate) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Self {
+    pub(crate) fn new(machine: MachineId, throw: Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         let has_position = throw.trace.has_position();
         let lower_half = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
         Self {
-            machine: machine.clone(),
-            throw: throw.clone(),
+            machine,
             received_at_us: received_at.as_microsecond(),
-            content_crc32: content_checksum(throw, checksums.both),
+            content_crc32: content_checksum(&throw, checksums.both),
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
             // With 64 bits, two different traces of a machine do not get the same value by chance.
             trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(lower_half),
+            throw,
         }
     }
 
@@ -185,71 +179,68 @@ async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sql
     Ok(ThrowRow(first))
 }
 
-/// Received throws, at most [`batch::MAX_ROWS`].
-pub(crate) struct Spools {
-    pub(crate) throws: Vec<Spool>,
-    /// Permit for the memory of the waiting throws; released after the answer.
-    #[expect(dead_code, reason = "held")]
-    pub(crate) memory: OwnedSemaphorePermit,
-}
+/// Received throws.
+pub(crate) struct Spools(pub(crate) Vec<Spool>);
 
 impl Write for Spools {
     type Output = Vec<Spooled>;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<Spooled>> {
-        let in_sequence = self.in_sequence(connection).await?;
-        let mut row = if in_sequence.is_empty() { ThrowRow::START } else { insert(connection, &in_sequence).await? };
-        let mut done = 0;
-        let mut spooled = Vec::with_capacity(self.throws.len());
-        for throw in &self.throws {
-            if in_sequence.get(done).is_some_and(|place| std::ptr::eq(place.throw, throw)) {
-                spooled.push(Spooled::New(row));
-                row.0 += 1;
-                done += 1;
-                continue;
+        let mut spooled = Vec::with_capacity(self.0.len());
+        for throws in self.0.chunks(batch::MAX_ROWS) {
+            let in_sequence = in_sequence(connection, throws).await?;
+            let mut together = in_sequence.iter().peekable();
+            let mut row =
+                if in_sequence.is_empty() { ThrowRow::START } else { insert(connection, &in_sequence).await? };
+            for throw in throws {
+                if together.next_if(|place| std::ptr::eq(place.throw, throw)).is_some() {
+                    spooled.push(Spooled::New(row));
+                    row.0 += 1;
+                    continue;
+                }
+                let (result, boot) = throw.store(connection, repeated, None).await?;
+                cursor::advance(connection, boot.machine_row, throw.received_at_us).await?;
+                spooled.push(result);
             }
-            let (result, boot) = throw.store(connection, repeated, Follows::All).await?;
-            cursor::advance(connection, boot.machine_row, throw.received_at_us).await?;
-            spooled.push(result);
         }
         Ok(spooled)
     }
 }
 
-impl Spools {
-    /// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known
-    /// boot and no throw of the machine is missing, or if the machine is new and the number is 1.
-    async fn in_sequence(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
-        let mut found = self.next_of_known_boots(connection).await?;
-        let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
-        let first: Vec<&Spool> =
-            self.throws.iter().filter(|throw| throw.throw_no() == FIRST_NO && !is_found(throw)).collect();
-        if !first.is_empty() && add_new_machines(connection, &first).await? > 0 {
-            found = self.next_of_known_boots(connection).await?;
-        }
-        Ok(found)
+/// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known boot
+/// and no throw of the machine is missing, or if the machine is new and the number is 1.
+async fn in_sequence<'a>(connection: &mut SqliteConnection, throws: &'a [Spool]) -> sqlx::Result<Vec<Placed<'a>>> {
+    let found = next_of_known_boots(connection, throws).await?;
+    let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
+    let first: Vec<&Spool> = throws.iter().filter(|throw| throw.throw_no() == FIRST_NO && !is_found(throw)).collect();
+    if !first.is_empty() && add_new_machines(connection, &first).await? > 0 {
+        return next_of_known_boots(connection, throws).await;
     }
+    Ok(found)
+}
 
-    /// The throws of [`Self::in_sequence`] whose boots are known.
-    async fn next_of_known_boots(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
-        let mut find = batch::query(sql::NEXT_THROWS, self.throws.len());
-        for (at, throw) in (0_i64..).zip(&self.throws) {
-            let MachineId { site, machine } = &throw.machine;
-            find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
-            find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
-        }
-        let found: String = find.fetch_one(connection).await?.try_get(0)?;
-        let found: Vec<(usize, i64, i64, i64)> =
-            serde_json::from_str(&found).map_err(|error| sqlx::Error::Decode(error.into()))?;
-        let mut machines = HashSet::new();
-        let first = found.into_iter().filter(|&(_, machine_row, ..)| machines.insert(machine_row));
-        Ok(first
-            .map(|(at, machine_row, boot_row, position)| {
-                let throw = &self.throws[at];
-                Placed { throw, machine_row, boot_row, position, throw_no: throw.throw_no() }
-            })
-            .collect())
+/// The throws of [`in_sequence`] whose boots are known.
+async fn next_of_known_boots<'a>(
+    connection: &mut SqliteConnection,
+    throws: &'a [Spool],
+) -> sqlx::Result<Vec<Placed<'a>>> {
+    let mut find = batch::query(sql::NEXT_THROWS, throws.len());
+    for (at, throw) in (0_i64..).zip(throws) {
+        let MachineId { site, machine } = &throw.machine;
+        find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
+        find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
     }
+    let found: Vec<(usize, i64, i64, i64)> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
+    let mut machines = HashSet::new();
+    let first = found.into_iter().filter(|&(_, machine_row, ..)| machines.insert(machine_row));
+    let place = |(at, machine_row, boot_row, position): (usize, _, _, _)| Placed {
+        throw: &throws[at],
+        machine_row,
+        boot_row,
+        position,
+        throw_no: throws[at].throw_no(),
+    };
+    Ok(first.map(place).collect())
 }
 
 /// Adds the new machines among those of the throws `first`, each with the boot of its throw. Returns the number of
@@ -271,35 +262,27 @@ async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -
     Ok(added)
 }
 
-/// Place of a new boot in the order of the machine's boots.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Follows {
-    /// After all other boots, for a live throw: a logger sends live throws of its newest boot only.
-    All,
-    /// Right after the boot at this position, for a throw from a backlog.
-    Boot(i64),
-}
-
 impl Spool {
     /// Sequence number of the throw; the decoder of messages accepts none above `i64::MAX`.
     pub(crate) fn throw_no(&self) -> i64 {
         self.throw.id.throw_no.cast_signed()
     }
 
-    /// Stores the throw, and a gap for the missing numbers before it; also returns the boot of the throw.
+    /// Stores the throw, and a gap for the missing numbers before it; also returns the boot of the throw. A new boot of
+    /// a live throw is the last one of the machine, as a logger sends live throws of its newest boot only. A new boot in
+    /// a backlog follows right after the boot at the position `after`.
     pub(crate) async fn store(
         &self,
         connection: &mut SqliteConnection,
         repeated: bool,
-        follows: Follows,
+        after: Option<i64>,
     ) -> sqlx::Result<(Spooled, Boot)> {
         let machine_row = machine_row(connection, &self.machine).await?;
         let boot_id = &self.throw.id.boot_id;
         let (spooled, boot) = if let Some(boot) = boot(connection, machine_row, boot_id).await? {
             (self.store_in(connection, boot, repeated).await?, boot)
         } else {
-            let new = NewBoot { machine_row, boot_id, at_us: self.received_at_us, follows };
-            let boot = new.begin(connection, self.throw_no()).await?;
+            let boot = self.begin_boot(connection, machine_row, after).await?;
             (Spooled::New(self.insert(connection, boot, self.throw_no()).await?), boot)
         };
         if self.throw_no() == 0 {
@@ -325,6 +308,35 @@ impl Spool {
             return Ok(Spooled::Duplicate);
         }
         self.insert(connection, boot, throw_no).await.map(Spooled::New)
+    }
+
+    /// Adds the boot of the throw, with a gap before the throw. Numbers start at 1, or at 0 for a machine that has sent a
+    /// throw 0.
+    async fn begin_boot(
+        &self,
+        connection: &mut SqliteConnection,
+        machine_row: i64,
+        after: Option<i64>,
+    ) -> sqlx::Result<Boot> {
+        let (position, is_last) = new_position(connection, machine_row, after).await?;
+        let before = sqlx::query_as(sql::BOOT_BEFORE).bind(machine_row).bind(position);
+        let before: Option<Boot> = before.fetch_optional(&mut *connection).await?;
+        let (first_no, at_us) = (self.throw_no(), self.received_at_us);
+        let new = (self.throw.id.boot_id.as_str(), position, first_no, !is_last);
+        let boot = add_boot(connection, machine_row, new, at_us).await?;
+        let from_zero = sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(machine_row);
+        let from_zero: bool = from_zero.fetch_one(&mut *connection).await?;
+        let kind = if before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
+        let missing = (i64::from(!from_zero), first_no - 1);
+        let begins_later = add_gap(connection, boot.boot_row, missing, kind, at_us).await?;
+        if let Some(before) = before {
+            // The backlog may have more throws of the previous boot, and boots in between.
+            sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
+            cursor::open(connection, machine_row, before.last(), at_us).await?;
+        } else if begins_later || !is_last {
+            cursor::open(connection, machine_row, ThrowPosition::default(), at_us).await?;
+        }
+        Ok(boot)
     }
 }
 
@@ -356,55 +368,22 @@ const FIRST_NO: i64 = 1;
 /// Distance between the positions of live boots. Boots that only the backlog has get positions in between.
 const SPACING: i64 = 1 << 20;
 
-/// A boot that is received for the first time.
-struct NewBoot<'a> {
+/// The position of a new boot after the position `after` (`None`: after all boots), and whether it is the last boot.
+async fn new_position(
+    connection: &mut SqliteConnection,
     machine_row: i64,
-    boot_id: &'a str,
-    at_us: i64,
-    follows: Follows,
-}
-
-impl NewBoot<'_> {
-    /// Adds the boot, with a gap before its first received throw. Numbers start at 1, or at 0 for a machine that has
-    /// sent a throw 0.
-    async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
-        let (position, is_last) = self.position(connection).await?;
-        let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
-            .bind(self.machine_row)
-            .bind(position)
-            .fetch_optional(&mut *connection)
-            .await?;
-        let new = (self.boot_id, position, first_no, !is_last);
-        let boot = add_boot(connection, self.machine_row, new, self.at_us).await?;
-        let from_zero: bool =
-            sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(self.machine_row).fetch_one(&mut *connection).await?;
-        let kind = if before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
-        let begins_later =
-            add_gap(connection, boot.boot_row, (i64::from(!from_zero), first_no - 1), kind, self.at_us).await?;
-        if let Some(before) = before {
-            // The backlog may have more throws of the previous boot, and boots in between.
-            sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
-            cursor::open(connection, self.machine_row, before.last(), self.at_us).await?;
-        } else if begins_later || !is_last {
-            cursor::open(connection, self.machine_row, ThrowPosition::default(), self.at_us).await?;
+    after: Option<i64>,
+) -> sqlx::Result<(i64, bool)> {
+    if let Some(after) = after
+        && let Some(next) = cursor::next_boot(connection, machine_row, after).await?
+    {
+        let place = if after == i64::MIN { next.position.saturating_sub(SPACING) } else { after + 1 };
+        if place < next.position {
+            return Ok((place, false));
         }
-        Ok(boot)
     }
-
-    /// The position of the boot, and whether it is the last boot.
-    async fn position(&self, connection: &mut SqliteConnection) -> sqlx::Result<(i64, bool)> {
-        if let Follows::Boot(position) = self.follows
-            && let Some(next) = cursor::next_boot(connection, self.machine_row, position).await?
-        {
-            let place = if position == i64::MIN { next.position.saturating_sub(SPACING) } else { position + 1 };
-            if place < next.position {
-                return Ok((place, false));
-            }
-        }
-        let last: Option<Boot> =
-            sqlx::query_as(sql::LAST_BOOT).bind(self.machine_row).fetch_optional(connection).await?;
-        Ok((last.map_or(0, |last| last.position).saturating_add(SPACING), true))
-    }
+    let last: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
+    Ok((last.map_or(0, |last| last.position).saturating_add(SPACING), true))
 }
 
 /// Adds a boot: `boot_id`, position, highest number, and whether later throws of it may be in the backlog.
