@@ -176,7 +176,7 @@ impl Sender {
     /// The name of the operator.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
-        named.ok_or_else(|| Failure::new(Exit::Usage, anyhow!("no name given: use --by NAME")))
+        named.context("no name given: use --by NAME").or_exit(Exit::Usage)
     }
 
     /// Sends a command to the daemon of the machine and prints the reply.
