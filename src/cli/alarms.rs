@@ -6,8 +6,8 @@ use jiff::Timestamp;
 
 use super::{
     Exit, Failure, Outcome, argument,
-    operator::{self, Client, Connection},
-    output, runtime,
+    operator::{self, Connection},
+    output,
 };
 use crate::{
     bus,
@@ -63,28 +63,21 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    runtime::block_on(async {
-        let Client { session, .. } = arguments.connection.open().await?;
-        let present = bus::monitors(&session).await.map_err(operator::failure)?;
-        let answer = bus::ask(&session, &selector(arguments), None, bus::ANSWER_TIMEOUT).await;
-        let daemons = bus::ask(&session, operator::EVERY_STATUS, None, bus::ANSWER_TIMEOUT).await;
+    arguments.connection.with(async |client| {
+        let present = bus::monitors(&client.session).await.map_err(operator::failure)?;
+        let answers = client.ask(&selector(arguments)).await?;
+        if answers.messages.is_empty() && answers.errors.is_empty() {
+            let monitored = bus::require_monitored(&client.session, arguments.machine.as_ref()).await;
+            monitored.map_err(operator::failure)?;
+        }
+        let daemons = client.ask(operator::EVERY_STATUS).await?;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
         let shows_open = !arguments.json && !is_history;
         let health = if shows_open {
-            bus::ask(&session, &key(arguments.machine.as_ref(), Kind::Health), None, bus::ANSWER_TIMEOUT).await
+            client.ask(&key(arguments.machine.as_ref(), Kind::Health)).await?
         } else {
-            Ok(bus::Answers::default())
+            bus::Answers::default()
         };
-        let monitored = match &answer {
-            Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
-                bus::require_monitored(&session, arguments.machine.as_ref()).await
-            }
-            _ => Ok(()),
-        };
-        operator::close(session).await;
-        let answers = answer.map_err(operator::failure)?;
-        monitored.map_err(operator::failure)?;
-        let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons);
         if is_history && found.len() >= MAX_HISTORY as usize {

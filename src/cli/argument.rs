@@ -1,10 +1,11 @@
 //! Parsers of command-line arguments that several commands share.
 
+use anyhow::Context as _;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
 use strum::VariantArray as _;
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, ResultExt as _};
 use crate::{
     daemon::{clock, config::check_endpoint},
     diagnose::{Cause, LONGEST_SHELVING_DAYS, MachineState, Severity},
@@ -108,13 +109,12 @@ impl Window {
         if self.end {
             return Ok(None);
         }
-        let usage = |problem| Failure::new(Exit::Usage, anyhow::anyhow!("{problem}"));
         let from_now = || {
             let length = self.length.or(default);
-            let length = length.ok_or_else(|| usage("no end given: use --for 8h or --until 2026-05-04T06:00:00Z"))?;
-            clock::end_of_window(clock::now(), length).map_err(|_| usage("--for is too long"))
+            let length = length.context("no end given: use --for 8h or --until 2026-05-04T06:00:00Z")?;
+            clock::end_of_window(clock::now(), length).ok().context("--for is too long")
         };
-        let until = self.until.map_or_else(from_now, Ok)?;
+        let until = self.until.map_or_else(from_now, Ok).or_exit(Exit::Usage)?;
         Ok(Some((self.why.clone().unwrap_or_default(), until)))
     }
 }

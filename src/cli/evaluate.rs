@@ -9,6 +9,7 @@ use std::{
 
 use clap::Args;
 use comfy_table::{Cell, Table};
+use parking_lot::Mutex;
 
 use super::{Exit, Outcome, output};
 use crate::{
@@ -71,26 +72,21 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 /// Simulates all lives of machines on `threads` threads; returns the outcomes in the order of the lives.
 fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     let progress = output::progress(plan.lives() as u64, "{wide_bar} {human_pos} of {human_len} lives, {eta} left");
-    let next = AtomicUsize::new(0);
+    let (next, outcomes) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(plan.lives())));
     let work = || {
-        let mut lived = Vec::new();
         loop {
             let life = next.fetch_add(1, Ordering::Relaxed);
             if life >= plan.lives() {
-                return lived;
+                return;
             }
-            lived.push((life, plan.live(life)));
+            let outcome = plan.live(life);
+            outcomes.lock().push((life, outcome));
             progress.inc(1);
         }
     };
-    let mut outcomes: Vec<_> = thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        workers
-            .into_iter()
-            .flat_map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    });
+    thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(work))));
     progress.finish_and_clear();
+    let mut outcomes = outcomes.into_inner();
     outcomes.sort_unstable_by_key(|(life, _)| *life);
     outcomes.into_iter().map(|(_, outcome)| outcome).collect()
 }
@@ -143,28 +139,9 @@ fn healthy_table(report: &Report) -> Table {
 }
 
 fn rows_table(report: &Report, depth: Depth) -> Table {
-    let header = [
-        "case",
-        "cause",
-        "shape",
-        "noise",
-        "size %",
-        "lives",
-        "right %",
-        "wrong",
-        "critical",
-        "ambig.",
-        "missed",
-        "delay",
-        "p95",
-        "interval %",
-        "forecast %",
-        "paper %",
-        "wrong",
-        "CUSUM %",
-        "wrong",
-    ];
-    let mut table = output::plain_table(header);
+    let header = "case,cause,shape,noise,size %,lives,right %,wrong,critical,ambig.,missed,delay,p95,interval %,\
+                  forecast %,paper %,wrong,CUSUM %,wrong";
+    let mut table = output::plain_table(header.split(','));
     for row in report.rows.iter().filter(|row| row.depth == depth) {
         table.add_row(row_cells(row));
     }

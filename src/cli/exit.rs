@@ -4,7 +4,7 @@ use std::{io::Write as _, process::ExitCode};
 
 /// Exit code of a command. Scripts and systemd depend on the numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Exit {
+pub(super) enum Exit {
     /// Success.
     Ok = 0,
     /// The command ran, with a negative result: throw rejected, goal not met, command refused.
@@ -29,11 +29,11 @@ pub enum Exit {
 
 /// A failed command: exit code and error text.
 #[derive(Debug)]
-pub struct Failure {
+pub(super) struct Failure {
     /// Exit code of the process.
-    pub exit: Exit,
+    pub(super) exit: Exit,
     /// The error: what happened, and what to do.
-    pub error: anyhow::Error,
+    pub(super) error: anyhow::Error,
 }
 
 impl Failure {
@@ -44,14 +44,11 @@ impl Failure {
 }
 
 /// Result of a command.
-pub type Outcome = Result<Exit, Failure>;
+pub(super) type Outcome = Result<Exit, Failure>;
 
 /// Adds an exit code to an error.
-pub trait ResultExt<T> {
+pub(super) trait ResultExt<T> {
     /// Turns an error into a [`Failure`] with the code `exit`.
-    ///
-    /// # Errors
-    /// When `self` is an error.
     fn or_exit(self, exit: Exit) -> Result<T, Failure>;
 }
 

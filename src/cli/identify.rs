@@ -68,7 +68,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let found = Identifier::default().identify(&throw, &settings);
     let reason = reason(&found, &recording.lines);
     if arguments.json {
-        output::json(&report(&found, reason.as_deref(), recording.resampled).or_exit(Exit::Software)?)?;
+        output::json(&report(&found, reason.as_deref(), recording.lines.is_empty()).or_exit(Exit::Software)?)?;
     } else {
         output::line(match &found.outcome {
             Ok(estimate) => text(&found, estimate, reason.as_deref()),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use comfy_table::{Table, presets};
 
 use super::{Exit, Outcome, ResultExt, output};
-use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
+use crate::evaluate::limits::{Finding, NAMES, Row, run};
 use crate::report::{Panel, Sheet};
 
 /// Least error drawn in the charts \[%\], as their axis is logarithmic.
@@ -35,7 +35,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let findings = run(Runs { throws: arguments.throws.into(), seed: arguments.seed }).or_exit(Exit::Software)?;
+    let findings = run(arguments.throws.into(), arguments.seed).or_exit(Exit::Software)?;
     if let Some(folder) = &arguments.out {
         output::figures(folder, findings.iter().map(|finding| (format!("limits_{}", finding.name), picture(finding))))?;
     }

@@ -4,11 +4,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use super::{
-    Exit, Outcome, ResultExt,
-    operator::{self, Client, Connection},
-    output, simulate_run,
-};
+use super::{Exit, Outcome, ResultExt, operator::Connection, output, simulate_run};
 use crate::{
     logger::{LoadResult, LoadTest, quantile},
     throw::{MachineId, Name, counted},
@@ -57,27 +53,25 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    super::runtime::block_on(async {
-        let Client { session, .. } = arguments.connection.open().await?;
-        let machines = (0..arguments.machines).map(|number| {
-            let site = format!("{}-{}", arguments.site, number / MACHINES_OF_A_SITE + 1);
-            MachineId::new(&site, &format!("m-{}", number % MACHINES_OF_A_SITE + 1))
-        });
-        let load = LoadTest {
-            machines: machines.collect::<Result<_, _>>().or_exit(Exit::Usage)?,
-            rate: arguments.rate.into(),
-            throws: u64::from(arguments.rate) * u64::from(arguments.seconds),
-            blocked: arguments.blocked.into(),
-            seed: arguments.seed,
-        };
-        let publishing = session.clone();
-        let (throws, rate) = (load.throws, load.rate);
+    let machines = (0..arguments.machines).map(|number| {
+        let site = format!("{}-{}", arguments.site, number / MACHINES_OF_A_SITE + 1);
+        MachineId::new(&site, &format!("m-{}", number % MACHINES_OF_A_SITE + 1))
+    });
+    let load = LoadTest {
+        machines: machines.collect::<Result<_, _>>().or_exit(Exit::Usage)?,
+        rate: arguments.rate.into(),
+        throws: u64::from(arguments.rate) * u64::from(arguments.seconds),
+        blocked: arguments.blocked.into(),
+        seed: arguments.seed,
+    };
+    let (throws, rate) = (load.throws, load.rate);
+    let loaded = arguments.connection.with(async |client| {
+        let session = client.session.clone();
         // Publishing may block on the link, so it has its own thread.
-        let task = tokio::task::spawn_blocking(move || load.run(&publishing, &simulate_run::boot_id(), PATIENCE));
-        let loaded = task.await.or_exit(Exit::Software)?.map_err(simulate_run::failure);
-        operator::close(session).await;
-        report(throws, rate, &loaded?, arguments.json)
-    })
+        let task = tokio::task::spawn_blocking(move || load.run(&session, &simulate_run::boot_id(), PATIENCE));
+        task.await.or_exit(Exit::Software)?.map_err(simulate_run::failure)
+    })?;
+    report(throws, rate, &loaded, arguments.json)
 }
 
 fn report(throws: u64, rate: f64, loaded: &LoadResult, as_json: bool) -> Outcome {

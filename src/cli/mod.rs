@@ -32,7 +32,7 @@ mod status;
 mod table1;
 mod throw;
 
-pub use exit::{Exit, Failure, Outcome, ResultExt};
+use exit::{Exit, Failure, Outcome, ResultExt};
 
 /// Runs `pointsd` with the arguments of the process and returns the exit code.
 pub fn pointsd() -> std::process::ExitCode {

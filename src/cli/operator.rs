@@ -40,9 +40,33 @@ pub(super) struct Client {
     pub(super) monitor: Option<MachineId>,
 }
 
+impl Client {
+    /// The answers of all daemons.
+    pub(super) async fn ask(&self, selector: &str) -> Result<Answers, Failure> {
+        bus::ask(&self.session, selector, None, bus::ANSWER_TIMEOUT).await.map_err(failure)
+    }
+
+    /// Closes the session. An error does not matter, as the end of the process closes the link.
+    async fn close(self) {
+        if let Err(error) = self.session.close().await {
+            tracing::debug!(%error, "closing the session failed");
+        }
+    }
+}
+
 impl Connection {
+    /// Does the work of a command with a connection, which is closed afterwards.
+    pub(super) fn with<T>(&self, work: impl AsyncFnOnce(&Client) -> Result<T, Failure>) -> Result<T, Failure> {
+        runtime::block_on(async {
+            let client = self.open().await?;
+            let result = work(&client).await;
+            client.close().await;
+            result
+        })
+    }
+
     /// Connects within [`CONNECT_TIMEOUT_MS`]. If the configuration is that of a daemon, this daemon must be running.
-    pub(super) async fn open(&self) -> Result<Client, Failure> {
+    async fn open(&self) -> Result<Client, Failure> {
         let document = self.config.as_deref().map(Document::read).transpose().or_exit(Exit::Config)?;
         let OperatorSession { zenoh: mut config, endpoints, monitor } =
             operator_session(document.as_ref(), self.connect.as_deref())
@@ -67,13 +91,14 @@ impl Connection {
             };
             Failure::new(Exit::Unavailable, anyhow!("no answer from {}. {advice} ({error})", endpoints.join(" or ")))
         })?;
-        if let Some(monitor) = &monitor
-            && let Err(error) = bus::require_running(&session, monitor).await
+        let client = Client { session, monitor };
+        if let Some(monitor) = &client.monitor
+            && let Err(error) = bus::require_running(&client.session, monitor).await
         {
-            close(session).await;
+            client.close().await;
             return Err(failure(error));
         }
-        Ok(Client { session, monitor })
+        Ok(client)
     }
 }
 
@@ -121,13 +146,6 @@ pub(super) fn silent(present: &[String], answers: &Answers) -> usize {
     silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).count()
 }
 
-/// Closes a session. An error does not matter, as the end of the process closes the link.
-pub(super) async fn close(session: Session) {
-    if let Err(error) = session.close().await {
-        tracing::debug!(%error, "closing the session failed");
-    }
-}
-
 /// Exit code and text of a failed query or command.
 pub(super) fn failure(error: OperatorError) -> Failure {
     let exit = match &error {
@@ -158,24 +176,20 @@ impl Sender {
     /// The name of the operator.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
-        named.ok_or_else(|| Failure::new(Exit::Usage, anyhow!("no name given: use --by NAME")))
+        named.context("no name given: use --by NAME").or_exit(Exit::Usage)
     }
 
     /// Sends a command to the daemon of the machine and prints the reply.
     pub(super) fn send(&self, command: &Command) -> Outcome {
-        runtime::block_on(async {
-            let payload = json_bytes(command);
-            let Client { session, monitor } = self.connection.open().await?;
-            let answer = bus::command(&session, &self.machine, monitor.as_ref(), payload).await;
-            close(session).await;
-            let answer = answer.map_err(failure)?;
-            let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
-            if self.json {
-                output::line(json(&reply))?;
-            } else {
-                output::line(format_args!("{}: {}", reply.monitor, reply.text))?;
-            }
-            Ok(if reply.done { Exit::Ok } else { Exit::Negative })
-        })
+        let answer = self.connection.with(async |Client { session, monitor }| {
+            bus::command(session, &self.machine, monitor.as_ref(), json_bytes(command)).await.map_err(failure)
+        })?;
+        let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
+        if self.json {
+            output::line(json(&reply))?;
+        } else {
+            output::line(format_args!("{}: {}", reply.monitor, reply.text))?;
+        }
+        Ok(if reply.done { Exit::Ok } else { Exit::Negative })
     }
 }

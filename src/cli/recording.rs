@@ -35,9 +35,7 @@ const MAX_BYTES: u64 = 512 << 20;
 pub(super) struct Recording {
     /// Current and position on an even grid.
     pub(super) trace: Trace,
-    /// Whether the samples of the file were interpolated to this grid.
-    pub(super) resampled: bool,
-    /// Line of each sample in the file, from 1; empty if `resampled`.
+    /// Line of each sample in the file, from 1; empty if the samples were interpolated to this grid.
     pub(super) lines: Vec<u64>,
 }
 
@@ -143,14 +141,13 @@ impl Columns {
         let start_s = self.time_s[0];
         let uneven =
             |(k, time_s): (usize, &f64)| (time_s - start_s - k as f64 * interval_s).abs() > EVEN_TOLERANCE * interval_s;
-        let resampled = self.time_s.iter().enumerate().any(uneven);
         let rate_hz = 1.0 / interval_s;
-        let (current_a, position_mm, lines) = if resampled {
+        let (current_a, position_mm, lines) = if self.time_s.iter().enumerate().any(uneven) {
             (self.interpolated(&self.current_a, interval_s), self.interpolated(&self.position_mm, interval_s), vec![])
         } else {
             (self.current_a, self.position_mm, self.lines)
         };
-        Ok(Recording { trace: Trace::new(rate_hz, current_a, position_mm)?, resampled, lines })
+        Ok(Recording { trace: Trace::new(rate_hz, current_a, position_mm)?, lines })
     }
 
     /// Mean sample interval \[s\]. A step over missing samples counts as several intervals.

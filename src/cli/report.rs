@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
+use anyhow::Context as _;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt, argument,
+    Exit, Outcome, ResultExt, argument,
     database::{Location, cannot_open},
     output,
     runtime::block_on,
@@ -55,8 +55,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let reader = Reader::open_outside(&path).await.map_err(cannot_open)?;
         web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;
-    let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
-    let page = page.ok_or_else(|| Failure::new(Exit::NoInput, unknown()))?;
+    let unknown = || format!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
+    let page = page.with_context(unknown).or_exit(Exit::NoInput)?;
     if arguments.out == Path::new("-") {
         output::line(page)?;
         return Ok(Exit::Ok);

@@ -14,7 +14,7 @@ use super::{
     Exit, Failure, Outcome, alarms, argument,
     operator::{self, Client, Connection},
     output,
-    runtime::{self, Signals},
+    runtime::Signals,
 };
 use crate::{
     bus::{self, OperatorError},
@@ -65,41 +65,38 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    runtime::block_on(async {
+    arguments.connection.with(async |client| {
         let mut signals = Signals::listen()?;
-        let Client { session, .. } = arguments.connection.open().await?;
-        let outcome = loop {
+        loop {
             if arguments.watch && io::stdout().is_terminal() {
                 output::clear()?;
             }
-            let shown = show(&session, arguments).await;
+            let shown = show(client, arguments).await;
             if !arguments.watch {
-                break shown.and_then(|(result, printed)| output::after(printed, result));
+                return shown.and_then(|(result, printed)| output::after(printed, result));
             }
             match shown.and_then(|(_, printed)| printed) {
                 // The reader closed the pipe.
-                Err(failure) if failure.exit == Exit::Ok => break Err(failure),
+                Err(failure) if failure.exit == Exit::Ok => return Err(failure),
                 // Not the end: a daemon may be restarting, for example.
                 Err(failure) => eprintln!("{:#}", failure.error),
                 Ok(()) => {}
             }
             tokio::select! {
                 () = tokio::time::sleep(WATCH_INTERVAL) => {}
-                () = signals.stop() => break Ok(Exit::Ok),
+                () = signals.stop() => return Ok(Exit::Ok),
             }
-        };
-        operator::close(session).await;
-        outcome
+        }
     })
 }
 
 /// Prints the answers of the daemons once. Returns the exit code for these answers, and the result of printing them.
-async fn show(session: &zenoh::Session, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
-    let ask = async |selector: &str| bus::ask(session, selector, None, bus::ANSWER_TIMEOUT).await;
+async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
+    let session = &client.session;
     let present = bus::monitors(session).await.map_err(operator::failure)?;
-    let daemons = ask(operator::EVERY_STATUS).await.map_err(operator::failure)?;
-    let of_machines = ask(&wire::every_key(Kind::Health)).await.map_err(operator::failure)?;
-    let events = ask(&wire::every_key(Kind::Alarm)).await.map_err(operator::failure)?;
+    let daemons = client.ask(operator::EVERY_STATUS).await?;
+    let of_machines = client.ask(&wire::every_key(Kind::Health)).await?;
+    let events = client.ask(&wire::every_key(Kind::Alarm)).await?;
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }

@@ -43,7 +43,7 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
-    let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed, ..Study::default() };
+    let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed };
     let results = run(&study).or_exit(Exit::Software)?;
     if let Some(folder) = &arguments.out {
         output::figures(folder, figures(&results))?;

@@ -32,9 +32,10 @@ pub(super) struct Design {
     decision_sd: f64,
 }
 
-/// The cumulative sums of one direction.
-#[derive(Debug, Clone, Default)]
-struct Sums {
+/// The rule for one direction of a machine, with its cumulative sums.
+#[derive(Debug, Clone)]
+pub(super) struct Cusum {
+    design: Design,
     /// Sums of the deviations upwards.
     high: Vector3<f64>,
     /// Sums of the deviations downwards.
@@ -44,12 +45,16 @@ struct Sums {
     passed: Option<([i8; 3], usize)>,
 }
 
-impl Sums {
+impl Cusum {
+    pub(super) fn new(design: Design) -> Self {
+        Self { design, high: Vector3::zeros(), low: Vector3::zeros(), passed: None }
+    }
+
     /// Adds a deviation. Returns the verdict when it is due; [`Cause::Unattributed`] stands for no name.
-    fn add(&mut self, deviation: Vector3<f64>, sd: Vector3<f64>, design: &Design) -> Option<Cause> {
-        self.high = (self.high + deviation - design.reference).map(|s| s.max(0.0));
-        self.low = (self.low - deviation - design.reference).map(|s| s.max(0.0));
-        let limit = sd * design.decision_sd;
+    fn add(&mut self, deviation: Vector3<f64>, sd: Vector3<f64>) -> Option<Cause> {
+        self.high = (self.high + deviation - self.design.reference).map(|s| s.max(0.0));
+        self.low = (self.low - deviation - self.design.reference).map(|s| s.max(0.0));
+        let limit = sd * self.design.decision_sd;
         let side = |i: usize| i8::from(self.high[i] > limit[i]) - i8::from(self.low[i] > limit[i]);
         let sides = [side(0), side(1), side(2)];
         let (mut passed, throws) = match self.passed {
@@ -64,7 +69,7 @@ impl Sums {
         if throws < CONFIRM_THROWS {
             return None;
         }
-        *self = Self::default();
+        *self = Self::new(self.design);
         Some(name(passed))
     }
 }
@@ -79,19 +84,6 @@ fn name(passed: [i8; 3]) -> Cause {
     }
 }
 
-/// The CUSUM rule for one direction of a machine.
-#[derive(Debug, Clone)]
-pub(super) struct Cusum {
-    design: Design,
-    sums: Sums,
-}
-
-impl Cusum {
-    pub(super) fn new(design: Design) -> Self {
-        Self { design, sums: Sums::default() }
-    }
-}
-
 impl Rule for Cusum {
     fn judge(
         &mut self,
@@ -100,9 +92,9 @@ impl Rule for Cusum {
         (mean, sd): Normal,
         last: Option<Cause>,
     ) -> Option<Cause> {
-        let verdict = self.sums.add(log_theta - mean, sd, &self.design);
+        let verdict = self.add(log_theta - mean, sd);
         // While the rule waits for more throws, the last verdict stays.
-        verdict.or(last.filter(|_| self.sums.passed.is_some()))
+        verdict.or(last.filter(|_| self.passed.is_some()))
     }
 }
 
@@ -121,7 +113,7 @@ impl Design {
         for _ in 0..halvings {
             let middle = f64::midpoint(low, high);
             let design = Self { reference, decision_sd: middle };
-            let alarms: usize = lives.iter().map(|life| alarms(life, &design)).sum();
+            let alarms: usize = lives.iter().map(|life| alarms(life, design)).sum();
             if alarms as f64 > watched / throws_per_false_alarm {
                 low = middle;
             } else {
@@ -155,9 +147,9 @@ fn tuning_lives(seed: u64, noise: Noise, baseline: usize) -> Vec<TuningLife> {
     lives
 }
 
-fn alarms((deviations, sd): &TuningLife, design: &Design) -> usize {
-    let mut sums = Sums::default();
-    deviations.iter().filter(|deviation| sums.add(**deviation, *sd, design).is_some()).count()
+fn alarms((deviations, sd): &TuningLife, design: Design) -> usize {
+    let mut cusum = Cusum::new(design);
+    deviations.iter().filter(|deviation| cusum.add(**deviation, *sd).is_some()).count()
 }
 
 #[cfg(test)]
@@ -167,7 +159,7 @@ mod tests {
     const LIMITS: Limits = [0.05, 0.15, 0.10, 0.05];
     const BASELINE: usize = 50;
 
-    fn alarms_per_throw(design: &Design, seed: u64) -> f64 {
+    fn alarms_per_throw(design: Design, seed: u64) -> f64 {
         let lives = tuning_lives(seed, Noise::Default, BASELINE);
         let throws: usize = lives.iter().map(|(deviations, _)| deviations.len()).sum();
         lives.iter().map(|life| alarms(life, design)).sum::<usize>() as f64 / throws as f64
@@ -177,7 +169,7 @@ mod tests {
     fn tuning_meets_its_budget_on_machines_that_it_has_not_seen() {
         let budget = 2_000.0;
         let design = Design::tuned(1, Noise::Default, LIMITS, BASELINE, budget);
-        let ratio = alarms_per_throw(&design, 2) * budget;
+        let ratio = alarms_per_throw(design, 2) * budget;
         assert!((0.5..2.0).contains(&ratio), "{ratio} times the budget");
     }
 
@@ -186,8 +178,8 @@ mod tests {
         let design = Design { reference: Vector3::new(0.025, 0.075, 0.05), decision_sd: 4.0 };
         let sd = Vector3::repeat(0.01);
         let named = |shift: Vector3<f64>| {
-            let mut sums = Sums::default();
-            (0..20).find_map(|_| sums.add(shift, sd, &design))
+            let mut cusum = Cusum::new(design);
+            (0..20).find_map(|_| cusum.add(shift, sd))
         };
         assert_eq!(named(Vector3::new(-0.1, 0.0, 0.0)), Some(Cause::Kt));
         assert_eq!(named(Vector3::new(0.0, 0.2, 0.0)), Some(Cause::Friction));

@@ -8,22 +8,12 @@ use super::{
     weather::{Climate, WetSpells},
 };
 
-/// Weather of a fleet.
-#[derive(Debug, Clone, Copy)]
-enum Weather {
-    Steady,
-    /// A year of seasons with 20 K up and down, and 3 K over a day. The temperature is not published.
-    Year,
-    /// Rare wet spells: 20 % less friction for 15 throws.
-    Wet,
-}
-
 /// A fleet of healthy machines.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fleet {
     pub(super) label: &'static str,
     pub(super) scatter: Scatter,
-    weather: Weather,
+    weather: fn(&mut Timeline, &mut ChaCha8Rng),
 }
 
 /// Scatter three times the usual one.
@@ -36,23 +26,29 @@ pub(super) const FLEETS: [Fleet; 7] = [
     scattering("serial correlation 0.9", Scatter { phi: 0.9, ..Scatter::USUAL }),
     scattering("Student's t, 3 degrees of freedom", Scatter { tail: Some(3), ..Scatter::USUAL }),
     scattering("three times the scatter", Scatter { sd: TRIPLE_SD, ..Scatter::USUAL }),
-    Fleet { label: "year of +-20 K, not published", scatter: Scatter::USUAL, weather: Weather::Year },
-    Fleet { label: "wet spells", scatter: Scatter::USUAL, weather: Weather::Wet },
+    // Seasons with 20 K up and down, and 3 K over a day.
+    Fleet {
+        label: "year of +-20 K, not published",
+        scatter: Scatter::USUAL,
+        weather: |life, random| life.climate = Some(Climate::year(random)),
+    },
+    // Rare spells with 20 % less friction for 15 throws.
+    Fleet {
+        label: "wet spells",
+        scatter: Scatter::USUAL,
+        weather: |life, random| life.wet = WetSpells::new(life.throws, random),
+    },
 ];
 
 const fn scattering(label: &'static str, scatter: Scatter) -> Fleet {
-    Fleet { label, scatter, weather: Weather::Steady }
+    Fleet { label, scatter, weather: |_, _| {} }
 }
 
 impl Fleet {
     /// A life of `throws` throws in the weather of this fleet.
     pub(super) fn life(&self, throws: usize, random: &mut ChaCha8Rng) -> Timeline {
         let mut life = Timeline::healthy(throws);
-        match self.weather {
-            Weather::Steady => {}
-            Weather::Year => life.climate = Some(Climate::year(random)),
-            Weather::Wet => life.wet = WetSpells::new(throws, random),
-        }
+        (self.weather)(&mut life, random);
         life
     }
 }

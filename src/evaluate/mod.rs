@@ -77,7 +77,7 @@ mod weather;
 
 pub use picture::picture;
 pub use plan::{Amount, Outcome, Plan};
-pub use report::{Budget, GOAL_BUDGET_FACTOR, GOAL_RIGHT, GOAL_STEP_DELAY, Healthy, Report, Row, Tally};
+pub use report::{Budget, Healthy, Report, Row, Tally};
 pub use scatter::Scatter;
 pub use scenario::{Depth, Noise, Shape};
 

@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use super::{
     comparator::{Baseline, Normal, Rule},
     scenario::Limits,
-    table1::CORRELATION_LIMIT,
+    table1::{CORRELATION_LIMIT, correlations},
 };
 use crate::diagnose::Cause;
 
@@ -49,32 +49,22 @@ impl Rule for PaperRule {
     }
 }
 
-/// Verdict on a `change` of (ln b0, ln a1, ln a0); `tests`: the logarithms for the correlation.
+/// Verdict on a `change` of (ln b0, ln a1, ln a0); `tests`: the logarithms for the correlation of the inertia estimates.
 fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Option<Cause> {
     let size = change.map(|x| x.exp_m1().abs());
     let [kt, friction, stiffness, inertia] = limits;
+    let tests: Vec<[f64; 3]> = tests.iter().map(|log_theta| log_theta.map(f64::exp).into()).collect();
     let alone: Vec<Cause> =
         (0..3).filter(|&i| size[i] >= [kt, friction, stiffness][i]).map(|i| Cause::PHYSICAL[i]).collect();
     if alone.is_empty() && size[0] < inertia {
         None
-    } else if correlated(tests) {
+    } else if correlations(&tests, 0.0).iter().all(|pair| *pair >= CORRELATION_LIMIT) {
         Some(Cause::Inertia)
     } else if let [cause] = alone[..] {
         Some(cause)
     } else {
         Some(Cause::Unattributed)
     }
-}
-
-/// Whether the inertia estimates of the three coefficients, nominal / estimate, are correlated by at least 0.8 in each
-/// pair. The nominal values have no effect on a correlation and are left out.
-fn correlated(tests: &[Vector3<f64>]) -> bool {
-    let inertia = || tests.iter().map(|log_theta| log_theta.map(|x| (-x).exp()));
-    let mean = inertia().sum::<Vector3<f64>>() / tests.len() as f64;
-    let covariance = inertia().map(|j| j.component_div(&mean).add_scalar(-1.0)).map(|d| d * d.transpose());
-    let covariance = covariance.sum::<nalgebra::Matrix3<f64>>();
-    let correlation = |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    [(0, 1), (0, 2), (1, 2)].into_iter().all(|(i, j)| correlation(i, j) >= CORRELATION_LIMIT)
 }
 
 #[cfg(test)]

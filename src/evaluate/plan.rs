@@ -78,10 +78,21 @@ const NO_LIMIT_PCT: f64 = 0.001;
 /// A life to simulate; `machine` is its number, which selects the random stream, and the others are indices.
 #[derive(Debug, Clone, Copy)]
 enum Task {
-    Healthy { depth: Depth, machine: usize, throws: usize },
-    Fleet { fleet: usize, machine: usize, throws: usize },
-    Row { row: usize, trial: usize },
-    Budget { phi: usize, machine: usize },
+    /// A healthy machine; `fleet`: index in [`FLEETS`], `None` for the usual fleet.
+    Healthy {
+        depth: Depth,
+        fleet: Option<usize>,
+        machine: usize,
+        throws: usize,
+    },
+    Row {
+        row: usize,
+        trial: usize,
+    },
+    Budget {
+        phi: usize,
+        machine: usize,
+    },
 }
 
 /// Result of a life. [`Plan::report`] combines the results.
@@ -139,8 +150,9 @@ impl Plan {
     /// When `life` is not below [`Plan::lives`].
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
-            Task::Healthy { depth, machine, throws } => Kind::Healthy(self.healthy(depth, machine, throws)),
-            Task::Fleet { fleet, machine, throws } => Kind::Healthy(self.fleet(fleet, machine, throws)),
+            Task::Healthy { depth, fleet, machine, throws } => {
+                Kind::Healthy(self.healthy(depth, fleet, machine, 2 * self.baseline + throws))
+            }
             Task::Row { row, trial } => self.row(row, trial),
             Task::Budget { phi, machine } => self.budget(phi, machine),
         })
@@ -153,11 +165,8 @@ impl Plan {
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for (task, outcome) in self.tasks.iter().zip(outcomes) {
             match (*task, outcome.0) {
-                (Task::Healthy { depth, throws, .. }, Kind::Healthy(alarms)) => {
-                    add(&mut healthy, depth, None, throws, alarms);
-                }
-                (Task::Fleet { fleet, throws, .. }, Kind::Healthy(alarms)) => {
-                    add(&mut healthy, Depth::Parameter, Some(FLEETS[fleet].label), throws, alarms);
+                (Task::Healthy { depth, fleet, throws, .. }, Kind::Healthy(alarms)) => {
+                    add(&mut healthy, depth, fleet.map(|fleet| FLEETS[fleet].label), throws, alarms);
                 }
                 (Task::Row { row, .. }, Kind::Row(three, is_wrong, coverage)) => {
                     lives[row].judgements.push(three);
@@ -175,19 +184,18 @@ impl Plan {
         Report { seed: self.seed, healthy, rows, budget }
     }
 
-    fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 4] {
-        let life = Timeline::healthy(2 * self.baseline + throws);
-        let random = stream(self.seed, domain::HEALTHY, depth as usize, machine);
-        let mut source = source(depth, Situation::Plain, Noise::Default, random, &life);
-        live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
-    }
-
-    fn fleet(&self, fleet: usize, machine: usize, throws: usize) -> [usize; 4] {
-        let mut random = stream(self.seed, domain::WEATHER, fleet, machine);
-        let life = FLEETS[fleet].life(2 * self.baseline + throws, &mut random);
-        let random = stream(self.seed, domain::FLEET, fleet, machine);
-        let machine = ParameterMachine::new(random, Noise::Default, FLEETS[fleet].scatter);
-        let mut source = Source::Parameter(Box::new(machine));
+    fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> [usize; 4] {
+        let random = |domain, row| stream(self.seed, domain, row, machine);
+        let (life, mut source) = if let Some(fleet) = fleet {
+            let life = FLEETS[fleet].life(throws, &mut random(domain::WEATHER, fleet));
+            let random = random(domain::FLEET, fleet);
+            let machine = ParameterMachine::new(random, Noise::Default, FLEETS[fleet].scatter);
+            (life, Source::Parameter(Box::new(machine)))
+        } else {
+            let (life, random) = (Timeline::healthy(throws), random(domain::HEALTHY, depth as usize));
+            let source = source(depth, Situation::Plain, Noise::Default, random, &life);
+            (life, source)
+        };
         live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
     }
 
@@ -245,19 +253,19 @@ fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
     let lives = |total: usize, each: usize| {
         (0..total.div_ceil(each)).map(move |machine| (machine, each.min(total - machine * each)))
     };
-    let healthy =
-        |depth, total, each| lives(total, each).map(move |(machine, throws)| Task::Healthy { depth, machine, throws });
-    let fleets = (0..FLEETS.len()).flat_map(|fleet| {
-        lives(amount.fleet_throws, FLEET_LIFE).map(move |(machine, throws)| Task::Fleet { fleet, machine, throws })
-    });
+    let healthy = |depth, fleet, total, each| {
+        lives(total, each).map(move |(machine, throws)| Task::Healthy { depth, fleet, machine, throws })
+    };
+    let fleets =
+        (0..FLEETS.len()).flat_map(|fleet| healthy(Depth::Parameter, Some(fleet), amount.fleet_throws, FLEET_LIFE));
     let rows = |wanted: Depth, trials: usize| {
         let rows = scenarios.iter().enumerate().filter(move |(_, scenario)| scenario.depth == wanted);
         rows.flat_map(move |(row, _)| (0..trials).map(move |trial| Task::Row { row, trial }))
     };
     let budget = (0..BUDGET_PHI.len()).flat_map(|phi| (0..amount.budget_lives).map(move |machine| (phi, machine)));
-    healthy(Depth::Trace, amount.trace_healthy_throws, HEALTHY_TRACE_LIFE)
+    healthy(Depth::Trace, None, amount.trace_healthy_throws, HEALTHY_TRACE_LIFE)
         .chain(rows(Depth::Trace, amount.trace_trials))
-        .chain(healthy(Depth::Parameter, amount.healthy_throws, HEALTHY_LIFE))
+        .chain(healthy(Depth::Parameter, None, amount.healthy_throws, HEALTHY_LIFE))
         .chain(fleets)
         .chain(rows(Depth::Parameter, amount.trials))
         .chain(budget.map(|(phi, machine)| Task::Budget { phi, machine }))

@@ -9,11 +9,11 @@ use super::{
 };
 
 /// Goal: least share of lives that are named right in a plain row.
-pub const GOAL_RIGHT: f64 = 0.99;
+const GOAL_RIGHT: f64 = 0.99;
 /// Goal: largest median delay in a plain row with a step \[throws\].
-pub const GOAL_STEP_DELAY: f64 = 3.0;
+const GOAL_STEP_DELAY: f64 = 3.0;
 /// Goal: largest factor between the measured rate of false alarms and the budget, in either sense.
-pub const GOAL_BUDGET_FACTOR: f64 = 3.0;
+const GOAL_BUDGET_FACTOR: f64 = 3.0;
 
 /// All results of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -245,8 +245,7 @@ impl Budget {
         self.ratio = self.false_alarms as f64 / (self.throws as f64 / self.throws_per_false_alarm);
     }
 
-    /// Whether the ratio meets [`GOAL_BUDGET_FACTOR`].
-    pub fn holds(&self) -> bool {
+    fn holds(&self) -> bool {
         (1.0 / GOAL_BUDGET_FACTOR..=GOAL_BUDGET_FACTOR).contains(&self.ratio)
     }
 }

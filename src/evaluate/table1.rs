@@ -65,7 +65,7 @@ pub struct Case {
 }
 
 /// The four cases, in the study's order.
-pub const CASES: [Case; 4] = [
+const CASES: [Case; 4] = [
     Case {
         symbol: "KT",
         unit: "N m/A",
@@ -170,9 +170,7 @@ pub enum Failure {
 pub struct Study {
     /// Model of the rails.
     pub rails: RailModel,
-    /// The sensors; every throw has new noise.
-    pub sensors: Sensors,
-    /// Throws of each test, at least 1.
+    /// Throws of each test, at least 1; every throw has new sensor noise.
     pub throws: usize,
     /// Seed of the sensors' noise.
     pub seed: u64,
@@ -180,7 +178,7 @@ pub struct Study {
 
 impl Default for Study {
     fn default() -> Self {
-        Self { rails: RailModel::Beam, sensors: Sensors::default(), throws: 10, seed: 1 }
+        Self { rails: RailModel::Beam, throws: 10, seed: 1 }
     }
 }
 
@@ -204,19 +202,19 @@ fn run_case(
     identifier: &mut Identifier,
 ) -> Result<CaseResult, Failure> {
     let truth = |machine: &Parameters| machine.coefficients().map(|is| is.values());
-    let reference = truth(nominal)?;
+    let (reference, sensors) = (truth(nominal)?, Sensors::default());
     let mut tests: Vec<Test> = Vec::with_capacity(6);
     let mut singles: Vec<Vec<[f64; 3]>> = Vec::with_capacity(6);
     for (at, value) in std::iter::once((case.nominal)(nominal)).chain(case.values).enumerate() {
         let mut machine = nominal.clone();
         (case.set)(&mut machine, value);
-        let motion = machine.simulate(DIRECTION, &Conditions::default(), study.sensors.step_s())?;
+        let motion = machine.simulate(DIRECTION, &Conditions::default(), sensors.step_s())?;
         let mut traces = Vec::with_capacity(study.throws);
         let mut estimates = Vec::with_capacity(study.throws);
         let mut refusals = 0;
         while estimates.len() < study.throws.max(1) {
-            let trace = study.sensors.record(&motion, DIRECTION, rng)?.trace;
-            match identify(identifier, &machine, &trace, &study.sensors) {
+            let trace = sensors.record(&motion, DIRECTION, rng)?.trace;
+            match identify(identifier, &machine, &trace) {
                 Ok(estimate) => {
                     estimates.push(estimate);
                     traces.push(trace);
@@ -252,7 +250,7 @@ fn run_case(
 }
 
 /// Correlations of the inertia estimates nominal/estimate over the tests: (b0, a1), (b0, a0), (a1, a0).
-fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
+pub(super) fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
     let inertia = |at: usize| -> Vec<f64> { tests.iter().map(|test| tests[0][at] / test[at]).collect() };
     let (b0, a1, a0) = (inertia(0), inertia(1), inertia(2));
     [(&b0, &a1), (&b0, &a0), (&a1, &a0)].map(|(a, b)| correlation(a, b, scatter))
@@ -266,20 +264,12 @@ fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
     (std::array::from_fn(values), std::array::from_fn(sd))
 }
 
-fn identify(
-    identifier: &mut Identifier,
-    machine: &Parameters,
-    trace: &Trace,
-    sensors: &Sensors,
-) -> Result<Estimate, Rejection> {
+fn identify(identifier: &mut Identifier, machine: &Parameters, trace: &Trace) -> Result<Estimate, Rejection> {
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
-    let throw =
-        Throw { direction: Some(DIRECTION), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace.clone()) };
+    let throw = Throw { direction: Some(DIRECTION), ..Throw::recorded(trace.clone()) };
     // The table needs the coefficients. An estimate with ratios only counts as rejected.
-    identifier
-        .identify(&throw, &settings)
-        .outcome
-        .and_then(|estimate| if estimate.ratios_only { Err(Rejection::Singular) } else { Ok(estimate) })
+    let is_whole = |estimate: Estimate| if estimate.ratios_only { Err(Rejection::Singular) } else { Ok(estimate) };
+    identifier.identify(&throw, &settings).outcome.and_then(is_whole)
 }
 
 fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {

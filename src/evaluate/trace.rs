@@ -9,10 +9,10 @@ use super::{
     timeline::{Fault, Timeline},
 };
 use crate::{
-    diagnose::{Cause, Observation},
+    diagnose::Observation,
     estimate::{Identifier, Settings},
     simulate::{
-        self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
+        self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Sensors, SimulatedMachine, SimulatedThrow,
     },
     throw::Trace,
 };
@@ -42,8 +42,7 @@ impl TraceMachine {
         if situation == Situation::SoftToe {
             fleet.machine.drive_stiffness_n_m = SOFT_TOE_N_M;
         }
-        let parts = life.faults.iter().filter(|fault| Cause::PHYSICAL.contains(&fault.part));
-        fleet.faults = parts.map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
+        fleet.faults = life.faults.iter().filter_map(simulated).map(|fault| FleetFault { machine: 0, fault }).collect();
         let (mut volts, mut faulty) = (true, None);
         if let (Situation::Instrument { which, volts: published }, Some(fault)) = (situation, life.faults.first()) {
             (volts, faulty) = (published, Some((which, 1.0 + fault.size, fault.onset)));
@@ -102,20 +101,13 @@ fn sensors(situation: Situation, noise: Noise) -> Sensors {
     sensors
 }
 
-fn simulated(fault: &Fault) -> simulate::Fault {
+/// The fault for the simulator; `None` if it is a fault of an instrument.
+fn simulated(fault: &Fault) -> Option<simulate::Fault> {
+    let part = fault.part.as_str().parse().ok()?;
     let shape = match fault.shape {
         Shape::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
         // The rows at trace depth have steps and ramps only.
         _ => simulate::Shape::Step,
     };
-    simulate::Fault { part: part(fault.part), shape, size_pct: 100.0 * fault.size, from_throw: fault.onset as u64 }
-}
-
-fn part(cause: Cause) -> Part {
-    match cause {
-        Cause::Kt => Part::Kt,
-        Cause::Stiffness => Part::Stiffness,
-        Cause::Inertia => Part::Inertia,
-        _ => Part::Friction,
-    }
+    Some(simulate::Fault { part, shape, size_pct: 100.0 * fault.size, from_throw: fault.onset as u64 })
 }

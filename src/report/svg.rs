@@ -3,21 +3,12 @@
 use std::fmt::Write;
 
 /// Alignment of a text: which part of it is at its coordinates.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, strum::AsRefStr)]
+#[strum(serialize_all = "snake_case")]
 pub(super) enum Anchor {
     Start,
     Middle,
     End,
-}
-
-impl Anchor {
-    const fn word(self) -> &'static str {
-        match self {
-            Self::Start => "start",
-            Self::Middle => "middle",
-            Self::End => "end",
-        }
-    }
 }
 
 /// Writer of an SVG document; coordinates are pixels from the upper left corner.
@@ -52,7 +43,7 @@ impl Canvas {
     }
 
     fn text_with(&mut self, place: std::fmt::Arguments<'_>, size: f64, anchor: Anchor, content: &str) {
-        let (anchor, content) = (anchor.word(), escape(content));
+        let (anchor, content) = (anchor.as_ref(), escape(content));
         self.push(format_args!("<text {place} font-size=\"{size}\" text-anchor=\"{anchor}\">{content}</text>"));
     }
 

@@ -1,7 +1,7 @@
 //! `/machines/{site}/{machine}`: state, present drifts, trends, alarms and last throws of one machine.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, HashMap, hash_map::Entry},
     sync::Arc,
 };
 
@@ -74,20 +74,17 @@ struct Page {
     /// Sentences about what the monitor cannot show at present.
     caveats: Vec<String>,
     alarms: Vec<AlarmLine>,
-    last_throws: Vec<LastThrow>,
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
+    /// The throws in the charts.
+    both: Directions,
+    baselines: Vec<BaselineRecord>,
     trends: Vec<Picture>,
-    /// Reason why there are no charts of the coefficients.
-    no_trends: &'static str,
     features: Vec<Picture>,
-    /// Time and path of each throw in the charts, as JSON.
-    drawn_throws: String,
-    drawn: String,
-    rejected: String,
     events: Vec<Alarm>,
     commands: Vec<CommandRow>,
-    throws: Vec<Row>,
+    /// The last throws, each with its quality in words.
+    throws: Vec<(Health, String)>,
     takes_commands: bool,
     form: Form,
     /// Longest window in the form \[h\].
@@ -134,19 +131,6 @@ struct LastThrow {
     changes: Option<[(String, String); 3]>,
     /// Text in place of the changes.
     without: String,
-}
-
-/// A throw in the table.
-pub(super) struct Row {
-    pub(super) address: String,
-    pub(super) throw_no: u64,
-    pub(super) at: String,
-    pub(super) direction: String,
-    pub(super) changes: Option<[String; 3]>,
-    pub(super) duration: String,
-    pub(super) mean: String,
-    pub(super) peak: String,
-    pub(super) quality: String,
 }
 
 pub(super) async fn page(
@@ -227,15 +211,10 @@ async fn read(
         caveats,
         maintenance: maintenance(now_state, &windows),
         alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
-        last_throws: last_throws(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, text)| (word, text, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
-        no_trends: no_trends(&both, &baselines),
         features: trend::features(&both, &of_baseline, &marks),
-        drawn_throws: drawn_throws(&both),
-        drawn: drawn(&both),
-        rejected: rejected(&both),
-        throws: table_rows(&throws),
+        throws: with_qualities(throws),
         events,
         commands,
         takes_commands: false,
@@ -244,6 +223,8 @@ async fn read(
         file_style: None,
         volatile: format!("As of {}.", utc(&clock::now())),
         machine: machine.clone(),
+        both,
+        baselines,
     }))
 }
 
@@ -345,7 +326,7 @@ fn without(row: &Health) -> String {
 }
 
 /// The quality of a throw in words, with the reason if the throw is rejected or rough.
-fn quality(row: &Health) -> String {
+pub(super) fn quality(row: &Health) -> String {
     let word = row.quality.replace('_', " ");
     match &row.detail {
         detail if row.is_rejected() => format!("rejected: {}", detail.as_ref().unwrap_or(&word)),
@@ -354,27 +335,35 @@ fn quality(row: &Health) -> String {
     }
 }
 
-/// The rows of the table of throws, newest first. A long reason that differs only in its numbers from that of a newer
+/// The direction of a throw in words.
+pub(super) fn direction(row: &Health) -> String {
+    row.direction.map_or_else(|| "unknown".to_owned(), |direction| direction.to_string())
+}
+
+fn changes(row: &Health) -> Option<[String; 3]> {
+    row.change_pct.map(|change| change.map(|change| state::signed(change, 1)))
+}
+
+/// The throws with their qualities, newest first. A long reason that differs only in its numbers from that of a newer
 /// throw is not repeated.
-fn table_rows(throws: &[Health]) -> Vec<Row> {
+fn with_qualities(throws: Vec<Health>) -> Vec<(Health, String)> {
     /// Longest reason that is always repeated \[characters\].
     const LONG: usize = 60;
     let mut before: HashMap<String, u64> = HashMap::new();
-    let mut of = |health: &Health| {
-        let mut row = row(health);
-        if row.quality.chars().count() > LONG {
-            let words = without_digits(&row.quality);
-            match before.get(&words) {
-                Some(throw_no) => {
-                    let word = row.quality.split(':').next().unwrap_or_default();
-                    row.quality = format!("{word}: as throw {throw_no}");
+    let with_quality = |throw: Health| {
+        let mut quality = quality(&throw);
+        if quality.chars().count() > LONG {
+            match before.entry(without_digits(&quality)) {
+                Entry::Occupied(newer) => {
+                    let word = quality.split(':').next().unwrap_or_default();
+                    quality = format!("{word}: as throw {}", newer.get());
                 }
-                None => drop(before.insert(words, row.throw_no)),
+                Entry::Vacant(first) => drop(first.insert(throw.throw.throw_no)),
             }
         }
-        row
+        (throw, quality)
     };
-    throws.iter().map(&mut of).collect()
+    throws.into_iter().map(with_quality).collect()
 }
 
 /// "2026-05-04 … to 2026-05-06 …; drawn are 250 throws normal to reverse and 250 back."
@@ -432,20 +421,4 @@ fn marks(
     // The baselines of both directions are usually complete at the same time: one mark is enough.
     marks.dedup_by(|one, before| one.label == before.label && one.label == "baseline");
     marks
-}
-
-pub(super) fn row(health: &Health) -> Row {
-    let with =
-        |value: Option<f64>, decimals: usize| value.map(|value| format!("{value:.decimals$}")).unwrap_or_default();
-    Row {
-        address: page::throw_address(&health.machine, &health.throw),
-        throw_no: health.throw.throw_no,
-        at: utc(&health.started_at),
-        direction: health.direction.map_or_else(|| "unknown".to_owned(), |direction| direction.to_string()),
-        changes: health.change_pct.map(|change| change.map(|change| state::signed(change, 1))),
-        duration: with(health.duration_s, 2),
-        mean: with(health.mean_current_a, 2),
-        peak: with(health.peak_current_a, 1),
-        quality: quality(health),
-    }
 }

@@ -12,15 +12,15 @@ use axum::{
 
 use super::{
     guard,
-    machine::{Row, row},
     overview::Web,
     page::{self, Failure},
+    state,
     trend::{self, Curve, Picture},
 };
 use crate::{
     estimate::{self, Motor},
     store::{Reader, StoredThrow},
-    throw::{MachineId, Name, Throw, ThrowRef, Trace, brief, utc},
+    throw::{MachineId, Name, Throw, ThrowRef, Trace, brief},
     wire::Health,
 };
 
@@ -31,27 +31,47 @@ const BASELINES: u32 = 8;
 #[template(path = "throw.html", config = "src/web/askama.toml")]
 struct Page {
     trouble: Vec<String>,
-    machine: MachineId,
-    boot_id: String,
-    throw_no: u64,
-    at: String,
-    received_at: String,
-    before: Option<String>,
-    after: Option<String>,
+    stored: StoredThrow,
     /// `None` while the throw is pending.
-    judged: Option<Row>,
-    coefficients: Option<[String; 3]>,
+    health: Option<Health>,
+    before: Option<ThrowRef>,
+    after: Option<ThrowRef>,
     /// Names and values of the ratios of the coefficients and of the motor's constants, as far as they are known.
     measured: Vec<(&'static str, String)>,
-    temperature: Option<String>,
-    supply: Option<String>,
     pictures: Vec<Picture>,
-    /// Address and number of the typical throw.
-    typical: Option<(String, u64)>,
-    /// Address of the trace as CSV.
-    csv: Option<String>,
-    /// Reason why there is no trace.
-    no_trace: Option<String>,
+    /// A typical throw of the baseline.
+    typical: Option<StoredThrow>,
+}
+
+impl Page {
+    /// The address of a throw of this machine.
+    fn address(&self, throw: &ThrowRef) -> String {
+        page::throw_address(&self.stored.machine, throw)
+    }
+
+    /// Temperature and supply voltage, if they were measured. An impossible value, as 1e300, is shortened: it would have
+    /// 301 digits.
+    fn conditions(&self) -> Vec<(&'static str, String)> {
+        let throw = self.stored.throw.as_ref().ok();
+        let values = [
+            ("temperature", "°C", throw.and_then(|throw| throw.temperature_c)),
+            ("supply", "V", throw.and_then(|throw| throw.supply_v)),
+        ];
+        let text = |value: f64| if value.abs() < 1e6 { format!("{value:.1}") } else { brief(value) };
+        values.into_iter().filter_map(|(name, unit, value)| Some((name, format!("{} {unit}", text(value?))))).collect()
+    }
+
+    /// Each coefficient ± two standard deviations, with its change from the baseline; empty without coefficients.
+    fn coefficients(&self) -> Vec<(&'static str, String, String)> {
+        let Some(health) = &self.health else { return Vec::new() };
+        let (Some(values), Some(sd)) = (health.coefficients, health.sd) else { return Vec::new() };
+        let change = |at: usize| {
+            let change = health.change_pct.map(|change| format!("{} %", state::signed(change[at], 1)));
+            change.unwrap_or_else(|| "no baseline yet".to_owned())
+        };
+        let names = ["b0, motor (rad/s² per A)", "a1, friction (1/s)", "a0, stiffness (1/s²)"];
+        (0..3).map(|at| (names[at], rounded(values[at], 2.0 * sd[at]), change(at))).collect()
+    }
 }
 
 type Names = Result<Path<(Name, Name, String, String)>, PathRejection>;
@@ -82,41 +102,16 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
     let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
     let config = web.view.config();
-    let address = |throw: ThrowRef| page::throw_address(&machine, &throw);
-    let (pictures, csv, no_trace) = match &stored.throw {
-        Ok(throw) => {
+    let pictures = stored.throw.as_ref().map_or_else(
+        |_| Vec::new(),
+        |throw| {
             let typical = typical.as_ref().and_then(|typical| Some(&typical.throw.as_ref().ok()?.trace));
-            let csv = format!("{}/trace.csv", page::throw_address(&machine, &stored.id));
-            (pictures(throw, health.as_ref(), typical, config.machines.of(&machine)), Some(csv), None)
-        }
-        Err(unreadable) => (Vec::new(), None, Some(unreadable.to_string())),
-    };
+            pictures(throw, health.as_ref(), typical, config.machines.of(&machine))
+        },
+    );
     let motor = reader.motor_of(stored.row).await?;
-    let measured = stored.throw.as_ref().ok();
-    Ok(page::html(&Page {
-        trouble,
-        boot_id: stored.id.boot_id.clone(),
-        throw_no: stored.id.throw_no,
-        at: utc(&stored.started_at),
-        received_at: utc(&stored.received_at),
-        before: before.map(address),
-        after: after.map(address),
-        judged: health.as_ref().map(row),
-        coefficients: health.as_ref().and_then(coefficients),
-        measured: health.as_ref().map(|health| constants(health, motor)).unwrap_or_default(),
-        temperature: measured.and_then(|throw| throw.temperature_c).map(|celsius| measured_text(celsius, "°C")),
-        supply: measured.and_then(|throw| throw.supply_v).map(|volts| measured_text(volts, "V")),
-        pictures,
-        typical: typical.map(|typical| (address(typical.id.clone()), typical.id.throw_no)),
-        csv,
-        no_trace,
-        machine: stored.machine,
-    }))
-}
-
-/// A measured value with its unit. An impossible value, as 1e300, is shortened: it would have 301 digits.
-fn measured_text(value: f64, unit: &str) -> String {
-    if value.abs() < 1e6 { format!("{value:.1} {unit}") } else { format!("{} {unit}", brief(value)) }
+    let measured = health.as_ref().map(|health| constants(health, motor)).unwrap_or_default();
+    Ok(page::html(&Page { trouble, stored, health, before, after, measured, pictures, typical }))
 }
 
 /// Reads a good throw of the same direction, made when the newest baseline was learned.
@@ -230,12 +225,6 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
         model.push(state[0] * mm_per_rad);
     }
     model
-}
-
-/// Each coefficient ± two standard deviations, both rounded to two digits of the deviation.
-fn coefficients(health: &Health) -> Option<[String; 3]> {
-    let (values, sd) = (health.coefficients?, health.sd?);
-    Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))
 }
 
 /// The ratios ± two standard deviations, and resistance, back-EMF constant and no-load speed.

@@ -8,7 +8,7 @@ use pointsd::{
 };
 use proptest::prelude::*;
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::fleet::{Machine, Scatter, shift};
 
 fn now() -> Timestamp {
     "2026-03-01T00:00:00Z".parse().unwrap()
@@ -20,7 +20,7 @@ fn by() -> String {
 
 /// A machine with an active friction warning, and the event that raised it.
 fn alarmed(seed: u64) -> (Machine, AlarmEvent) {
-    let mut machine = Machine::learned(seed, Nature::default());
+    let mut machine = Machine::learned(seed, Scatter::USUAL);
     let raised = (0..20).find_map(|_| machine.feed(shift(Cause::Friction, 25.0)).events.pop()).unwrap();
     (machine, raised)
 }
@@ -51,7 +51,7 @@ fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
 fn a_constant_fault_is_not_cleared() {
     let settings = Settings { off_delay_throws: 3, ..Settings::default() };
     for seed in 0..10 {
-        let mut machine = Machine::learned_with(70 + seed, Nature::default(), settings.clone());
+        let mut machine = Machine::learned_with(70 + seed, Scatter::USUAL, settings.clone());
         let fault = shift(Cause::Friction, 45.0);
         let events = machine.events(60, fault);
         assert!(
@@ -59,7 +59,7 @@ fn a_constant_fault_is_not_cleared() {
             "seed {seed}: {events:?}"
         );
     }
-    let mut machine = Machine::learned(80, Nature::default());
+    let mut machine = Machine::learned(80, Scatter::USUAL);
     let faulty = Direction::NormalToReverse;
     let feed = |machine: &mut Machine, only| {
         machine.only = only;
@@ -131,7 +131,7 @@ fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
 #[test]
 fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
     for (first, then) in [(-30.0, 30.0), (30.0, -30.0)] {
-        let mut machine = Machine::learned(7, Nature::default());
+        let mut machine = Machine::learned(7, Scatter::USUAL);
         let raised = machine.events(40, shift(Cause::Friction, first)).remove(0);
         assert!(raised.cause == Cause::Friction && raised.change_pct.unwrap() * first > 0.0, "{}", raised.text);
         act(&mut machine, &Command::Ack { cause: Cause::Friction, by: by() }).unwrap();
@@ -183,7 +183,7 @@ fn a_name_or_reason_with_control_characters_is_refused() {
 #[test]
 fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let settings = Settings::default();
-    let mut machine = Machine::new(5, Nature::default());
+    let mut machine = Machine::new(5, Scatter::USUAL);
     machine.events(20, Vector3::zeros());
     let progress = machine.monitor.baseline_progress(Direction::NormalToReverse, &settings);
     let until = now() + SignedDuration::from_hours(8);
@@ -244,7 +244,7 @@ fn a_lasting_step_is_raised_once_and_stays() {
     let lasting =
         [(Cause::Kt, -20.0), (Cause::Friction, 45.0), (Cause::Stiffness, 30.0), (Cause::Inertia, 20.0)].into_iter();
     for ((cause, size_pct), seed) in lasting.flat_map(|fault| (0..25).map(move |seed| (fault, seed))) {
-        let mut machine = Machine::learned(seed, Nature::default());
+        let mut machine = Machine::learned(seed, Scatter::USUAL);
         machine.stay_healthy(40);
         let events = machine.events(100, shift(cause, size_pct));
         assert!(events.iter().all(|event| event.cause == cause), "{events:?}");
@@ -261,9 +261,8 @@ fn an_alarm_at_its_limit_does_not_chatter() {
         (Cause::Kt, 5.0, 1.0),
         (Cause::Stiffness, 10.0, 3.0),
     ] {
-        let natural = Nature::default();
-        let mut machine =
-            Machine::learned(9, Nature { scatter: natural.scatter.map(|s| s * times), phi: 0.6, ..natural });
+        let natural = Scatter::USUAL;
+        let mut machine = Machine::learned(9, Scatter { sd: natural.sd.map(|s| s * times), phi: 0.6, ..natural });
         let events = machine.events(10_000, shift(cause, pct));
         let is_raised = |e: &&AlarmEvent| e.cause == cause && e.state == AlarmState::ActiveUnacknowledged;
         let raised = events.iter().filter(is_raised).count();
@@ -277,7 +276,7 @@ proptest! {
     /// Whatever jumps the clock makes, each occurrence of an alarm has its own identity, and its events count from 1.
     #[test]
     fn identities_are_unique_whatever_the_clock_does(seed in 0_u64..1000, jumps in prop::collection::vec(0_u8..4, 40)) {
-        let mut machine = Machine::learned(seed, Nature::default());
+        let mut machine = Machine::learned(seed, Scatter::USUAL);
         let mut seen = std::collections::BTreeMap::new();
         for jump in jumps {
             let mut observation = machine.throw(Vector3::zeros());
@@ -302,7 +301,7 @@ proptest! {
 
 #[test]
 fn a_rebaseline_of_a_learning_machine_says_how_far_it_had_learned() {
-    let mut machine = Machine::learned(940, Nature::default());
+    let mut machine = Machine::learned(940, Scatter::USUAL);
     let id = MachineId::new("north", "21B").unwrap();
     let rebaseline = Command::Rebaseline { by: by(), why: "new motor".into() };
     let confirmation = |machine: &Machine| rebaseline.confirmation(&id, machine.monitor.learning(&machine.settings));

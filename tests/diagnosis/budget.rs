@@ -4,10 +4,7 @@
 use nalgebra::Vector3;
 use pointsd::diagnose::{Cause, Settings};
 
-use crate::{
-    field::{Machine, Scatter},
-    fleet::{in_parallel, shift},
-};
+use crate::fleet::{Machine, Scatter, in_parallel, shift};
 
 /// Number of lives in a row.
 const LIVES: u64 = 100;
@@ -20,7 +17,7 @@ const THROWS: f64 = LIVES as f64 * LIFE as f64;
 /// Raised alarms of [`LIVES`] healthy lives.
 fn raised(scatter: Scatter, first_seed: u64, settings: &Settings) -> usize {
     let live = |seed| {
-        let mut machine = Machine::new(first_seed + seed, scatter);
+        let mut machine = Machine::in_field(first_seed + seed, scatter);
         machine.settings = settings.clone();
         let events = machine.events(2 * settings.baseline_throws + LIFE, Vector3::zeros());
         events.iter().filter(|event| event.event_no == 1 && event.cause.is_drift()).count()

@@ -6,12 +6,12 @@ use pointsd::{
     estimate::Grade,
 };
 
-use crate::fleet::{Machine, Nature, normal, shift};
+use crate::fleet::{Machine, Scatter, normal, shift};
 
 /// First alarm within `throws` after the onset of a fault that grows over `ramp` throws: cause, and throws since the
 /// onset.
 fn first_alarm(seed: u64, cause: Cause, pct: f64, ramp: u32, throws: u32) -> Option<(Cause, u32)> {
-    let mut machine = Machine::learned(seed, Nature::default());
+    let mut machine = Machine::learned(seed, Scatter::USUAL);
     for _ in 0..machine.rng_u(40) {
         machine.stay_healthy(1);
     }
@@ -59,7 +59,7 @@ struct Gauges {
 fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
     let settings = Settings::default();
     let of_machine = |seed: u64| {
-        let mut machine = Machine::new(seed, Nature::default());
+        let mut machine = Machine::new(seed, Scatter::USUAL);
         let mut feed = |shift: Vector3<f64>, changes: Gauges| {
             let mut throw = machine.throw(shift);
             let mut scattered = |change: f64| (change + 0.01 * normal(&mut machine.rng)).exp();
@@ -169,7 +169,7 @@ fn stiffness_and_friction_keep_their_names_on_machines_of_ratios() {
 #[test]
 fn healthy_machines_have_no_alarm() {
     for (seed, phi) in (0..20).zip([0.0, 0.3, 0.5, 0.6].into_iter().cycle()) {
-        let mut machine = Machine::new(seed, Nature { phi, ..Nature::default() });
+        let mut machine = Machine::new(seed, Scatter { phi, ..Scatter::USUAL });
         machine.stay_healthy(1_000);
     }
 }
@@ -177,7 +177,7 @@ fn healthy_machines_have_no_alarm() {
 #[test]
 fn a_large_fault_is_critical_and_its_text_can_be_acted_on() {
     let settings = Settings::default();
-    let mut machine = Machine::learned(3, Nature::default());
+    let mut machine = Machine::learned(3, Scatter::USUAL);
     let events = machine.events(20, shift(Cause::Friction, 60.0));
     let last = events.last().unwrap();
     assert_eq!((last.cause, last.severity), (Cause::Friction, Severity::Critical));

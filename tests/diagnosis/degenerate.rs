@@ -11,7 +11,7 @@ use pointsd::{
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
 
-use crate::fleet::{NOMINAL, Nature, in_parallel, normal};
+use crate::fleet::{NOMINAL, estimator_covariance, in_parallel, normal};
 
 const LIVES: u64 = 400;
 const THROWS: u64 = 400;
@@ -87,7 +87,7 @@ impl Degenerate {
         }
         let scale = Matrix3::from_diagonal(&Vector3::from(coefficients)) * self.stated;
         let unknown = if ratios_only { Matrix3::repeat(0.01) } else { Matrix3::zeros() };
-        let covariance = scale * (Nature::default().covariance() + unknown) * scale;
+        let covariance = scale * (estimator_covariance() + unknown) * scale;
         let turn = Direction::BOTH[usize::from(throw_no.is_multiple_of(2) && !self.is_one_way)];
         Observation {
             direction: Some(turn),

@@ -11,8 +11,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     drive::{Drive, State},
-    field::{Machine, Scatter},
-    fleet::{causes, in_parallel, normal},
+    fleet::{Machine, Scatter, causes, in_parallel, normal},
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
@@ -135,11 +134,11 @@ fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() 
 #[test]
 fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_machine_changed() {
     for (factor, cause) in [(1.2, Cause::Unattributed), (1.0, Cause::NotMonitored)] {
-        let mut machine = Machine::new(56_000, Scatter::USUAL);
+        let mut machine = Machine::in_field(56_000, Scatter::USUAL);
         machine.stay_healthy(130);
         let mut named = Vec::new();
         for _ in 0..20 {
-            let throw = machine.throw(Vector3::zeros(), None);
+            let throw = machine.throw(Vector3::zeros());
             let duration_s = throw.features.duration_s.map(|duration_s| factor * duration_s);
             let rejected = Observation { estimate: None, features: Features { duration_s, ..throw.features }, ..throw };
             named.extend(machine.observe(&rejected).events.into_iter().map(|event| event.cause));
@@ -153,12 +152,12 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
 /// A new baseline needs a large change to see a drift, so throws with coefficients say nothing about the features.
 #[test]
 fn an_alarm_of_features_stays_while_they_are_changed_in_throws_with_coefficients_too() {
-    let mut machine = Machine::new(56_500, Scatter::USUAL);
+    let mut machine = Machine::in_field(56_500, Scatter::USUAL);
     machine.stay_healthy(130);
     let mut events = |is_slow: bool, has_estimate: bool| {
         let mut named = Vec::new();
         for _ in 0..30 {
-            let mut throw = machine.throw(Vector3::zeros(), None);
+            let mut throw = machine.throw(Vector3::zeros());
             throw.features.duration_s = throw.features.duration_s.map(|own| if is_slow { 1.2 * own } else { own });
             throw.estimate = throw.estimate.filter(|_| has_estimate);
             named.extend(machine.observe(&throw).events.into_iter().map(|event| (event.cause, event.state)));
@@ -175,10 +174,10 @@ fn an_alarm_of_features_stays_while_they_are_changed_in_throws_with_coefficients
 /// The throws of one direction are rejected, as with a wrong `neutral_mm`, until a fault makes them acceptable.
 #[test]
 fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
-    let mut machine = Machine::new(57_000, Scatter::USUAL);
+    let mut machine = Machine::in_field(57_000, Scatter::USUAL);
     let mut events = Vec::new();
     for at in 0..200 {
-        let mut throw = machine.throw(Vector3::zeros(), None);
+        let mut throw = machine.throw(Vector3::zeros());
         let is_there = throw.direction == Some(Direction::NormalToReverse);
         let fault = if at >= 90 && is_there { 1.7 } else { 1.0 };
         if at < 90 && is_there {
@@ -196,9 +195,9 @@ fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
 /// A weak supply can make the throws unusable for the model. Then the supply must be named.
 #[test]
 fn a_weak_supply_of_rejected_throws_is_named() {
-    let mut machine = Machine::new(57_100, Scatter::USUAL);
+    let mut machine = Machine::in_field(57_100, Scatter::USUAL);
     let mut feed = |is_weak: bool| {
-        let mut throw = machine.throw(Vector3::zeros(), None);
+        let mut throw = machine.throw(Vector3::zeros());
         let volts = if is_weak { 80.0 } else { 110.0 };
         throw.features.supply_v = Some(volts * (0.01 * normal(&mut machine.rng)).exp());
         if is_weak {

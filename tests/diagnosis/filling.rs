@@ -8,7 +8,7 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State},
-    fleet::{Machine, Nature, shift},
+    fleet::{Machine, Scatter, shift},
 };
 
 const OF_RATIOS: State = State::OF_RATIOS;
@@ -23,7 +23,7 @@ fn a_fault_while_the_baseline_fills_is_named_and_not_learned() {
     let settings = Settings::default();
     for cause in Cause::PHYSICAL {
         for seed in 0..TRIALS {
-            let mut machine = Machine::new(5_000 + seed, Nature::default());
+            let mut machine = Machine::new(5_000 + seed, Scatter::USUAL);
             machine.stay_healthy(30);
             let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
             let fault = shift(cause, sign * 2.0 * settings.limit_pct(cause).unwrap());
@@ -38,7 +38,7 @@ fn a_fault_while_the_baseline_fills_is_named_and_not_learned() {
 fn healthy_machines_complete_their_baseline_without_an_alarm() {
     const LIVES: u64 = 60;
     for (seed, phi) in (0..LIVES).zip([0.0, 0.3, 0.6, 0.8].into_iter().cycle()) {
-        let mut machine = Machine::new(6_000 + seed, Nature { phi, ..Nature::default() });
+        let mut machine = Machine::new(6_000 + seed, Scatter { phi, ..Scatter::USUAL });
         machine.stay_healthy(250);
         assert!(is_complete(&machine), "seed {seed}, phi {phi}");
     }
@@ -48,7 +48,7 @@ fn healthy_machines_complete_their_baseline_without_an_alarm() {
 /// by less than every limit.
 #[test]
 fn unusual_weather_in_the_first_throws_does_not_end_the_learning() {
-    let calm = Nature { scatter: [0.002, 0.005, 0.003], ..Nature::default() };
+    let calm = Scatter { sd: [0.002, 0.005, 0.003], ..Scatter::USUAL };
     for seed in 0..10 {
         let mut machine = Machine::new(7_100 + seed, calm);
         for (throws, weather) in [(24, shift(Cause::Friction, 13.0)), (276, Vector3::zeros())] {
@@ -70,7 +70,7 @@ fn a_small_complete_baseline_names_every_cause() {
     for baseline_throws in [12, 25] {
         let settings = Settings { baseline_throws, ..Settings::default() };
         for (cause, seed) in Cause::PHYSICAL.into_iter().flat_map(|cause| (0..TRIALS).map(move |seed| (cause, seed))) {
-            let mut machine = Machine::learned_with(8_000 + seed, Nature::default(), settings.clone());
+            let mut machine = Machine::learned_with(8_000 + seed, Scatter::USUAL, settings.clone());
             let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
             let fault = shift(cause, sign * 2.0 * settings.limit_pct(cause).unwrap());
             let found = (0..60).find_map(|_| machine.feed(fault).events.first().cloned());

@@ -11,6 +11,7 @@ use std::{
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
+pub(crate) use pointsd::evaluate::Scatter;
 use pointsd::{
     diagnose::{AlarmEvent, Cause, MachineMonitor, Observation, SensorChannel, Settings, Verdict},
     estimate::Features,
@@ -22,30 +23,11 @@ use rand_chacha::ChaCha8Rng;
 /// The coefficients of the nominal machine.
 pub(crate) const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
 
-/// Scatter of a machine.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Nature {
-    /// Relative standard deviation of the machine's natural scatter of b0, a1, a0.
-    pub(crate) scatter: [f64; 3],
-    /// Serial correlation of the natural scatter between consecutive throws.
-    pub(crate) phi: f64,
-    /// Relative standard deviation of the estimator's error of b0, a1, a0.
-    pub(crate) sensor: [f64; 3],
-}
-
-impl Default for Nature {
-    fn default() -> Self {
-        Self { scatter: [0.005, 0.03, 0.01], phi: 0.5, sensor: [0.0053, 0.0060, 0.0052] }
-    }
-}
-
-impl Nature {
-    /// Covariance of the logarithms that the estimator reports; the correlations are the measured ones.
-    pub(crate) fn covariance(&self) -> Matrix3<f64> {
-        let r = Matrix3::new(1.0, 0.97, 0.91, 0.97, 1.0, 0.79, 0.91, 0.79, 1.0);
-        let s = Vector3::from(self.sensor);
-        r.component_mul(&(s * s.transpose())) + Matrix3::from_diagonal(&s.map(|v| 1e-6 * v * v))
-    }
+/// Covariance of the logarithms of b0, a1, a0 that the estimator reports; the correlations are the measured ones.
+pub(crate) fn estimator_covariance() -> Matrix3<f64> {
+    let r = Matrix3::new(1.0, 0.97, 0.91, 0.97, 1.0, 0.79, 0.91, 0.79, 1.0);
+    let s = Vector3::new(0.0053, 0.0060, 0.0052);
+    r.component_mul(&(s * s.transpose())) + Matrix3::from_diagonal(&s.map(|v| 1e-6 * v * v))
 }
 
 /// Standard normal number (Box and Muller).
@@ -93,51 +75,79 @@ pub(crate) struct Machine {
     pub(crate) throws: u64,
     /// The only direction of the throws; `None`: both in turn.
     pub(crate) only: Option<Direction>,
-    nature: Nature,
+    /// Time between two throws.
+    pub(crate) interval: SignedDuration,
+    scatter: Scatter,
     state: Vector3<f64>,
+    /// Logarithms of b0, a1, a0 in each direction, without scatter.
+    centre: [Vector3<f64>; 2],
     root: Matrix3<f64>,
     started_at: Timestamp,
 }
 
 impl Machine {
-    pub(crate) fn new(seed: u64, nature: Nature) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let state = Vector3::from_fn(|i, _| nature.scatter[i] * normal(&mut rng));
-        let root = nature.covariance().cholesky().unwrap().l();
+    /// The nominal machine.
+    pub(crate) fn new(seed: u64, scatter: Scatter) -> Self {
+        let centre = [Vector3::from(NOMINAL.map(f64::ln)); 2];
+        Self::with(ChaCha8Rng::seed_from_u64(seed), centre, scatter)
+    }
+
+    /// A machine in the field, which differs from all others and in its directions, with a throw every 72 minutes. Its
+    /// scatter may have heavy tails and strong serial correlation, which the diagnosis does not assume.
+    pub(crate) fn in_field(seed: u64, scatter: Scatter) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(0xf1e1d ^ seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        let usual = Vector3::new(150.0_f64, 8.0, 2.5).map(f64::ln);
+        let centre = [(); 2].map(|()| usual + Vector3::from_fn(|_, _| 0.1 * normal(&mut rng)));
+        Self { interval: SignedDuration::from_mins(72), ..Self::with(rng, centre, scatter) }
+    }
+
+    fn with(mut rng: ChaCha8Rng, centre: [Vector3<f64>; 2], scatter: Scatter) -> Self {
+        let state = Vector3::from_fn(|i, _| scatter.sd[i] * normal(&mut rng));
+        let root = estimator_covariance().cholesky().unwrap().l();
         let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
         let (monitor, settings) = (MachineMonitor::new("21B"), Settings::default());
-        Self { monitor, settings, rng, throws: 0, only: None, nature, state, root, started_at }
+        let interval = SignedDuration::from_mins(30);
+        Self { monitor, settings, rng, throws: 0, only: None, interval, scatter, state, centre, root, started_at }
+    }
+
+    /// [`Self::in_field`] after this number of healthy throws.
+    pub(crate) fn after(throws: usize, seed: u64, scatter: Scatter) -> Self {
+        let mut machine = Self::in_field(seed, scatter);
+        machine.events(throws, Vector3::zeros());
+        machine
     }
 
     /// A machine whose monitor has learned its full baseline.
-    pub(crate) fn learned(seed: u64, nature: Nature) -> Self {
-        Self::learned_with(seed, nature, Settings::default())
+    pub(crate) fn learned(seed: u64, scatter: Scatter) -> Self {
+        Self::learned_with(seed, scatter, Settings::default())
     }
 
     /// [`Self::learned`] with other settings.
-    pub(crate) fn learned_with(seed: u64, nature: Nature, settings: Settings) -> Self {
-        let mut machine = Self::new(seed, nature);
+    pub(crate) fn learned_with(seed: u64, scatter: Scatter, settings: Settings) -> Self {
+        let mut machine = Self::new(seed, scatter);
         machine.settings = settings;
         machine.events(2 * machine.settings.baseline_throws, Vector3::zeros());
         machine
     }
 
-    /// The next throw, with `shift` added to the logarithms of b0, a1, a0.
+    /// The direction of the next throw: 0 or 1.
+    pub(crate) fn side(&self) -> usize {
+        usize::from(self.throws % 2 == 1)
+    }
+
+    /// The next throw, an interval later, with `shift` added to the logarithms of b0, a1, a0.
     pub(crate) fn throw(&mut self, shift: Vector3<f64>) -> Observation {
-        let Nature { scatter, phi, .. } = self.nature;
-        let fresh = (1.0 - phi * phi).sqrt();
-        self.state = Vector3::from_fn(|i, _| phi * self.state[i] + fresh * scatter[i] * normal(&mut self.rng));
+        self.state = self.scatter.next(self.state, || normal(&mut self.rng));
         let error = self.root * Vector3::from_fn(|_, _| normal(&mut self.rng));
-        let log = Vector3::from(NOMINAL.map(f64::ln)) + self.state + error + shift;
-        let estimate = log.map(f64::exp);
+        let side = self.side();
+        let estimate = (self.centre[side] + self.state + error + shift).map(f64::exp);
         let scale = Matrix3::from_diagonal(&estimate);
         self.throws += 1;
-        self.started_at += SignedDuration::from_mins(30);
-        let turn = Direction::BOTH[usize::from(self.throws.is_multiple_of(2))];
+        self.started_at += self.interval;
         let throw = ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws };
         Observation {
-            direction: Some(self.only.unwrap_or(turn)),
-            estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
+            direction: Some(self.only.unwrap_or(Direction::BOTH[side])),
+            estimate: Some((estimate.into(), scale * estimator_covariance() * scale)),
             features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },
             ..Observation::without_trace(throw, self.started_at)
         }
@@ -151,6 +161,12 @@ impl Machine {
     /// Gives the next throw to the monitor.
     pub(crate) fn feed(&mut self, shift: Vector3<f64>) -> Verdict {
         let throw = self.throw(shift);
+        self.observe(&throw)
+    }
+
+    /// Gives the next throw, at a temperature, to the monitor.
+    pub(crate) fn feed_at(&mut self, shift: Vector3<f64>, celsius: f64) -> Verdict {
+        let throw = Observation { temperature_c: Some(celsius), ..self.throw(shift) };
         self.observe(&throw)
     }
 

@@ -10,17 +10,17 @@ use pointsd::{
 
 use crate::{
     budget::free,
-    fleet::{Machine, Nature, causes, shift},
+    fleet::{Machine, Scatter, causes, shift},
 };
 
 /// The table has the scatter of healthy machines, and how many of 8 machines are blind for a critical change.
 #[test]
 fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
     let times = |factor: f64, phi: f64| {
-        let usual = Nature::default();
-        Nature { scatter: usual.scatter.map(|sd| factor * sd), phi, ..usual }
+        let usual = Scatter::USUAL;
+        Scatter { sd: usual.sd.map(|sd| factor * sd), phi, ..usual }
     };
-    let natures = [
+    let scatters = [
         (times(1.0, 0.0), 0..=0),
         (times(1.0, 0.8), 0..=0),
         (times(2.0, 0.6), 0..=0),
@@ -28,18 +28,18 @@ fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
         (times(1.0, 0.9), 0..=4),
         (times(3.0, 0.97), 6..=8),
     ];
-    for (nature, expected) in natures {
+    for (scatter, expected) in scatters {
         let mut blind = 0;
         for seed in 0..8 {
-            let mut machine = Machine::learned(90_000 + seed, nature);
+            let mut machine = Machine::learned(90_000 + seed, scatter);
             let events = machine.events(100, Vector3::zeros());
             let said = events.iter().filter(|event| event.cause == Cause::NotMonitored).count();
             let is_blind = machine.monitor.caveats().iter().any(|caveat| caveat.contains("scatter so much"));
             blind += u32::from(is_blind);
-            assert_eq!(said, usize::from(is_blind), "{nature:?}, seed {seed}: said once, or never");
+            assert_eq!(said, usize::from(is_blind), "{scatter:?}, seed {seed}: said once, or never");
         }
-        println!("scatter {:?}, correlation {}: {blind} of 8 blind", nature.scatter, nature.phi);
-        assert!(expected.contains(&blind), "{nature:?}: {blind} of 8 blind");
+        println!("scatter {:?}, correlation {}: {blind} of 8 blind", scatter.sd, scatter.phi);
+        assert!(expected.contains(&blind), "{scatter:?}: {blind} of 8 blind");
     }
 }
 
@@ -49,7 +49,7 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     for (at, first) in Cause::PHYSICAL.into_iter().enumerate() {
         for second in Cause::PHYSICAL.into_iter().skip(at + 1) {
             for seed in 0..6 {
-                let mut machine = Machine::learned(400 + seed, Nature::default());
+                let mut machine = Machine::learned(400 + seed, Scatter::USUAL);
                 let size = |cause| 4.0 * settings.limit_pct(cause).unwrap();
                 let fault = shift(first, size(first)) + shift(second, size(second));
                 for event in machine.events(60, fault) {
@@ -70,7 +70,7 @@ fn a_second_fault_is_named_beside_the_first() {
         for second in Cause::PHYSICAL.into_iter().filter(|second| *second != first) {
             let mut right = 0;
             for seed in 0..10 {
-                let mut machine = Machine::learned(450 + seed, Nature::default());
+                let mut machine = Machine::learned(450 + seed, Scatter::USUAL);
                 let sign = |cause| if cause == Cause::Kt { -1.0 } else { 1.0 };
                 let size = |cause| sign(cause) * 3.0 * settings.limit_pct(cause).unwrap();
                 let before = machine.events(60, shift(first, size(first)));
@@ -108,7 +108,7 @@ fn the_stated_sizes_of_two_faults_are_true() {
             let (mut of_pair, mut held_pair) = (0_u32, 0_u32);
             let lives = [0.0, 0.1, 0.25, 0.5].into_iter().cycle().zip([2.0, 3.0, 4.0].into_iter().cycle());
             for (seed, (leak, limits)) in (460..472).zip(lives) {
-                let mut machine = Machine::learned(seed, Nature::default());
+                let mut machine = Machine::learned(seed, Scatter::USUAL);
                 let size = |cause: Cause| {
                     let sign = if cause == Cause::Kt { -1.0 } else { 1.0 };
                     sign * limits * settings.limit_pct(cause).unwrap()
@@ -141,7 +141,7 @@ fn the_stated_sizes_of_two_faults_are_true() {
 fn a_motor_fault_beside_friction_is_named_in_every_sign() {
     let mut named = 0;
     for (seed, signs) in (0..40).zip([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].into_iter().cycle()) {
-        let mut machine = Machine::learned(480 + seed, Nature::default());
+        let mut machine = Machine::learned(480 + seed, Scatter::USUAL);
         let friction = shift(Cause::Friction, signs[0] * 30.0);
         let before = machine.events(60, friction);
         assert!(before.iter().all(|event| event.cause == Cause::Friction), "seed {seed}");
@@ -158,7 +158,7 @@ fn a_motor_fault_beside_friction_is_named_in_every_sign() {
 fn dry_friction_that_leaks_is_friction_of_its_true_size() {
     let mut held = 0;
     for seed in 0..20_u32 {
-        let mut machine = Machine::learned(500 + u64::from(seed), Nature::default());
+        let mut machine = Machine::learned(500 + u64::from(seed), Scatter::USUAL);
         let leak = 0.033 * f64::from(seed);
         let friction = shift(Cause::Friction, 54.0).y;
         let found = machine.events(60, Vector3::new(leak, 1.0 + leak, leak) * friction);
@@ -177,7 +177,7 @@ fn dry_friction_that_leaks_is_friction_of_its_true_size() {
 fn causes_that_cannot_be_distinguished_are_not_named() {
     let (mut named, mut said) = (0, 0);
     for seed in 0..20 {
-        let mut machine = Machine::learned(600 + seed, Nature::default());
+        let mut machine = Machine::learned(600 + seed, Scatter::USUAL);
         let found = machine.events(100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
         let unattributed = found.iter().find(|event| event.cause == Cause::Unattributed);
         let both = ["motor and inertia", "inertia and motor"];
@@ -190,7 +190,7 @@ fn causes_that_cannot_be_distinguished_are_not_named() {
 
 #[test]
 fn a_fault_of_one_direction_names_that_direction() {
-    let mut machine = Machine::learned(31, Nature::default());
+    let mut machine = Machine::learned(31, Scatter::USUAL);
     let mut events = Vec::new();
     let mut now = Vec::new();
     for throw in 0..40 {
@@ -209,7 +209,7 @@ fn a_fault_of_one_direction_names_that_direction() {
 
 #[test]
 fn one_wild_throw_is_no_alarm_and_does_not_poison_the_baseline() {
-    let mut machine = Machine::new(32, Nature::default());
+    let mut machine = Machine::new(32, Scatter::USUAL);
     for throw in 0..400 {
         let wild = if throw % 23 == 7 { Vector3::new(0.7, -0.5, 0.9) } else { Vector3::zeros() };
         assert_eq!(machine.feed(wild).events, []);
@@ -220,7 +220,7 @@ fn one_wild_throw_is_no_alarm_and_does_not_poison_the_baseline() {
 
 #[test]
 fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
-    let mut machine = Machine::new(33, Nature::default());
+    let mut machine = Machine::new(33, Scatter::USUAL);
     for throw in 0..1_000_u32 {
         let celsius = 10.0 + 8.0 * (f64::from(throw) / 7.0).sin() - 20.0 * (f64::from(throw) / 1_000.0);
         let mut observation = machine.throw(Vector3::new(-0.0015, -0.006, 0.0) * (celsius - 10.0));
@@ -235,7 +235,7 @@ fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
 
 #[test]
 fn a_dozen_throws_are_a_usable_baseline() {
-    let mut machine = Machine::new(34, Nature::default());
+    let mut machine = Machine::new(34, Scatter::USUAL);
     machine.stay_healthy(26);
     assert!(!machine.monitor.baseline(Direction::NormalToReverse).unwrap().complete);
     let found = machine.events(40, shift(Cause::Kt, -25.0));
@@ -251,8 +251,8 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
     for phi in [0.0, 0.3, 0.6] {
         let mut raised = 0;
         for seed in 0..MACHINES {
-            let nature = Nature { phi, ..Nature::default() };
-            let mut machine = Machine::learned_with(7_000 + seed, nature, free(BUDGET_THROWS));
+            let scatter = Scatter { phi, ..Scatter::USUAL };
+            let mut machine = Machine::learned_with(7_000 + seed, scatter, free(BUDGET_THROWS));
             let events = machine.events(LIFE, Vector3::zeros());
             raised += events.iter().filter(|event| event.event_no == 1 && event.cause.is_drift()).count();
         }
@@ -266,7 +266,7 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
 #[test]
 fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
     for seed in 0..6 {
-        let mut machine = Machine::learned(950 + seed, Nature::default());
+        let mut machine = Machine::learned(950 + seed, Scatter::USUAL);
         let events: Vec<AlarmEvent> = (0..60)
             .flat_map(|at| {
                 let fault = shift(Cause::Friction, if at % 2 == 0 { 60.0 } else { 22.0 });
@@ -309,7 +309,7 @@ fn some_rough(
 #[test]
 fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones() {
     for (seed, of_ten) in [(1, 3), (2, 5), (3, 6), (4, 6), (5, 7)] {
-        let mut machine = Machine::learned(900 + seed, Nature::default());
+        let mut machine = Machine::learned(900 + seed, Scatter::USUAL);
         let mut life = |throws: u32, of_ten: u64, pct: f64| -> Vec<(Verdict, Vec<String>)> {
             (0..throws)
                 .map(|_| {
@@ -349,7 +349,7 @@ fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones(
 fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
     for (friction_pct, error_sd) in [(140.0, 0.06), (60.0, 0.03)] {
         for seed in 0..20_u32 {
-            let mut machine = Machine::learned(800 + u64::from(seed), Nature::default());
+            let mut machine = Machine::learned(800 + u64::from(seed), Scatter::USUAL);
             let part = f64::from(seed) / 10.0 - 0.95;
             let shared = Vector3::new(0.0, -0.3, 1.0) * error_sd;
             let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
@@ -369,7 +369,7 @@ fn a_fault_that_makes_every_throw_rough_is_named() {
     // Rough throws of a healthy machine, here all of one direction, show how much the misfit changes the ratios.
     for (every_tenth, pct, is_found) in [(true, 26.0, true), (false, 45.0, true), (false, 12.0, false)] {
         for seed in 0..8 {
-            let mut machine = Machine::learned(9_900 + seed, Nature::default());
+            let mut machine = Machine::learned(9_900 + seed, Scatter::USUAL);
             let is_rough = |_: &mut Machine, at: u32| every_tenth && at % 10 == 3;
             let healthy = some_rough(&mut machine, 120, Vector3::zeros(), shared, is_rough);
             assert_eq!(healthy, [], "{every_tenth}, seed {seed}: healthy");
@@ -391,7 +391,7 @@ fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {
     let shared = 24.0 * Matrix3::from_diagonal(&Vector3::new(0.0, 1e-4, 4e-4));
     for seed in 0..8 {
         for (cause, pct) in [(Cause::Kt, -15.0), (Cause::Friction, 50.0), (Cause::Stiffness, 40.0)] {
-            let mut machine = Machine::new(9_700 + seed, Nature::default());
+            let mut machine = Machine::new(9_700 + seed, Scatter::USUAL);
             let mut life = |throws: u32, of_ten: u64, fault: Vector3<f64>| {
                 some_rough(&mut machine, throws, fault, shared, |machine, _| machine.rng_u(10) < of_ten)
             };

@@ -5,10 +5,7 @@ use pointsd::diagnose::{AlarmState, Cause, Settings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{
-    field::{Machine, Scatter},
-    fleet::shift,
-};
+use crate::fleet::{Machine, Scatter, shift};
 
 const LIVES: u64 = 20;
 
@@ -57,7 +54,7 @@ fn a_large_intermittent_fault_needs_fewer_throws() {
 
 #[test]
 fn an_intermittent_fault_that_is_mended_clears() {
-    let mut machine = Machine::new(61_000, Scatter::USUAL);
+    let mut machine = Machine::in_field(61_000, Scatter::USUAL);
     let mut states = Vec::new();
     for throw in 0..500 {
         let fault = (200..280).contains(&throw) && throw % 5 == 0;
@@ -76,7 +73,7 @@ fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() 
         let mut found = 0;
         for seed in 0..LIVES {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let mut machine = Machine::new(63_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(63_000 + seed, Scatter::USUAL);
             let mut events = Vec::new();
             for throw in 0..330 {
                 let is_faulty = throw >= 150 && rng.random_bool(0.2);

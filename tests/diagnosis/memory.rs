@@ -7,7 +7,7 @@ use pointsd::{
     estimate::Features,
 };
 
-use crate::fleet::{Machine, Nature, normal};
+use crate::fleet::{Machine, Scatter, normal};
 
 /// Throws that fill all histories of a monitor, also the blocks of the history since the baseline; and the largest memory
 /// of the monitor then \[bytes\].
@@ -45,7 +45,7 @@ fn memory(make: impl FnOnce() -> MachineMonitor) -> u64 {
 
 /// The memory of the monitor of a machine with this number of throws, before and after a restart \[bytes\].
 fn memory_after(throws: u32) -> [u64; 2] {
-    let (settings, mut machine) = (Settings::default(), Machine::new(3, Nature::default()));
+    let (settings, mut machine) = (Settings::default(), Machine::new(3, Scatter::USUAL));
     let throws: Vec<Observation> = (0..throws).map(|_| throw(&mut machine)).collect();
     let fed = || {
         let mut monitor = MachineMonitor::new("north/21B");

@@ -13,11 +13,11 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State, with_positions},
-    fleet::{Machine, Nature, channels, shift},
+    fleet::{Machine, Scatter, channels, shift},
 };
 
 fn machine() -> Machine {
-    Machine::learned(21, Nature::default())
+    Machine::learned(21, Scatter::USUAL)
 }
 
 fn feed(machine: &mut Machine, throws: usize, change: impl Fn(&mut Observation)) -> Vec<AlarmEvent> {
@@ -310,7 +310,7 @@ fn refused_messages_are_named_as_the_reason_of_a_gap() {
 #[test]
 fn impossible_estimates_cause_no_panic_and_are_not_learned() {
     let settings = Settings::default();
-    let mut machine = Machine::new(22, Nature::default());
+    let mut machine = Machine::new(22, Scatter::USUAL);
     for at in 0..3 {
         for value in [f64::NAN, f64::INFINITY, 0.0, -1.0, f64::MIN_POSITIVE] {
             let mut observation = machine.throw(Vector3::zeros());

@@ -8,8 +8,7 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State},
-    field::{Machine, Scatter},
-    fleet::{in_parallel, shift},
+    fleet::{Machine, Scatter, in_parallel, shift},
 };
 
 const LIVES: u64 = 4;
@@ -188,7 +187,7 @@ fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() 
     let (mut before, mut named, mut wrong, mut named_at) = (0, 0, 0, Vec::new());
     let lives = 40;
     for seed in 0..lives {
-        let mut machine = Machine::new(53_000 + seed, Scatter::USUAL);
+        let mut machine = Machine::in_field(53_000 + seed, Scatter::USUAL);
         let (mut reported, mut alarmed) = (None, None);
         for throw in 1..=400_u32 {
             let size = 0.25 * f64::from(throw);
@@ -213,7 +212,7 @@ fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
     for (phi, most) in [(0.5, 2), (0.9, 6)] {
         let (mut trends, mut ever, mut events, lives) = (0, 0, 0, 100);
         for seed in 0..lives {
-            let mut machine = Machine::new(54_000 + seed, Scatter { phi, ..Scatter::USUAL });
+            let mut machine = Machine::in_field(54_000 + seed, Scatter { phi, ..Scatter::USUAL });
             let (mut said, mut says) = (false, false);
             for _ in 0..130 {
                 let verdict = machine.feed(Vector3::zeros());

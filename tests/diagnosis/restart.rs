@@ -3,12 +3,12 @@
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, Command, MachineMonitor, Missing, Settings};
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::fleet::{Machine, Scatter, shift};
 
 /// A life of 300 throws: baseline, a friction ramp, an acknowledgement, a repair, a motor fault and a gap.
 fn life(restart: bool) -> (Vec<AlarmEvent>, MachineMonitor) {
     let settings = Settings::default();
-    let mut machine = Machine::new(11, Nature::default());
+    let mut machine = Machine::new(11, Scatter::USUAL);
     let mut events = Vec::new();
     for throw in 0..300_u32 {
         let fault = match throw {

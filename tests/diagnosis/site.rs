@@ -4,10 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, Common, MachineMonitor, Settings};
 
-use crate::{
-    field::{Machine, Scatter},
-    fleet::shift,
-};
+use crate::fleet::{Machine, Scatter, shift};
 
 /// Machines of a site, which throw in turn.
 struct Site {
@@ -18,7 +15,7 @@ struct Site {
 
 impl Site {
     fn new(seed: u64, count: u64) -> Self {
-        let machine = |at| Machine::new(seed + at, Scatter::USUAL);
+        let machine = |at| Machine::in_field(seed + at, Scatter::USUAL);
         Self { machines: (0..count).map(machine).collect(), events: Vec::new(), now: Timestamp::UNIX_EPOCH }
     }
 
@@ -26,7 +23,7 @@ impl Site {
     fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
         for at in 0..self.machines.len() {
             let exposure = 0.7 + 0.15 * (at % 5) as f64;
-            let throw = self.machines[at].throw(exposure * weather + own(at), None);
+            let throw = self.machines[at].throw(exposure * weather + own(at));
             let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
             let common = MachineMonitor::common(others.map(|(_, other)| &other.monitor), throw.started_at);
             self.now = throw.started_at;

@@ -11,15 +11,15 @@ use pointsd::{
 };
 
 use crate::{
-    field::{Climate, Machine, PER_KELVIN, Scatter},
-    fleet::{normal, shift},
+    climate::{Climate, PER_KELVIN},
+    fleet::{Machine, Scatter, normal, shift},
 };
 
 /// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in
 /// summer, then the fault. Returns the verdicts after the onset of the fault, and the events before it.
 fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
-    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut machine = Machine::in_field(seed, Scatter::USUAL);
     let onset = 100 + over + held;
     let (mut before, mut after) = (Vec::new(), Vec::new());
     for throw in 0..onset + 24 {
@@ -57,7 +57,7 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
 /// alarms with the state of each event, and the last verdict.
 fn winter_to_summer(seed: u64, pct: f64) -> (Machine, Vec<(Cause, AlarmState)>, Verdict) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (150, 600), day_k: 2.0 };
-    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut machine = Machine::in_field(seed, Scatter::USUAL);
     let (mut events, mut last) = (Vec::new(), Verdict::default());
     for throw in 0..1_100 {
         let (effect, celsius) = climate.effect(throw);
@@ -110,7 +110,7 @@ fn a_warm_week_after_the_baseline_hides_no_fault() {
     const LIVES: u64 = 20;
     let climate = Climate { season_c: (5.0, 10.0), change: (100, 60), day_k: 3.0 };
     let blind = |seed: &u64| {
-        let mut machine = Machine::new(49_000 + seed, Scatter::USUAL);
+        let mut machine = Machine::in_field(49_000 + seed, Scatter::USUAL);
         (0..260).any(|throw| {
             let (effect, celsius) = climate.effect(throw);
             let verdict = machine.feed_at(effect, celsius);
@@ -141,7 +141,7 @@ fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
 #[test]
 fn a_failed_temperature_sensor_hides_nothing() {
     for failed in [-242.0, -273.0, 850.0, 1e6, f64::NAN] {
-        let mut machine = Machine::new(42_000, Scatter::USUAL);
+        let mut machine = Machine::in_field(42_000, Scatter::USUAL);
         for at in 0..140 {
             assert_eq!(machine.feed_at(Vector3::zeros(), 12.0 + f64::from(at % 20)).events, []);
         }
@@ -159,7 +159,7 @@ fn a_failed_temperature_sensor_hides_nothing() {
 fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
 
-    let mut machine = Machine::new(43_000, Scatter::USUAL);
+    let mut machine = Machine::in_field(43_000, Scatter::USUAL);
     let mut sensor = Vec::new();
     let is_raised = |throw: u64| (throw >= 120).then_some(ActiveUnacknowledged);
     for throw in 0_u64..400 {
@@ -186,7 +186,7 @@ fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
 /// The raised alarms of a machine without a published temperature, each with its throw after the baseline. `shift_at`
 /// gives the changes of the logarithms.
 fn alarms(seed: u64, throws: u64, shift_at: impl Fn(u64) -> Vector3<f64>) -> Vec<(u64, Cause)> {
-    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut machine = Machine::in_field(seed, Scatter::USUAL);
     machine.stay_healthy(130);
     let mut raised = Vec::new();
     for throw in 0..throws {
@@ -233,7 +233,7 @@ fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
     // 30 K in 100 days, at twenty and at two throws a day.
     for (minutes, throws) in [(72, 2_000), (720, 200)] {
         for seed in 0..10 {
-            let mut machine = Machine::new(48_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(48_000 + seed, Scatter::USUAL);
             machine.interval = SignedDuration::from_mins(minutes);
             machine.events(130, Vector3::zeros());
             let cold = |throw: u64| Vector3::from(PER_KELVIN) * -30.0 * (throw as f64 / throws as f64).min(1.0);
@@ -268,7 +268,7 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
                 };
                 of(start) + second.map_or(0.0, |later| of(start + later))
             };
-            let mut machine = Machine::new(49_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(49_000 + seed, Scatter::USUAL);
             for throw in 0..160 {
                 let rain = shift(Cause::Friction, pct) * wetness(throw);
                 machine.feed(rain);
@@ -291,7 +291,7 @@ fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
     for (life, is_said) in [([(400, 0.0), (24, 40.0)], false), ([(24, -25.0), (56, 0.0)], true)] {
         let mut texts = Vec::new();
         for seed in 0..10 {
-            let mut machine = Machine::new(51_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(51_000 + seed, Scatter::USUAL);
             for (throws, pct) in life {
                 let events = machine.events(throws, shift(Cause::Friction, pct));
                 let is_raised = |event: &AlarmEvent| event.cause == Cause::Friction && event.event_no == 1;
@@ -318,7 +318,7 @@ fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3
 fn a_stiff_first_throw_of_each_day_is_no_fault_and_hides_none() {
     for (per_day, pct) in [(2, 50.0), (6, 30.0), (11, 30.0), (20, 50.0)] {
         for seed in 0..10 {
-            let mut machine = Machine::new(80_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(80_000 + seed, Scatter::USUAL);
             for throw in 0..800 {
                 let change = morning(&mut machine, throw, per_day, pct);
                 let events = machine.feed(change).events;
@@ -345,7 +345,7 @@ fn table_of_grease() {
     {
         let (mut raised, mut named) = (std::collections::BTreeMap::<&str, u32>::new(), 0);
         for seed in 0..LIVES {
-            let mut machine = Machine::new(81_000 + seed, Scatter::USUAL);
+            let mut machine = Machine::in_field(81_000 + seed, Scatter::USUAL);
             let (mut front, mut inside) = (0.0, 0.0);
             for throw in 0..THROWS + 24 {
                 // Twenty throws a day for two years, which begin in another month for each machine.
