@@ -13,9 +13,9 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
-    drift::condition::LONGEST_WINDOW,
     settings::Settings,
     statistics::{
+        counts::LONGEST_WINDOW,
         robust::median,
         scatter::{Scatter, serial_inflation},
     },

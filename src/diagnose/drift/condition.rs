@@ -15,8 +15,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::threshold::WINDOWS;
-use crate::diagnose::{event::Severity, settings::Settings};
+use crate::diagnose::{
+    event::Severity,
+    settings::Settings,
+    statistics::counts::{LONGEST_WINDOW, WINDOWS, streak},
+};
 
 /// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
 /// cause the difference.
@@ -31,9 +34,6 @@ const REPAIRABLE_LEVEL: f64 = 1.5;
 /// number of throws of a direction; these follow a step with a delay, and still look healthy just after the raise.
 pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
-/// Number of throws in the longest window of the detection.
-pub(crate) const LONGEST_WINDOW: u32 = 24;
-const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
 /// Evidence of a throw for an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -119,13 +119,12 @@ pub(crate) struct Onset {
 
 /// Numbers of consecutive throws that speak for the end of an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct Ending {
     pub(crate) healthy: u32,
-    #[serde(default)]
     pub(super) likely_healthy: u32,
     pub(crate) below: u32,
     pub(crate) other: u32,
-    #[serde(default)]
     pub(super) turned: u32,
     /// Largest recent size relative to the warning limit.
     pub(crate) level: f64,
@@ -144,11 +143,6 @@ impl Default for Condition {
     fn default() -> Self {
         Self::Quiet { onset: Onset::default(), since_raised: None }
     }
-}
-
-/// Counts consecutive throws in which something holds.
-pub(crate) fn streak(count: &mut u32, holds: bool) {
-    *count = if holds { count.saturating_add(1) } else { 0 };
 }
 
 impl Condition {

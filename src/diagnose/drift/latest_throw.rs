@@ -10,12 +10,7 @@ use super::{
     history::History,
 };
 use crate::{
-    diagnose::{
-        event::Cause,
-        gauges::{Gauges, Level},
-        settings::Settings,
-        track::Tracks,
-    },
+    diagnose::{event::Cause, gauges::Gauges, settings::Settings, statistics::level::Level, track::Tracks},
     throw::Direction,
 };
 

@@ -1,6 +1,9 @@
 //! Origin of a drift, by the gauges: a part, a sensor or the clock, or the supply.
 
-use crate::diagnose::event::{RunnerUp, SensorChannel};
+use crate::diagnose::{
+    event::{RunnerUp, SensorChannel},
+    statistics::level::Level,
+};
 
 /// Origin of a drift, by the gauges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -35,9 +38,7 @@ pub(crate) enum Awaited {
 pub(crate) struct SensorFault {
     pub(crate) channel: SensorChannel,
     /// Logarithm of the gain, or of the rate of the clock.
-    pub(crate) size: f64,
-    /// Standard deviation of `size`.
-    pub(crate) size_sd: f64,
+    pub(crate) size: Level,
     /// The part that explains the drift best, and the lead of the sensor over it.
     pub(crate) runner_up: RunnerUp,
 }

@@ -3,9 +3,9 @@
 
 use super::{
     gauge::{Gauge, heat},
-    levels::{Gauges, Level, by_side, mean},
+    levels::{Gauges, by_side, mean},
 };
-use crate::diagnose::drift::threshold::WINDOWS;
+use crate::diagnose::statistics::{counts::WINDOWS, level::Level};
 
 /// Largest difference of the temperatures of winding and air \[K\], in a yard with a throw every few minutes. The
 /// insulation allows 80 K.

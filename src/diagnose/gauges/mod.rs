@@ -13,7 +13,8 @@ mod offset;
 pub(super) mod start;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit};
+pub(super) use features::SLOW_FROM;
 pub(super) use gauge::Gauge;
-pub(super) use levels::{Change, Gauges, Level};
+pub(super) use levels::{Change, Gauges};
 pub(super) use normal::sd_of_mean;
 pub(super) use offset::Offset;

@@ -2,9 +2,13 @@
 
 use super::{
     gauge::{Gauge, values},
-    levels::{Gauges, Level},
+    levels::Gauges,
 };
-use crate::{diagnose::drift::threshold::WINDOWS, estimate::Features, throw::Direction};
+use crate::{
+    diagnose::statistics::{counts::WINDOWS, level::Level},
+    estimate::Features,
+    throw::Direction,
+};
 
 /// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
 /// warm, and back.

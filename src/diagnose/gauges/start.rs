@@ -4,14 +4,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Gauge, Gauges, Level};
+use super::{Gauge, Gauges};
 use crate::diagnose::{
     alarm::{
         rule_result::{RuleResult, count_over},
         step::Step,
     },
-    drift::{condition::streak, threshold::WINDOWS},
     event::Cause,
+    statistics::{
+        counts::{WINDOWS, streak},
+        level::Level,
+    },
     text,
 };
 

@@ -38,39 +38,30 @@ use crate::throw::{Direction, MachineId, ThrowRef};
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot has them all, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct MachineMonitor {
     version: Version,
     name: Box<str>,
     /// Number of observed throws.
     order: u64,
     tracks: Tracks,
-    #[serde(default)]
     neutral: Neutral,
-    #[serde(default)]
     motor: ShownMotor,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
-    #[serde(default)]
     thermometer: Thermometer,
-    #[serde(default)]
     clock: LoggerClock,
-    #[serde(default)]
     boots: Boots,
-    #[serde(default)]
     instruments: Instruments,
-    #[serde(default)]
     features: FeatureWatch,
-    #[serde(default)]
     start: StartWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
-    #[serde(default)]
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
-    #[serde(default)]
     has_position: bool,
     /// Parameters of the last identified throw.
     parameters: Option<Parameters>,

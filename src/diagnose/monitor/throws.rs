@@ -21,11 +21,12 @@ use super::{
 use crate::{
     diagnose::{
         alarm::{rule::Rule, rule_result, step::Step},
-        drift::{explain::percent, latest_throw::LatestThrow, origin::Origin},
+        drift::{latest_throw::LatestThrow, origin::Origin},
         operation::{
             site::{self, Common},
             thermometer::Implausible,
         },
+        statistics::level::percent,
     },
     estimate::Features,
     throw::POSSIBLE_SUPPLY_V,

@@ -9,10 +9,10 @@ use super::thermometer::Implausible;
 use crate::{
     diagnose::{
         alarm::{rule::Rule, step::Step},
-        drift::condition::streak,
         event::{AlarmEvent, Cause, SensorChannel, Severity},
         observation::{Irregularity, Missing, Observation, Unusable},
         settings::Settings,
+        statistics::counts::streak,
         text,
         verdict::Blindness,
     },

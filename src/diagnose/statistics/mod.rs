@@ -2,7 +2,9 @@
 
 pub(super) mod autoregression;
 pub(super) mod correlation;
+pub(super) mod counts;
 pub(super) mod last;
+pub(super) mod level;
 pub(super) mod persistence;
 pub(super) mod rare;
 pub(super) mod regression;

@@ -2,7 +2,7 @@
 
 use crate::{
     diagnose::{
-        drift::explain::percent,
+        statistics::level::percent,
         verdict::{Blindness, HidingTemperature},
     },
     estimate::Motor,
