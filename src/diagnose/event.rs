@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use strum::VariantArray as _;
 
 use super::{
-    drift::course::LimitForecast,
-    statistics::{correlation::Correlation, level::Level},
+    drift::LimitForecast,
+    statistics::{Correlation, Level},
 };
 use crate::{
     estimate::Channel,

@@ -3,7 +3,7 @@
 use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
 
-use super::{event::Cause, statistics::level::percent};
+use super::{Cause, statistics::percent};
 use crate::throw::{OutOfRange, Range::Within, settings};
 
 /// Longest shelving or maintenance that `longest_shelving_days` may allow \[days\].

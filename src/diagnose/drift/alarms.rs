@@ -7,27 +7,18 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Drift,
-    cause::{Attribution, Known, Naming, explained},
-    condition::{Claim, Condition, LEVELS_FOLLOW, Transition},
-    course::{Course, LimitForecast},
-    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor},
-    history::History,
-    intermittent::Intermittent,
-    latest_throw::LatestThrow,
-    origin::Origin,
-    window::Window,
+    Attribution, Claim, Condition, Course, Drift, Explanation, History, Intermittent, Known, LEVELS_FOLLOW,
+    LatestThrow, LimitForecast, Naming, Origin, PLAIN_LEAKS, Transition, Window, explained, fit,
+    friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
-        alarm::{Alarms, rule::Rule, rule_result::RuleResult, step::Step},
-        event::{AlarmEvent, Cause, RunnerUp, Severity},
+        AlarmEvent, Cause, Drifting, RunnerUp, Settings, Severity,
+        alarm::{Alarms, Rule, RuleResult, Step},
         gauges::Gauges,
-        settings::Settings,
-        statistics::{counts::LONGEST_WINDOW, level::percent},
+        statistics::{LONGEST_WINDOW, percent},
         text,
         track::Suspicion,
-        verdict::Drifting,
     },
     throw::{Direction, ThrowRef},
 };

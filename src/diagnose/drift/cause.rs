@@ -11,16 +11,12 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{
-    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, single},
-    window::Window,
-};
+use super::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, Window, direction_of, fit, fit_beside, single};
 use crate::diagnose::{
+    Cause, RunnerUp, Settings,
     baseline::{Baseline, usual_friction_over_spring},
-    event::{Cause, RunnerUp},
     gauges::{AtStart, BackEmf, Gauges},
-    settings::Settings,
-    statistics::{correlation::Correlation, level::Level},
+    statistics::{Correlation, Level},
 };
 
 /// Lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.

@@ -16,9 +16,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
-    event::Severity,
-    settings::Settings,
-    statistics::counts::{LONGEST_WINDOW, WINDOWS, streak},
+    Settings, Severity,
+    statistics::{LONGEST_WINDOW, WINDOWS, streak},
 };
 
 /// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
@@ -102,17 +101,17 @@ pub(crate) enum Transition {
 pub(crate) enum Condition {
     /// No alarm.
     Quiet {
-        onset: Onset,
+        onset: Beginning,
         /// Throws since the alarm was last raised; `None` before the first time.
         since_raised: Option<u32>,
     },
     /// The alarm is active. Boxed, as few alarms are.
-    Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
+    Raised { onset: Beginning, since_raised: u32, ending: Box<Ending> },
 }
 
 /// Numbers of consecutive throws that speak for an alarm, and for a critical alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(crate) struct Onset {
+pub(crate) struct Beginning {
     pub(crate) named: u32,
     pub(crate) critical: u32,
 }
@@ -141,7 +140,7 @@ pub(crate) struct Ending {
 
 impl Default for Condition {
     fn default() -> Self {
-        Self::Quiet { onset: Onset::default(), since_raised: None }
+        Self::Quiet { onset: Beginning::default(), since_raised: None }
     }
 }
 
@@ -191,7 +190,7 @@ impl Condition {
 
     /// Resets all counters after maintenance.
     pub(crate) fn reset(&mut self) {
-        let onset = Onset::default();
+        let onset = Beginning::default();
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
             Self::Raised { since_raised, ref ending, .. } => {
@@ -202,7 +201,7 @@ impl Condition {
     }
 }
 
-impl Onset {
+impl Beginning {
     fn after(mut self, reading: Reading, settings: &Settings) -> Self {
         streak(&mut self.named, reading.claim != Claim::None);
         streak(&mut self.critical, reading.undoubted > settings.critical_factor);
@@ -262,7 +261,7 @@ mod tests {
     /// Number of throws until an alarm clears, if every throw has this reading.
     fn cleared_after(reading: Reading) -> Option<u32> {
         let settings = Settings::default();
-        let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };
+        let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
         let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
         (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
     }

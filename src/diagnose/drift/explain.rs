@@ -33,9 +33,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::diagnose::{
-    event::Cause,
-    settings::Settings,
-    statistics::{level::Level, sym3},
+    Cause, Settings,
+    statistics::{Level, sym3},
 };
 
 /// Prior scale s of a size, in logarithms: relevant faults are from a few per cent to a doubling.

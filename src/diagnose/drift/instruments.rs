@@ -25,21 +25,13 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Drift,
-    cause::{Attribution, Naming},
-    explain::{Explanation, PLAIN_LEAKS, fit, fit_along, single},
-    origin::{Awaited, Origin, SensorFault},
-    window::Window,
+    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Window, fit, fit_along, single,
 };
 use crate::diagnose::{
-    alarm::{rule::Rule, rule_result::count_over, step::Step},
-    event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
+    AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
+    alarm::{Rule, Step, count_over},
     gauges::{Circuit, Gauge, Gauges, Offset},
-    settings::Settings,
-    statistics::{
-        counts::{WINDOWS, streak},
-        level::{Level, percent},
-    },
+    statistics::{Level, WINDOWS, percent, streak},
     text,
 };
 

@@ -12,14 +12,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
-use super::{
-    cause::CLOSE,
-    explain::{Explanation, single},
-};
+use super::{CLOSE, Explanation, single};
 use crate::diagnose::{
-    event::Cause,
-    settings::Settings,
-    statistics::{last::Last, rare::Rare, sym3},
+    Cause, Settings,
+    statistics::{Last, Rare, sym3},
 };
 
 /// Lengths of the two windows of departures \[throws\].

@@ -1,33 +1,46 @@
 //! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
-pub(super) mod alarms;
-pub(super) mod cause;
-pub(super) mod condition;
-pub(super) mod course;
-pub(super) mod explain;
-pub(super) mod history;
-pub(super) mod instruments;
-pub(super) mod intermittent;
-pub(super) mod latest_throw;
-pub(super) mod origin;
-pub(super) mod threshold;
-pub(super) mod weather;
-pub(super) mod window;
+mod alarms;
+mod cause;
+mod condition;
+mod course;
+mod explain;
+mod history;
+mod instruments;
+mod intermittent;
+mod latest_throw;
+mod origin;
+mod threshold;
+mod weather;
+mod window;
 
 use nalgebra::{Matrix3, Vector3};
 
+pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
+pub(super) use cause::{Attribution, CLOSE, DECISIVE, Known, Naming, Rival};
+pub(super) use condition::{Beginning, Condition, Ending};
+pub use course::LimitForecast;
+pub(super) use course::{Course, Point};
+pub(super) use explain::Explanation;
+pub(super) use history::History;
+pub(super) use instruments::Instruments;
+pub(super) use intermittent::{Departures, Intermittent};
+pub(super) use latest_throw::LatestThrow;
+pub(super) use origin::{Awaited, Origin, SensorFault};
+pub(super) use threshold::Thresholds;
+pub(super) use window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept};
+
 use self::{
-    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single, may_show_weaker_motor},
-    condition::{Claim, Reading},
-    explain::{PLAIN_LEAKS, direction_of, fit, single},
-    origin::{Awaited, Origin},
-    window::Window,
+    cause::{Case, best_single, explained, may_show_weaker_motor},
+    condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
+    explain::{
+        Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
+        single,
+    },
 };
 use super::{
-    event::Cause,
-    settings::Settings,
-    statistics::{level::percent, scatter::Scatter, sym3},
-    verdict::Blindness,
+    Blindness, Cause, Settings,
+    statistics::{Scatter, percent, sym3},
 };
 use crate::throw::Direction;
 

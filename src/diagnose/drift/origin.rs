@@ -1,9 +1,6 @@
 //! Origin of a drift, by the gauges: a part, a sensor or the clock, or the supply.
 
-use crate::diagnose::{
-    event::{RunnerUp, SensorChannel},
-    statistics::level::Level,
-};
+use crate::diagnose::{RunnerUp, SensorChannel, statistics::Level};
 
 /// Origin of a drift, by the gauges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

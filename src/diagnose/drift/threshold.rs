@@ -12,10 +12,7 @@
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
 
-use crate::diagnose::statistics::{
-    counts::WINDOWS,
-    scatter::{Factor, Scatter},
-};
+use crate::diagnose::statistics::{Factor, Scatter, WINDOWS};
 
 /// Crossings of a limit for each alarm: the other crossings end within the on delay, or have no stable name. Measured
 /// on simulated healthy fleets without warning limits.

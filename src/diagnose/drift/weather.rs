@@ -6,14 +6,11 @@ use std::ops::Range;
 use jiff::SignedDuration;
 use nalgebra::Vector3;
 
-use super::{FrictionChange, alarms::DriftAlarms, cause::Naming, condition::Claim, latest_throw::LatestThrow};
+use super::{Claim, DriftAlarms, FrictionChange, LatestThrow, Naming};
 use crate::diagnose::{
-    event::Cause,
+    Cause,
     gauges::SLOW_FROM,
-    statistics::{
-        counts::{LONGEST_WINDOW, WINDOWS},
-        level::percent,
-    },
+    statistics::{LONGEST_WINDOW, WINDOWS, percent},
 };
 
 /// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.

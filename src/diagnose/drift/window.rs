@@ -9,18 +9,12 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{course::Point, threshold::Thresholds};
+use super::{Point, Thresholds};
 use crate::{
     diagnose::{
-        baseline::{Baseline, temperature::covariance_of_effect},
-        event::Cause,
-        statistics::{
-            counts::WINDOWS,
-            last::Last,
-            robust::clipped_mean,
-            scatter::Scatter,
-            sym3::{self, Sym3},
-        },
+        Cause,
+        baseline::{Baseline, covariance_of_effect},
+        statistics::{Last, Scatter, WINDOWS, clipped_mean, sym3, sym3::Sym3},
     },
     estimate::Estimate,
 };

@@ -8,16 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::{Change, Gauge, Gauges, sd_of_mean};
 use crate::{
     diagnose::{
-        alarm::{
-            rule_result::{RuleResult, count_over},
-            step::Step,
-        },
-        event::{Cause, Severity},
-        statistics::{
-            last::Last,
-            level::{Level, percent},
-            robust::median,
-        },
+        Cause, Severity,
+        alarm::{RuleResult, Step, count_over},
+        statistics::{Last, Level, median, percent},
         text,
     },
     estimate::Features,

@@ -2,17 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    gauge::{Gauge, Values, values},
-    normal::{Normal, sd_of_mean},
-};
+use super::{Gauge, Normal, Values, sd_of_mean, values};
 use crate::{
-    diagnose::statistics::{
-        counts::WINDOWS,
-        last::Last,
-        level::Level,
-        robust::{median, moving_range_sd},
-    },
+    diagnose::statistics::{Last, Level, WINDOWS, median, moving_range_sd},
     estimate::Features,
     throw::Direction,
 };

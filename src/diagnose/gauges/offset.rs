@@ -1,11 +1,8 @@
 //! Offsets of the sensors of current and position.
 
-use super::{
-    gauge::{Gauge, values},
-    levels::Gauges,
-};
+use super::{Gauge, Gauges, values};
 use crate::{
-    diagnose::statistics::{counts::WINDOWS, level::Level},
+    diagnose::statistics::{Level, WINDOWS},
     estimate::Features,
     throw::Direction,
 };

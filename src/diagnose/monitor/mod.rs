@@ -7,32 +7,18 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{
-        Actor, Alarms,
-        command::{Command, CommandError, Maintenance},
-        rule::Rule,
-        step::Step,
-    },
-    baseline::{BaselineRecord, motor_kind::ShownMotor, neutral::Neutral},
-    drift::{
-        alarms::{DRIFTS, DriftAlarms},
-        instruments::Instruments,
-    },
-    event::{AlarmEvent, Away, Cause, Severity},
-    gauges::{features::FeatureWatch, start::StartWatch},
-    observation::Parameters,
+    AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
+    alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
+    baseline::{BaselineRecord, Neutral, ShownMotor},
+    drift::{DRIFTS, DriftAlarms, Instruments},
+    gauges::{FeatureWatch, StartWatch},
     operation::{
-        alarms::{self, Operation},
-        boots::Boots,
-        logger_clock::LoggerClock,
-        site::{self, Common, Trail},
-        thermometer::Thermometer,
+        Boots, LoggerClock, Operation, Thermometer, alarms, site,
+        site::{Common, Trail},
     },
-    settings::Settings,
     snapshot::{Stamp, VersionOne},
     text,
     track::Tracks,
-    verdict::{Blindness, Drifting, MachineState, Present},
 };
 use crate::throw::{Direction, MachineId, ThrowRef};
 

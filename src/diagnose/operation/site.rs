@@ -11,9 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
-    alarm::step::Step,
-    event::{AlarmEvent, Cause},
-    statistics::{last::Last, level::percent, robust::median},
+    AlarmEvent, Cause,
+    alarm::Step,
+    statistics::{Last, median, percent},
     text,
 };
 

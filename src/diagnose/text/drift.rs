@@ -3,15 +3,9 @@
 use super::sensor::look_at_sensor;
 use crate::{
     diagnose::{
-        drift::{
-            cause::{Attribution, CLOSE, DECISIVE, Naming, Rival},
-            course::LimitForecast,
-            explain::Explanation,
-            intermittent::Departures,
-            origin::Awaited,
-        },
-        event::{Cause, RunnerUp, SensorChannel},
-        statistics::level::percent,
+        Cause, RunnerUp, SensorChannel,
+        drift::{Attribution, Awaited, CLOSE, DECISIVE, Departures, Explanation, LimitForecast, Naming, Rival},
+        statistics::percent,
     },
     throw::counted,
 };

@@ -2,8 +2,8 @@
 
 use crate::{
     diagnose::{
-        drift::origin::SensorFault, event::SensorChannel, gauges::Offset, observation::Unusable,
-        operation::thermometer::Implausible, statistics::level::Level,
+        SensorChannel, drift::SensorFault, gauges::Offset, observation::Unusable, operation::Implausible,
+        statistics::Level,
     },
     throw::{POSSIBLE_C, brief, utc},
 };

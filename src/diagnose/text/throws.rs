@@ -2,7 +2,7 @@
 
 use super::subject;
 use crate::{
-    diagnose::gauges::{Change, Gauge, start},
+    diagnose::gauges::{Change, Gauge, StartChange},
     throw::Direction,
 };
 
@@ -65,8 +65,8 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
 }
 
 /// Text for a changed start of the movement, over the last `throws`.
-pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String {
-    let start::Change { delay, gain, running, .. } = change;
+pub(crate) fn start(name: &str, change: &StartChange, throws: usize) -> String {
+    let StartChange { delay, gain, running, .. } = change;
     let moves = if delay.value.abs() < 0.05 {
         format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
     } else {
@@ -101,7 +101,7 @@ mod tests {
     fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
         let of = |delay_ms: f64| {
             let level = |value: f64, sd: f64| Level { value, sd };
-            let change = start::Change {
+            let change = StartChange {
                 delay: level(delay_ms, 0.2),
                 gain: level(-0.3, 0.02),
                 running: level(0.0, 0.01),

@@ -9,24 +9,14 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::learning::Suspicion;
 use super::{
-    baseline::{
-        Baseline, BaselineRecord, BaselineThrow,
-        temperature::covariance_of_effect,
-        wet::{self, WetSpell},
-    },
+    Blindness, Cause, HidingTemperature, Settings,
+    baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, WetSpell, covariance_of_effect},
     drift::{
-        Drift, attribute,
-        cause::Known,
-        origin::Origin,
-        threshold::Thresholds,
-        visible_pct,
-        window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept},
+        Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Thresholds, UNKNOWN_SCALE_SD, Window, attribute,
+        visible_pct, with_middle_kept,
     },
-    event::Cause,
     observation::{Evaluated, relative_to},
-    settings::Settings,
-    statistics::{counts::WINDOWS, robust::median, scatter::Scatter, sym3::Sym3},
-    verdict::{Blindness, HidingTemperature},
+    statistics::{Scatter, WINDOWS, median, sym3::Sym3},
 };
 use crate::{estimate::Estimate, throw::Direction};
 
@@ -251,7 +241,7 @@ impl Tracks {
     /// Whether a baseline may contain rain that began before it or lasted until its end. Such a spell cannot be taken
     /// out, as its throws do not distinguish it from a fault. Within the longest spell, the rails are dry again.
     pub(super) fn may_have_learned_rain(&self) -> bool {
-        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST_SPELL as u64)
+        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= LONGEST_SPELL as u64)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
