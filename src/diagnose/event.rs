@@ -6,7 +6,10 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use strum::VariantArray as _;
 
-use super::{drift::course::LimitForecast, statistics::correlation::Correlation};
+use super::{
+    drift::LimitForecast,
+    statistics::{Correlation, Level},
+};
 use crate::{
     estimate::Channel,
     throw::{Direction, MachineId, ThrowRef},
@@ -252,6 +255,13 @@ pub struct AlarmEvent {
     /// Reason given by the operator. Not published.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
+}
+
+impl AlarmEvent {
+    /// The event with this size of the drift.
+    pub(super) fn of_size(self, size: Level) -> Self {
+        Self { change_pct: Some(size.pct()), change_pct_sd: Some(size.sd_pct()), ..self }
+    }
 }
 
 /// JSON of a throw in the evidence: its number, and its boot, which is not published.

@@ -30,14 +30,13 @@ mod text;
 mod track;
 mod verdict;
 
-pub use alarm::command::{Command, CommandError};
-pub use baseline::BaselineRecord;
-pub use baseline::temperature::TemperatureSource;
-pub use drift::course::LimitForecast;
+pub use alarm::{Command, CommandError};
+pub use baseline::{BaselineRecord, TemperatureSource};
+pub use drift::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Missing, Observation, Parameters};
 pub use operation::site::Common;
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
-pub use statistics::correlation::Correlation;
+pub use statistics::Correlation;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

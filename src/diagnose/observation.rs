@@ -4,9 +4,10 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::event::SensorChannel;
+use super::SensorChannel;
 use crate::{
-    estimate::{self, Estimate, Features, Grade, Identification, Motor, Rejection},
+    estimate,
+    estimate::{Estimate, Features, Grade, Identification, Motor, Rejection},
     throw::{Direction, Throw, ThrowRef},
 };
 

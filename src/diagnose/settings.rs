@@ -3,7 +3,7 @@
 use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
 
-use super::event::Cause;
+use super::{Cause, statistics::percent};
 use crate::throw::{OutOfRange, Range::Within, settings};
 
 /// Longest shelving or maintenance that `longest_shelving_days` may allow \[days\].
@@ -110,5 +110,10 @@ impl Settings {
             Cause::Inertia => Some(self.inertia_limit_pct),
             _ => None,
         }
+    }
+
+    /// Size of a change (a logarithm) relative to the warning limit of its cause; 0 for causes without a limit.
+    pub(super) fn relevance(&self, cause: Cause, size: f64) -> f64 {
+        self.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
     }
 }

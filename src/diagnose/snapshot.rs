@@ -9,14 +9,10 @@ use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::{
-    alarm::{Acknowledgement, Alarm, Alarms, State, command::Maintenance, rule::Rule},
-    drift::{
-        alarms,
-        condition::{Condition, Ending, Onset},
-        history::History,
-    },
-    event::{AlarmEvent, AlarmState, Cause, SensorChannel},
-    operation::alarms::Operation,
+    AlarmEvent, AlarmState, Cause, SensorChannel,
+    alarm::{Acknowledgement, Alarm, Alarms, Maintenance, Rule, State},
+    drift::{Beginning, Condition, Ending, History, Onset},
+    operation::Operation,
     track::Tracks,
 };
 
@@ -27,7 +23,7 @@ pub(super) struct VersionOne {
     pub(super) order: u64,
     pub(super) tracks: Tracks,
     pub(super) history: History,
-    pub(super) onset: Option<alarms::Onset>,
+    pub(super) onset: Option<Onset>,
     pub(super) conditions: [ConditionOne; 5],
     pub(super) board: Board,
     pub(super) operation: Operation,
@@ -91,7 +87,7 @@ impl From<AlarmOne> for Alarm {
 impl ConditionOne {
     /// Converts a condition; `active`: whether its alarm is active.
     pub(super) fn now(self, active: bool) -> Condition {
-        let onset = Onset { named: self.on, critical: self.critical };
+        let onset = Beginning { named: self.on, critical: self.critical };
         if !active {
             return Condition::Quiet { onset, since_raised: self.since_raised };
         }

@@ -2,11 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    baseline::BaselineRecord,
-    drift::course::LimitForecast,
-    event::{AlarmEvent, Cause},
-};
+use super::{AlarmEvent, Cause, baseline::BaselineRecord, drift::LimitForecast};
 use crate::throw::Direction;
 
 /// The state of a machine, the same word in SQL, on pages, in `status` and in Health.

@@ -4,10 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 
 use crate::{
-    diagnose::{
-        event::{AlarmEvent, AlarmState, Cause},
-        settings::Settings,
-    },
+    diagnose::{AlarmEvent, AlarmState, Cause, Settings},
     throw::{Direction, MachineId, counted, utc},
 };
 

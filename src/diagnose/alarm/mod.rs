@@ -4,21 +4,23 @@
 //! the alarm is raised again while it is `cleared_unacknowledged`, the same occurrence continues. The time `raised_at`
 //! identifies an occurrence; it is unique for machine and cause, also if the clock is set back.
 
-pub(super) mod command;
-pub(super) mod rule;
+mod command;
+mod rule;
 pub(super) mod rule_result;
-pub(super) mod step;
+mod step;
 
 use std::mem;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use self::{command::CommandError, rule::Rule};
-use super::{
-    event::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity},
-    text,
-};
+pub(super) use command::Maintenance;
+pub use command::{Command, CommandError};
+pub(super) use rule::Rule;
+pub(super) use rule_result::{RuleResult, count_over};
+pub(super) use step::Step;
+
+use super::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity, text};
 
 /// The operator whose command causes an event, and the reason given; both `None` if the monitor causes it.
 #[derive(Debug, Clone, Copy, Default)]

@@ -1,10 +1,7 @@
 //! Result of a rule over the last throws, and its alarm.
 
-use super::{Alarms, rule::Rule, step::Step};
-use crate::diagnose::{
-    event::{AlarmEvent, Cause, SensorChannel},
-    text,
-};
+use super::{Alarms, Rule, Step};
+use crate::diagnose::{AlarmEvent, Cause, SensorChannel, text};
 
 /// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
 const OVER_BELOW: f64 = 0.5;

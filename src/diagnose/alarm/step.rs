@@ -2,12 +2,9 @@
 
 use jiff::Timestamp;
 
-use super::{Alarms, rule::Rule};
+use super::{Alarms, Rule};
 use crate::{
-    diagnose::{
-        event::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity},
-        settings::Settings,
-    },
+    diagnose::{AlarmEvent, AlarmState, Cause, SensorChannel, Settings, Severity},
     throw::ThrowRef,
 };
 

@@ -1,29 +1,27 @@
 //! The baseline of a machine and direction.
 
-pub(super) mod motor_kind;
-pub(super) mod neutral;
-pub(super) mod temperature;
-pub(super) mod trend;
-pub(super) mod wet;
+mod motor_kind;
+mod neutral;
+mod temperature;
+mod trend;
+mod wet;
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use self::{
-    temperature::{Temperature, TemperatureSource},
-    trend::{Filling, TrendThrow},
-    wet::WetSpell,
-};
+pub(super) use motor_kind::ShownMotor;
+pub(super) use neutral::Neutral;
+pub use temperature::TemperatureSource;
+pub(super) use temperature::covariance_of_effect;
+pub(super) use trend::Filling;
+pub(super) use wet::{LONGEST_SPELL, WetSpell, wet_spells};
+
+use self::{temperature::Temperature, trend::TrendThrow};
 use super::{
-    event::Cause,
+    Cause, Settings,
     observation::{Evaluated, SCALE_VARIANCE},
-    settings::Settings,
-    statistics::{
-        robust::{centre_and_sd, median},
-        scatter::Scatter,
-        sym3::Sym3,
-    },
+    statistics::{Scatter, centre_and_sd, median, sym3::Sym3},
 };
 use crate::throw::Direction;
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    diagnose::observation::{Observation, Parameters},
+    diagnose::{Observation, Parameters},
     estimate::Motor,
 };
 

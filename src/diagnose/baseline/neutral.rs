@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{BaselineRecord, friction_over_spring};
 use crate::diagnose::{
-    observation::{Evaluated, Observation, apparent_friction},
-    statistics::robust::median,
+    Observation,
+    observation::{Evaluated, apparent_friction},
+    statistics::median,
 };
 
 /// Number of throws of each direction from which the neutral position is learned: half of those of the earliest

@@ -13,12 +13,8 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
-    drift::condition::LONGEST_WINDOW,
-    settings::Settings,
-    statistics::{
-        robust::median,
-        scatter::{Scatter, serial_inflation},
-    },
+    Settings,
+    statistics::{LONGEST_WINDOW, Scatter, median, serial_inflation},
 };
 
 /// Source of the temperature coefficients of a baseline.

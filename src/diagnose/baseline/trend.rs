@@ -6,7 +6,7 @@
 
 use nalgebra::Vector3;
 
-use crate::diagnose::statistics::{autoregression::ln_sum, regression::Series};
+use crate::diagnose::statistics::{Series, ln_sum};
 
 /// Throws from which a trend can be found.
 const LEAST_THROWS: usize = 24;

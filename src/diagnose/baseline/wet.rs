@@ -10,8 +10,8 @@ use std::ops::{Range, RangeInclusive};
 
 use serde::{Deserialize, Serialize};
 
-use super::trend::Filling;
-use crate::diagnose::statistics::regression::Series;
+use super::Filling;
+use crate::diagnose::statistics::Series;
 
 /// Change of ln a1 in a spell: 10 to 25 % by rain, and some per cent less and more, as its edges are not sharp.
 const CHANGE: Range<f64> = -0.34..-0.07;

@@ -7,26 +7,18 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Drift,
-    cause::{Attribution, Known, Naming, explained},
-    condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
-    course::{Course, LimitForecast},
-    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
-    history::History,
-    intermittent::Intermittent,
-    latest_throw::LatestThrow,
-    origin::Origin,
-    window::Window,
+    Attribution, Claim, Condition, Course, Drift, Explanation, History, Intermittent, Known, LEVELS_FOLLOW,
+    LatestThrow, LimitForecast, Naming, Origin, PLAIN_LEAKS, Transition, Window, explained, fit,
+    friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
-        alarm::{Alarms, rule::Rule, rule_result::RuleResult, step::Step},
-        event::{AlarmEvent, Cause, RunnerUp, Severity},
+        AlarmEvent, Cause, Drifting, RunnerUp, Settings, Severity,
+        alarm::{Alarms, Rule, RuleResult, Step},
         gauges::Gauges,
-        settings::Settings,
+        statistics::{LONGEST_WINDOW, percent},
         text,
         track::Suspicion,
-        verdict::Drifting,
     },
     throw::{Direction, ThrowRef},
 };
@@ -175,7 +167,7 @@ impl DriftAlarms {
     /// Stores the change `shared` of this throw, which the machine shares with its site; 0 for a coefficient whose
     /// change is too small for a warning.
     pub(crate) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
-        let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
+        let matters = |i: usize| settings.relevance(Cause::OF_COEFFICIENTS[i], shared[i]) > SHARED_FROM;
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
         let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
         self.shared = [0, 1, 2].map(kept);
@@ -220,13 +212,8 @@ impl DriftAlarms {
         } else {
             let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
             found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
-                let text = text::intermittent(step.name, &found);
-                let event = AlarmEvent {
-                    change_pct: Some(percent(found.explanation.size)),
-                    change_pct_sd: Some(text::sd_pct(&found.explanation)),
-                    ..step.warning(found.cause, text)
-                };
-                RuleResult::Fault(Box::new(event))
+                let event = step.warning(found.cause, text::intermittent(step.name, &found));
+                RuleResult::Fault(Box::new(event.of_size(found.explanation.level())))
             })
         };
         if found == RuleResult::Nothing {
@@ -290,9 +277,9 @@ impl DriftAlarms {
     /// Updates the first throw of the suspected drift.
     fn follow_onset(&mut self, LatestThrow { drift, order, .. }: LatestThrow, step: &Step) {
         let earlier = if drift.provisional { SUSPECTED_EARLIER } else { 1.0 };
-        if drift.excess < earlier * FORGOTTEN_BELOW {
+        if drift.excess() < earlier * FORGOTTEN_BELOW {
             self.onset = None;
-        } else if drift.excess > earlier * SUSPECTED_FROM && self.onset.is_none() {
+        } else if drift.excess() > earlier * SUSPECTED_FROM && self.onset.is_none() {
             self.onset = step.throw.map(|first| Onset { first: first.clone(), order });
         }
     }
@@ -339,8 +326,8 @@ impl DriftAlarms {
             let (size, course) = latest.size(&largest, direction, &self.history);
             let drifting = Drifting {
                 cause: alarm.cause,
-                change_pct: percent(size.size),
-                change_pct_sd: text::sd_pct(&size),
+                change_pct: size.level().pct(),
+                change_pct_sd: size.level().sd_pct(),
                 direction,
                 limit_in_throws: course.and_then(|course| forecast(&size, &course, alarm.severity, settings)),
             };
@@ -383,8 +370,8 @@ impl DriftAlarms {
             text += text::RAIN_IN_BASELINE;
         }
         Some(AlarmEvent {
-            change_pct: main.map(|main| percent(main.size)),
-            change_pct_sd: main.map(text::sd_pct),
+            change_pct: main.map(|main| main.level().pct()),
+            change_pct_sd: main.map(|main| main.level().sd_pct()),
             direction,
             runner_up: attribution.runner_up,
             correlation: Some(attribution.correlation),

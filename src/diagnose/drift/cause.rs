@@ -11,16 +11,12 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{
-    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
-    window::Window,
-};
+use super::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, Window, direction_of, fit, fit_beside, single};
 use crate::diagnose::{
+    Cause, RunnerUp, Settings,
     baseline::{Baseline, usual_friction_over_spring},
-    event::{Cause, RunnerUp},
-    gauges::{AtStart, BackEmf, Gauges, Level},
-    settings::Settings,
-    statistics::correlation::Correlation,
+    gauges::{AtStart, BackEmf, Gauges},
+    statistics::{Correlation, Level},
 };
 
 /// Lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
@@ -94,7 +90,7 @@ impl Known<'_> {
             // A window of ratios has another scale than the level. A change of the motor changes both ratios alike.
             let scale = if window.shows(Cause::Inertia) { 0.0 } else { f64::midpoint(since.y, since.z) };
             let since = since.add_scalar(-scale);
-            relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
+            settings.relevance(Cause::Kt, since.x) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
         let is_new = is_new && may_show_weaker_motor(window, Some(back_emf));
         let is_known = self.causes.contains(&Cause::Kt);
@@ -131,6 +127,25 @@ pub(crate) enum Naming {
     Beside { known: Explanation, first: Explanation, second: Explanation },
     /// No one or two causes explain the drift; these two together do best.
     Neither(Explanation, Explanation),
+}
+
+impl Naming {
+    /// The named parts that have no alarm yet, the main part first.
+    fn new_parts(&self) -> [Option<&Explanation>; 2] {
+        match self {
+            Self::One(one) | Self::Another { new: one, .. } => [Some(one), None],
+            Self::Either(a, b) | Self::Both(a, b) | Self::Beside { first: a, second: b, .. } => [Some(a), Some(b)],
+            Self::Neither(..) => [None, None],
+        }
+    }
+
+    /// The named part that has an alarm.
+    fn known(&self) -> Option<&Explanation> {
+        match self {
+            Self::Another { known, .. } | Self::Beside { known, .. } => Some(known),
+            _ => None,
+        }
+    }
 }
 
 /// Another explanation that cannot be ruled out.
@@ -366,14 +381,7 @@ impl Attribution {
 
     /// The largest part; of two that are too close to call, the better.
     pub(crate) fn main(&self) -> Option<&Explanation> {
-        match &self.naming {
-            Naming::One(main)
-            | Naming::Either(main, _)
-            | Naming::Both(main, _)
-            | Naming::Another { new: main, .. }
-            | Naming::Beside { first: main, .. } => Some(main),
-            Naming::Neither(..) => None,
-        }
+        self.naming.new_parts()[0]
     }
 
     /// The part that is named together with `cause`.
@@ -407,13 +415,8 @@ impl Attribution {
     /// Change of the back-EMF, if it shows that weak magnets are not the reason of a lost torque: gear, clutch and
     /// brushes lose torque without a change of the back-EMF.
     pub(crate) fn sound_magnets(&self) -> Option<Level> {
-        let named = match &self.naming {
-            Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
-            Naming::Either(a, b) | Naming::Both(a, b) => [Some(a), Some(b)],
-            Naming::Beside { first, second, .. } => [Some(first), Some(second)],
-            Naming::Neither(..) => [None, None],
-        };
-        let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
+        let mut named = self.naming.new_parts().into_iter().flatten();
+        let motor = named.find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
         let is_weaker = |level: &Level| level.value < -CHANGED_SD * level.sd && level.value < LOST_TORQUE;
         self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs() && !is_weaker(level))
     }
@@ -433,17 +436,8 @@ impl Attribution {
 
     /// Whether `cause` is part of the attribution.
     pub(super) fn includes(&self, cause: Cause) -> bool {
-        match &self.naming {
-            Naming::One(e) => e.cause == cause,
-            Naming::Another { new, known } => new.cause == cause || known.cause == cause,
-            Naming::Either(a, b) | Naming::Both(a, b) => {
-                cause == Cause::Unattributed || a.cause == cause || b.cause == cause
-            }
-            Naming::Beside { known, first, second } => {
-                cause == Cause::Unattributed || [known, first, second].iter().any(|part| part.cause == cause)
-            }
-            Naming::Neither(..) => cause == Cause::Unattributed,
-        }
+        let mut parts = self.naming.new_parts().into_iter().flatten().chain(self.naming.known());
+        self.cause() == cause || parts.any(|part| part.cause == cause)
     }
 }
 

@@ -15,8 +15,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::threshold::WINDOWS;
-use crate::diagnose::{event::Severity, settings::Settings};
+use crate::diagnose::{
+    Settings, Severity,
+    statistics::{LONGEST_WINDOW, WINDOWS, streak},
+};
 
 /// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
 /// cause the difference.
@@ -31,9 +33,6 @@ const REPAIRABLE_LEVEL: f64 = 1.5;
 /// number of throws of a direction; these follow a step with a delay, and still look healthy just after the raise.
 pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
-/// Number of throws in the longest window of the detection.
-pub(crate) const LONGEST_WINDOW: u32 = 24;
-const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
 /// Evidence of a throw for an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,30 +101,29 @@ pub(crate) enum Transition {
 pub(crate) enum Condition {
     /// No alarm.
     Quiet {
-        onset: Onset,
+        onset: Beginning,
         /// Throws since the alarm was last raised; `None` before the first time.
         since_raised: Option<u32>,
     },
     /// The alarm is active. Boxed, as few alarms are.
-    Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
+    Raised { onset: Beginning, since_raised: u32, ending: Box<Ending> },
 }
 
 /// Numbers of consecutive throws that speak for an alarm, and for a critical alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(crate) struct Onset {
+pub(crate) struct Beginning {
     pub(crate) named: u32,
     pub(crate) critical: u32,
 }
 
 /// Numbers of consecutive throws that speak for the end of an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct Ending {
     pub(crate) healthy: u32,
-    #[serde(default)]
     pub(super) likely_healthy: u32,
     pub(crate) below: u32,
     pub(crate) other: u32,
-    #[serde(default)]
     pub(super) turned: u32,
     /// Largest recent size relative to the warning limit.
     pub(crate) level: f64,
@@ -142,13 +140,8 @@ pub(crate) struct Ending {
 
 impl Default for Condition {
     fn default() -> Self {
-        Self::Quiet { onset: Onset::default(), since_raised: None }
+        Self::Quiet { onset: Beginning::default(), since_raised: None }
     }
-}
-
-/// Counts consecutive throws in which something holds.
-pub(crate) fn streak(count: &mut u32, holds: bool) {
-    *count = if holds { count.saturating_add(1) } else { 0 };
 }
 
 impl Condition {
@@ -197,7 +190,7 @@ impl Condition {
 
     /// Resets all counters after maintenance.
     pub(crate) fn reset(&mut self) {
-        let onset = Onset::default();
+        let onset = Beginning::default();
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
             Self::Raised { since_raised, ref ending, .. } => {
@@ -208,7 +201,7 @@ impl Condition {
     }
 }
 
-impl Onset {
+impl Beginning {
     fn after(mut self, reading: Reading, settings: &Settings) -> Self {
         streak(&mut self.named, reading.claim != Claim::None);
         streak(&mut self.critical, reading.undoubted > settings.critical_factor);
@@ -268,7 +261,7 @@ mod tests {
     /// Number of throws until an alarm clears, if every throw has this reading.
     fn cleared_after(reading: Reading) -> Option<u32> {
         let settings = Settings::default();
-        let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };
+        let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
         let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
         (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
     }

@@ -20,11 +20,7 @@ use nalgebra::{Matrix4, Vector4};
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
 
-use crate::diagnose::statistics::{
-    autoregression::ln_sum,
-    robust::median,
-    scatter::{Noise, SLOW_LAG1, inflation},
-};
+use crate::diagnose::statistics::{Noise, SLOW_LAG1, inflation, ln_sum, median};
 
 /// Forecast of the number of throws until a limit is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -32,7 +32,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::diagnose::{event::Cause, settings::Settings, statistics::sym3};
+use crate::diagnose::{
+    Cause, Settings,
+    statistics::{Level, sym3},
+};
 
 /// Prior scale s of a size, in logarithms: relevant faults are from a few per cent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
@@ -144,16 +147,6 @@ pub(super) fn direction_of(cause: Cause) -> Option<Vector3<f64>> {
     }
 }
 
-/// Size of a change of a logarithm \[%\].
-pub(crate) fn percent(log: f64) -> f64 {
-    100.0 * log.exp_m1()
-}
-
-/// Size of a change relative to the warning limit of its cause.
-pub(crate) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
-    settings.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
-}
-
 /// Explains the drift `m` with covariance `v` by one cause.
 pub(crate) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
     fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
@@ -175,9 +168,14 @@ pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Exp
 }
 
 impl Explanation {
+    /// The size with its standard deviation.
+    pub(crate) fn level(&self) -> Level {
+        Level { value: self.size, sd: self.size_sd }
+    }
+
     /// Size relative to the warning limit of the cause.
     pub(crate) fn relevance(&self, settings: &Settings) -> f64 {
-        relevance(self.cause, self.size, settings)
+        settings.relevance(self.cause, self.size)
     }
 }
 
@@ -301,14 +299,14 @@ fn fit_with_leaks<const K: usize>(
     fit
 }
 
-/// Fit of an effect `d` to the drift `m` with covariance `v`: size, standard deviation of the size, and a score that
-/// can be compared with that of causes.
+/// Fit of an effect `d` to the drift `m` with covariance `v`: size, and a score that can be compared with that of
+/// causes.
 pub(crate) fn fit_along(
     d: &Vector3<f64>,
     m: &Vector3<f64>,
     v: &Matrix3<f64>,
     settings: &Settings,
-) -> Option<(f64, f64, f64)> {
+) -> Option<(Level, f64)> {
     let (mut size, mut found) = (0.0, None);
     for _ in 0..2 {
         let error = Matrix3::from_diagonal_element((settings.model_error / MODEL_ERROR_SD * size).powi(2));
@@ -319,7 +317,7 @@ pub(crate) fn fit_along(
         let rest = m - d * size;
         let misfit = (rest.transpose() * inverse * rest).x;
         let score = misfit + u.determinant().ln() + information.ln() + 2.0 * SIZE_SCALE.ln();
-        found = Some((size, information.sqrt().recip(), score));
+        found = Some((Level { value: size, sd: information.sqrt().recip() }, score));
     }
     found
 }

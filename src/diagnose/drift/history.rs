@@ -6,8 +6,8 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{condition::LONGEST_WINDOW, course::Point};
-use crate::diagnose::statistics::last::Last;
+use super::Point;
+use crate::diagnose::statistics::{LONGEST_WINDOW, Last};
 
 /// Means of consecutive blocks of throws since the baseline. When there are [`History::PLACES`] blocks, neighbouring
 /// blocks are joined in pairs, and new blocks are twice as long. So the history stays complete, and becomes coarser.

@@ -25,19 +25,13 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Drift,
-    cause::{Attribution, Naming},
-    condition::streak,
-    explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
-    origin::{Awaited, Origin, SensorFault},
-    threshold::WINDOWS,
-    window::Window,
+    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Window, fit, fit_along, single,
 };
 use crate::diagnose::{
-    alarm::{rule::Rule, rule_result::count_over, step::Step},
-    event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
-    gauges::{Circuit, Gauge, Gauges, Level, Offset},
-    settings::Settings,
+    AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
+    alarm::{Rule, Step, count_over},
+    gauges::{Circuit, Gauge, Gauges, Offset},
+    statistics::{Level, WINDOWS, percent, streak},
     text,
 };
 
@@ -137,28 +131,26 @@ impl Instruments {
             let Suspect { channel, effect, gauges, gain } = suspect;
             let is_known = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
             let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
-            let (size, size_sd, own) = alone?;
+            let (size, own) = alone?;
             let is_possible = match channel {
-                SensorChannel::Clock => self.may_be_clock(size, window),
-                SensorChannel::Current => self.may_be_current(gain * size, window),
+                SensorChannel::Clock => self.may_be_clock(size.value, window),
+                SensorChannel::Current => self.may_be_current(gain * size.value, window),
                 _ => true,
             };
             if !is_possible {
                 return None;
             }
-            let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
+            let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size.value));
             // Without a supply voltage the current sensor is always possible.
-            let (size, size_sd) = weighed((size, size_sd), &levels, gauges);
-            (is_known || *channel == SensorChannel::Current).then_some((lead, *channel, is_known, gain * size, size_sd))
+            let size = weighed(size, &levels, gauges);
+            let size = Level { value: gain * size.value, ..size };
+            (is_known || *channel == SensorChannel::Current).then_some((lead, *channel, is_known, size))
         });
         let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((lead, channel, true, size, size_sd)) if lead >= LEAD_OF_SENSOR => Origin::Sensor(SensorFault {
-                channel,
-                size,
-                size_sd,
-                runner_up: RunnerUp { cause: part, margin: lead },
-            }),
+            Some((lead, channel, true, size)) if lead >= LEAD_OF_SENSOR => {
+                Origin::Sensor(SensorFault { channel, size, runner_up: RunnerUp { cause: part, margin: lead } })
+            }
             Some((lead, channel, is_known, ..)) if lead > -LEAD_OF_MACHINE && !self.sensor.lingers => {
                 let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
                     _ if is_known => Awaited::Throws,
@@ -168,7 +160,7 @@ impl Instruments {
                 Origin::Either { channel, waits }
             }
             _ if self.sensor.lingers || self.supply.lingers && self.supply.unseen > 0 => {
-                let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, f64, f64)| {
+                let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, Level)| {
                     lead > -LEAD_OF_MACHINE && self.channel == Some(channel)
                 };
                 Origin::Past { is_alike: best.is_some_and(is_alike) }
@@ -279,9 +271,9 @@ impl Instruments {
         let sensor = sensor.filter(|_| sensor == self.channel);
         let suspect = SUSPECTS.iter().find(|suspect| sensor == Some(suspect.channel))?;
         let levels = self.levels(WINDOWS[1]);
-        let (left, left_sd) = weighed((0.0, f64::INFINITY), &levels, &suspect.gauges);
+        let left = weighed(Level { value: 0.0, sd: f64::INFINITY }, &levels, &suspect.gauges);
         let named = self.size / suspect.gain;
-        (left_sd.is_finite() && named != 0.0).then_some(left / named)
+        (left.sd.is_finite() && named != 0.0).then_some(left.value / named)
     }
 
     /// The levels of the gauges that distinguish sensors from parts.
@@ -299,9 +291,9 @@ impl Instruments {
         let settings = step.settings;
         let of_drift = if let Origin::Sensor(fault) = drift.origin { Some(fault) } else { None };
         let of_voltage = || {
-            let Level { value, sd } = self.gauges.voltage_error()?;
-            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MAX_MISFIT) };
-            Some(SensorFault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
+            let size = self.gauges.voltage_error()?;
+            let runner_up = RunnerUp { cause: Cause::Supply, margin: (size.value / size.sd).powi(2).min(MAX_MISFIT) };
+            Some(SensorFault { channel: SensorChannel::Supply, size, runner_up })
         };
         let fault = of_drift.or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
@@ -309,7 +301,7 @@ impl Instruments {
             self.sensor.named = 0;
         }
         if let Some(SensorFault { channel, size, .. }) = fault {
-            (self.channel, self.size) = (Some(channel), size);
+            (self.channel, self.size) = (Some(channel), size.value);
         }
         let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
@@ -321,11 +313,9 @@ impl Instruments {
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
             let event = AlarmEvent {
-                change_pct: Some(percent(fault.size)),
-                change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
                 runner_up: Some(fault.runner_up),
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
-                ..step.sensor(fault.channel, text::sensor(step.name, &fault))
+                ..step.sensor(fault.channel, text::sensor(step.name, &fault)).of_size(fault.size)
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
@@ -375,14 +365,10 @@ impl Instruments {
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
         self.circuit.follow(circuit.is_some(), true, false, left, delay);
-        let event = |Level { value, sd }: Level, text: String| AlarmEvent {
-            change_pct: Some(percent(value)),
-            change_pct_sd: Some(100.0 * sd * value.exp()),
-            ..step.warning(Cause::Supply, text)
-        };
+        let event = |level: Level, text: String| step.warning(Cause::Supply, text).of_size(level);
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
-            (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
+            (self.supply, Rule::Usual, event(level, text::supply(step.name, level.pct())))
         });
         let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|Circuit { level, of_inrush, .. }| {
             let lower = Level { value: -level.value, ..level };
@@ -449,18 +435,18 @@ fn scored<const K: usize>(
     (parts[0], found.score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
 }
 
-/// Weighted mean, with its standard deviation, of a size and of the sizes that the gauges show. `effects`: change of
+/// Weighted mean of the size `own` and of the sizes that the gauges show. `effects`: change of
 /// the gauges by a fault of size 1.
-fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
-    let own = size_sd.powi(-2);
-    let (mut sum, mut weight) = (own * size, own);
+fn weighed(own: Level, levels: &[Option<Level>; 4], effects: &[f64; 4]) -> Level {
+    let mut weight = own.sd.powi(-2);
+    let mut sum = weight * own.value;
     for (level, effect) in levels.iter().zip(effects) {
         if let Some(Level { value, sd }) = level {
             sum += effect * value / (sd * sd);
             weight += (effect / sd).powi(2);
         }
     }
-    (sum / weight, weight.sqrt().recip())
+    Level { value: sum / weight, sd: weight.sqrt().recip() }
 }
 
 /// Misfit of the gauges to their expected values: sum of squares in variances, each at most [`MAX_MISFIT`].

@@ -12,14 +12,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
-use super::{
-    cause::CLOSE,
-    explain::{Explanation, single},
-};
+use super::{CLOSE, Explanation, single};
 use crate::diagnose::{
-    event::Cause,
-    settings::Settings,
-    statistics::{last::Last, rare::Rare, sym3},
+    Cause, Settings,
+    statistics::{Last, Rare, sym3},
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -57,16 +53,15 @@ const OVERLAP: f64 = 10.0;
 
 /// Departures of a machine, and their healthy rate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct Intermittent {
     /// The last throws; one that ended a departure has the departure as value, in (ln b0, ln a1, ln a0).
     recent: Rare,
     /// The unfinished departure of each direction: its first throw, and its number of throws.
-    #[serde(default)]
     begun: [Option<([f32; 3], u32)>; 2],
     /// Departures, and throws, of the healthy past before `recent`.
     past: (f64, f64),
     /// Large departures in the healthy past.
-    #[serde(default)]
     past_large: f64,
     /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
     tail: (f64, f64),

@@ -2,20 +2,9 @@
 
 use jiff::Timestamp;
 
-use super::{
-    Drift,
-    cause::Naming,
-    course::Course,
-    explain::{Explanation, friction_of_sound_motor},
-    history::History,
-};
+use super::{Course, Drift, Explanation, History, Naming, friction_of_sound_motor};
 use crate::{
-    diagnose::{
-        event::Cause,
-        gauges::{Gauges, Level},
-        settings::Settings,
-        track::Tracks,
-    },
+    diagnose::{Cause, Settings, gauges::Gauges, statistics::Level, track::Tracks},
     throw::Direction,
 };
 

@@ -1,33 +1,46 @@
 //! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
-pub(super) mod alarms;
-pub(super) mod cause;
-pub(super) mod condition;
-pub(super) mod course;
-pub(super) mod explain;
-pub(super) mod history;
-pub(super) mod instruments;
-pub(super) mod intermittent;
-pub(super) mod latest_throw;
-pub(super) mod origin;
-pub(super) mod threshold;
-pub(super) mod weather;
-pub(super) mod window;
+mod alarms;
+mod cause;
+mod condition;
+mod course;
+mod explain;
+mod history;
+mod instruments;
+mod intermittent;
+mod latest_throw;
+mod origin;
+mod threshold;
+mod weather;
+mod window;
 
 use nalgebra::{Matrix3, Vector3};
 
+pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
+pub(super) use cause::{Attribution, CLOSE, DECISIVE, Known, Naming, Rival};
+pub(super) use condition::{Beginning, Condition, Ending};
+pub use course::LimitForecast;
+pub(super) use course::{Course, Point};
+pub(super) use explain::Explanation;
+pub(super) use history::History;
+pub(super) use instruments::Instruments;
+pub(super) use intermittent::{Departures, Intermittent};
+pub(super) use latest_throw::LatestThrow;
+pub(super) use origin::{Awaited, Origin, SensorFault};
+pub(super) use threshold::Thresholds;
+pub(super) use window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept};
+
 use self::{
-    cause::{Attribution, Case, DECISIVE, Known, Naming, Rival, best_single, may_show_weaker_motor},
-    condition::{Claim, Reading},
-    explain::{PLAIN_LEAKS, direction_of, fit, percent, relevance, single},
-    origin::{Awaited, Origin},
-    window::Window,
+    cause::{Case, best_single, explained, may_show_weaker_motor},
+    condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
+    explain::{
+        Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
+        single,
+    },
 };
 use super::{
-    event::Cause,
-    settings::Settings,
-    statistics::{scatter::Scatter, sym3},
-    verdict::Blindness,
+    Blindness, Cause, Settings,
+    statistics::{Scatter, percent, sym3},
 };
 use crate::throw::Direction;
 
@@ -61,22 +74,9 @@ pub(super) struct FrictionChange {
     pub(super) lasts: bool,
 }
 
-/// Relation of the named cause of a drift to the active alarms.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ToAlarms {
-    /// The cause has no alarm.
-    New,
-    /// The cause has an active alarm.
-    Alarmed,
-    /// The drift is named as that of one part alone, while another part has an active alarm.
-    Contradicts,
-}
-
 /// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
-    /// T of the strongest window relative to its limit (see [`self::window`]).
-    pub(super) excess: f64,
     /// Whether a baseline is still incomplete.
     pub(super) provisional: bool,
     /// The attribution, if a drift is detected.
@@ -85,58 +85,24 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Origin of the drift, by the gauges.
     pub(super) origin: Origin,
-    /// Relation of the named cause to the active alarms.
-    relation: ToAlarms,
+    /// The causes with an active alarm.
+    pub(super) alarmed: Vec<Cause>,
     /// Whether a direction has a baseline, but too few throws for a level.
-    is_half_seen: bool,
+    pub(super) is_half_seen: bool,
     /// Mean of the last throws of each direction, at most twelve.
     pub(super) levels: [Option<Window>; 2],
     /// Mean of the last throws of each direction, at most six.
-    last_few: [Option<Window>; 2],
+    pub(super) last_few: [Option<Window>; 2],
     /// Direction of the latest throw as an index, and the mean of the last three throws of this direction.
-    latest: (usize, Option<Window>),
+    pub(super) latest: (usize, Option<Window>),
     /// The change that the uncertain effect of the temperature hides, if it is one at the warning limit.
     pub(super) hidden: Option<Blindness>,
 }
 
 impl Drift {
-    pub(super) fn new(
-        strongest: Option<(Window, &Scatter, Option<usize>)>,
-        [provisional, is_half_seen]: [bool; 2],
-        [levels, last_few]: [[Option<Window>; 2]; 2],
-        latest: (usize, Option<Window>),
-        hidden: Option<Blindness>,
-        known: &Known,
-        settings: &Settings,
-    ) -> Self {
-        let excess = strongest.map_or(0.0, |(window, ..)| window.excess);
-        let attribution = strongest.filter(|_| excess > 1.0).map(|(window, scatter, side)| {
-            let last = side.map_or_else(|| mean_of_both(&last_few), |side| last_few[side]);
-            let is_before = last.is_some_and(|last| is_before_motor_fault(&window, &last, known, settings));
-            let gauges = known.gauges.filter(|_| !is_before);
-            let known = &Known { gauges, ..known.clone() };
-            Attribution::of(&Case { window: &window, of_one_throw: &scatter.of_one_throw(), known, settings })
-        });
-        let is_of_part = || known.causes.iter().any(|cause| Cause::PHYSICAL.contains(cause));
-        let relation = match &attribution {
-            Some(attribution) if known.causes.contains(&attribution.cause()) => ToAlarms::Alarmed,
-            Some(Attribution { naming: Naming::One(_), .. }) if is_of_part() => ToAlarms::Contradicts,
-            _ => ToAlarms::New,
-        };
-        let (strongest, origin) = (strongest.map(|(window, ..)| window), Origin::default());
-        Self {
-            excess,
-            provisional,
-            attribution,
-            strongest,
-            origin,
-            relation,
-            is_half_seen,
-            levels,
-            last_few,
-            latest,
-            hidden,
-        }
+    /// T of the strongest window relative to its limit (see [`self::window`]).
+    fn excess(&self) -> f64 {
+        self.strongest.map_or(0.0, |window| window.excess)
     }
 
     /// The windows that show the present drift; after a step the shorter ones show it better.
@@ -163,6 +129,7 @@ impl Drift {
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let excused = self.origin.is_instrument();
+        let is_alarmed = self.attribution.is_some_and(|attribution| self.alarmed.contains(&attribution.cause()));
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
         let other = excused && self.matters()
@@ -186,6 +153,7 @@ impl Drift {
         // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
         let has_ended =
             cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
+        let is_part = |cause: &Cause| Cause::PHYSICAL.contains(cause);
         let claim = match named {
             Some(_) if self.matters() => {
                 // The next throw confirms a step, but not an outlier.
@@ -193,9 +161,7 @@ impl Drift {
                 if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
             }
             // The name is not stable yet, so throws with a name count for an alarm without one.
-            _ if cause == Cause::Unattributed && self.matters() && self.relation != ToAlarms::Alarmed && !excused => {
-                Claim::Counts
-            }
+            _ if cause == Cause::Unattributed && self.matters() && !is_alarmed && !excused => Claim::Counts,
             _ => Claim::None,
         };
         Reading {
@@ -211,7 +177,7 @@ impl Drift {
                 0
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
                 // A window with throws from before and after a second fault may look like a fault of a third part.
-                (Naming::One(_), _) if self.relation == ToAlarms::Contradicts => TOO_CLOSE_PATIENCE,
+                (Naming::One(_), _) if !is_alarmed && self.alarmed.iter().any(is_part) => TOO_CLOSE_PATIENCE,
                 (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
                 (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
                 (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
@@ -247,6 +213,20 @@ impl Drift {
     }
 }
 
+/// Attributes the drift of the strongest window of the stream of a side, or of the mixed stream. `last_few`: as
+/// [`Drift::last_few`].
+pub(super) fn attribute(
+    (window, scatter, side): (&Window, &Scatter, Option<usize>),
+    last_few: &[Option<Window>; 2],
+    known: &Known,
+    settings: &Settings,
+) -> Attribution {
+    let last = side.map_or_else(|| mean_of_both(last_few), |side| last_few[side]);
+    let is_before = last.is_some_and(|last| is_before_motor_fault(window, &last, known, settings));
+    let known = &Known { gauges: known.gauges.filter(|_| !is_before), ..known.clone() };
+    Attribution::of(&Case { window, of_one_throw: &scatter.of_one_throw(), known, settings })
+}
+
 /// Least size of `cause` \[%\] that is detected in a mean with this covariance and this limit of T; `None` if no size
 /// is.
 pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
@@ -264,7 +244,7 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
             None => single(cause, &window.mean, &window.covariance, settings),
         };
         let bound = e.size.abs() + 2.0 * e.size_sd;
-        (relevance(cause, e.size, settings), relevance(cause, bound, settings))
+        (settings.relevance(cause, e.size), settings.relevance(cause, bound))
     };
     if cause == Cause::Unattributed {
         let shown = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));

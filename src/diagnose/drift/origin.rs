@@ -1,6 +1,6 @@
 //! Origin of a drift, by the gauges: a part, a sensor or the clock, or the supply.
 
-use crate::diagnose::event::{RunnerUp, SensorChannel};
+use crate::diagnose::{RunnerUp, SensorChannel, statistics::Level};
 
 /// Origin of a drift, by the gauges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -35,9 +35,7 @@ pub(crate) enum Awaited {
 pub(crate) struct SensorFault {
     pub(crate) channel: SensorChannel,
     /// Logarithm of the gain, or of the rate of the clock.
-    pub(crate) size: f64,
-    /// Standard deviation of `size`.
-    pub(crate) size_sd: f64,
+    pub(crate) size: Level,
     /// The part that explains the drift best, and the lead of the sensor over it.
     pub(crate) runner_up: RunnerUp,
 }

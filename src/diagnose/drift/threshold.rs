@@ -12,10 +12,8 @@
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
 
-use crate::diagnose::statistics::scatter::{Factor, Scatter};
+use crate::diagnose::statistics::{Factor, Scatter, WINDOWS};
 
-/// Window lengths \[throws\].
-pub(crate) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
 /// Crossings of a limit for each alarm: the other crossings end within the on delay, or have no stable name. Measured
 /// on simulated healthy fleets without warning limits.
 const CROSSINGS_PER_ALARM: f64 = 48.0;

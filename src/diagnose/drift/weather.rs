@@ -6,16 +6,12 @@ use std::ops::Range;
 use jiff::SignedDuration;
 use nalgebra::Vector3;
 
-use super::{
-    FrictionChange,
-    alarms::DriftAlarms,
-    cause::Naming,
-    condition::{Claim, LONGEST_WINDOW},
-    explain::{percent, relevance},
-    latest_throw::LatestThrow,
-    threshold::WINDOWS,
+use super::{Claim, DriftAlarms, FrictionChange, LatestThrow, Naming};
+use crate::diagnose::{
+    Cause,
+    gauges::SLOW_FROM,
+    statistics::{LONGEST_WINDOW, WINDOWS, percent},
 };
-use crate::diagnose::event::Cause;
 
 /// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
 const RAIN_HOURS: i64 = 72;
@@ -23,8 +19,6 @@ const RAIN_HOURS: i64 = 72;
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, a part of the machine's friction.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
-/// Part of a slow change that existed a week ago: a season takes months.
-pub(crate) const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
 
 impl DriftAlarms {
@@ -53,7 +47,7 @@ impl DriftAlarms {
     /// critical limit, and a part of it existed a week ago. `size` is the sum of the logarithms with these `weights`.
     fn may_be_season(&self, cause: Cause, size: f64, weights: &Vector3<f64>, latest: LatestThrow) -> bool {
         let LatestThrow { tracks, at, settings, .. } = latest;
-        let is_critical = relevance(cause, size, settings) > settings.critical_factor;
+        let is_critical = settings.relevance(cause, size) > settings.critical_factor;
         let per_day = tracks.throws_per_day(at).unwrap_or(settings.throws_per_day);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
         let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);

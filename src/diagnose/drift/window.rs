@@ -9,20 +9,12 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{
-    course::Point,
-    threshold::{Thresholds, WINDOWS},
-};
+use super::{Point, Thresholds};
 use crate::{
     diagnose::{
-        baseline::{Baseline, temperature::covariance_of_effect},
-        event::Cause,
-        statistics::{
-            last::Last,
-            robust::clipped_mean,
-            scatter::Scatter,
-            sym3::{self, Sym3},
-        },
+        Cause,
+        baseline::{Baseline, covariance_of_effect},
+        statistics::{Last, Scatter, WINDOWS, clipped_mean, sym3, sym3::Sym3},
     },
     estimate::Estimate,
 };
@@ -202,25 +194,18 @@ impl<'a> Stream<'a> {
         Self(ring.iter().rev().map(|throw| (direction, throw)).collect())
     }
 
-    /// The stream of both directions, in the order of the throws.
+    /// The stream of both directions, in the order of the throws; as long as that of one direction.
     pub(crate) fn mixed(rings: [&'a RecentThrows; 2]) -> Self {
-        let mut tail = Vec::with_capacity(KEPT);
-        let mut sides = rings.map(|ring| ring.iter().rev().peekable());
-        while tail.len() < KEPT {
-            let newest = sides.each_mut().map(|side| side.peek().map(|throw| throw.order));
-            let side = usize::from(newest[1] > newest[0]);
-            let Some(throw) = sides[side].next() else { break };
-            tail.push((side, throw));
-        }
-        Self(tail)
+        let mut all = Self::all(rings);
+        all.0.truncate(KEPT);
+        all
     }
 
     /// All stored throws of both directions.
     pub(crate) fn all(rings: [&'a RecentThrows; 2]) -> Self {
-        let mut tail: Vec<(usize, &RecentThrow)> =
-            rings.into_iter().enumerate().flat_map(|(at, ring)| ring.iter().map(move |throw| (at, throw))).collect();
-        tail.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
-        Self(tail)
+        let mut all: Vec<_> = rings.into_iter().enumerate().flat_map(|(side, ring)| Self::of(ring, side).0).collect();
+        all.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
+        Self(all)
     }
 
     pub(crate) fn len(&self) -> usize {

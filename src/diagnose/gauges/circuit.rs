@@ -1,11 +1,8 @@
 //! The electrical circuit of the motor: errors of the published voltage, and changes of the back-EMF and the
 //! resistance.
 
-use super::{
-    gauge::{Gauge, heat},
-    levels::{Gauges, Level, by_side, mean},
-};
-use crate::diagnose::drift::threshold::WINDOWS;
+use super::{Gauge, Gauges, by_side, heat, mean};
+use crate::diagnose::statistics::{Level, WINDOWS};
 
 /// Largest difference of the temperatures of winding and air \[K\], in a yard with a throw every few minutes. The
 /// insulation allows 80 K.

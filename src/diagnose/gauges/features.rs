@@ -8,13 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::{Change, Gauge, Gauges, sd_of_mean};
 use crate::{
     diagnose::{
-        alarm::{
-            rule_result::{RuleResult, count_over},
-            step::Step,
-        },
-        drift::{explain::percent, weather::SLOW_FROM},
-        event::{Cause, Severity},
-        statistics::{last::Last, robust::median},
+        Cause, Severity,
+        alarm::{RuleResult, Step, count_over},
+        statistics::{Last, Level, median, percent},
         text,
     },
     estimate::Features,
@@ -37,6 +33,8 @@ const LARGER: f64 = 1.5;
 /// Factor on the limit of a slow change of a current on a machine without a temperature. Seasons of 20 K above and
 /// below the mean change the current by 0.16 (as a logarithm), and the baseline may be from one end of this range.
 const OF_SEASON: f64 = 2.0;
+/// Part of a slow change that existed a week ago: a season takes months.
+pub(crate) const SLOW_FROM: f64 = 1.0 / 3.0;
 /// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
 const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
@@ -85,19 +83,18 @@ impl Earlier {
 
 /// The features of the last throws without an estimate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct FeatureWatch {
     /// The last throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
     /// Number of consecutive throws without a change.
     calm: u32,
     /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
-    #[serde(default)]
     reported: f64,
     /// The earlier changes of each direction, if the machine has no temperature.
-    #[serde(default)]
     earlier: [Option<Box<Earlier>>; 2],
     /// Change of a current \[%\] that raises no alarm, as it is slow enough to come from the season.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) season_pct: Option<f32>,
 }
 
@@ -127,7 +124,7 @@ impl FeatureWatch {
         count_over(&mut self.calm, largest);
         let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
-        let pct = |level: &Departure| percent(level.change.size) as f32;
+        let pct = |departure: &Departure| percent(departure.change.level.value) as f32;
         self.season_pct = seasonal.map(pct);
         let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
@@ -172,8 +169,9 @@ impl FeatureWatch {
             return;
         }
         #[expect(clippy::cast_possible_truncation, reason = "far below the scatter")]
-        let present: Changes =
-            std::array::from_fn(|gauge| self.level(side, gauge).map_or(0.0, |level| level.change.size as f32));
+        let present: Changes = std::array::from_fn(|gauge| {
+            self.level(side, gauge).map_or(0.0, |departure| departure.change.level.value as f32)
+        });
         self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
     }
 
@@ -201,7 +199,7 @@ impl FeatureWatch {
             && self.reported == 0.0
             && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes()[at]) / size > SLOW_FROM);
         let limit = if is_slow { OF_SEASON * limit } else { limit };
-        let change = Change { gauge, size, size_sd };
+        let change = Change { gauge, level: Level { value: size, sd: size_sd } };
         Some(Departure { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })
     }
 }

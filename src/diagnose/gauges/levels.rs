@@ -2,26 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    gauge::{Gauge, Values, values},
-    normal::{Normal, sd_of_mean},
-};
+use super::{Gauge, Normal, Values, sd_of_mean, values};
 use crate::{
-    diagnose::{
-        drift::threshold::WINDOWS,
-        statistics::{
-            last::Last,
-            robust::{median, moving_range_sd},
-        },
-    },
+    diagnose::statistics::{Last, Level, WINDOWS, median, moving_range_sd},
     estimate::Features,
     throw::Direction,
 };
 
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
-/// Standard deviation of an expected value of a gauge, as part of it.
-const EXPECTED_ERROR: f64 = 0.08;
 /// Change of the field of a magnet with its temperature \[1/K\], and the standard deviation of this change: -0.2 % per
 /// K for ferrite, -0.1 % for rare earths, hardly any for Alnico and for a wound field. The magnet has the temperature
 /// of the air, as a throw warms only the winding.
@@ -30,29 +19,12 @@ const MAGNETS: (f64, f64) = (-0.001, 0.0006);
 /// this.
 const USUAL_CURRENT: f64 = 0.15;
 
-/// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Level {
-    pub(crate) value: f64,
-    pub(crate) sd: f64,
-}
-
-impl Level {
-    /// Misfit to an expected value (chi-square), limited to `most`, so that a change for another reason does not decide
-    /// alone.
-    pub(crate) fn misfit(self, expected: f64, most: f64) -> f64 {
-        ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
-    }
-}
-
 /// A changed gauge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Change {
     pub(crate) gauge: Gauge,
     /// Median change of the last throws, as a logarithm.
-    pub(crate) size: f64,
-    /// Standard deviation of the size.
-    pub(crate) size_sd: f64,
+    pub(crate) level: Level,
 }
 
 /// Direction and gauges of a throw. Snapshots have the values of the known gauges only.

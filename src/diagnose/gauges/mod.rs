@@ -5,15 +5,22 @@
 //! parts, which distinguishes the two.
 
 mod circuit;
-pub(super) mod features;
+mod features;
 mod gauge;
 mod levels;
 mod normal;
 mod offset;
-pub(super) mod start;
+mod start;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit};
+pub(super) use features::{FeatureWatch, SLOW_FROM};
 pub(super) use gauge::Gauge;
-pub(super) use levels::{Change, Gauges, Level};
-pub(super) use normal::sd_of_mean;
+pub(super) use levels::{Change, Gauges};
 pub(super) use offset::Offset;
+pub(super) use start::{StartChange, StartWatch};
+
+use self::{
+    gauge::{Values, heat, values},
+    levels::{by_side, mean},
+    normal::{Normal, sd_of_mean},
+};

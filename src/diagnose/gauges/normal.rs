@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::gauge::{Gauge, Values};
-use crate::diagnose::statistics::robust::{centre_and_sd, skewed_sd};
+use super::{Gauge, Values};
+use crate::diagnose::statistics::{centre_and_sd, skewed_sd};
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);

@@ -1,10 +1,11 @@
 //! Offsets of the sensors of current and position.
 
-use super::{
-    gauge::{Gauge, values},
-    levels::{Gauges, Level},
+use super::{Gauge, Gauges, values};
+use crate::{
+    diagnose::statistics::{Level, WINDOWS},
+    estimate::Features,
+    throw::Direction,
 };
-use crate::{diagnose::drift::threshold::WINDOWS, estimate::Features, throw::Direction};
 
 /// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
 /// warm, and back.

@@ -4,29 +4,26 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Gauge, Gauges, Level};
+use super::{Gauge, Gauges};
 use crate::diagnose::{
-    alarm::{
-        rule_result::{RuleResult, count_over},
-        step::Step,
-    },
-    drift::{condition::streak, threshold::WINDOWS},
-    event::Cause,
+    Cause,
+    alarm::{RuleResult, Step, count_over},
+    statistics::{Level, WINDOWS, streak},
     text,
 };
 
-/// Change of the delay between current and toe that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
+/// StartChange of the delay between current and toe that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
 const DELAY_MS: f64 = 1.0;
 /// Largest change of the delay by friction \[ms\], for a change of 1 in the logarithm of the running current: dry
 /// friction winds up an elastic drive before the toe moves. For drives of 1.5e7 N/m it is 10 to 26 ms.
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
-/// Change of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
+/// StartChange of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
 const DELAY_OF_DURATION: f64 = 1.5;
-/// Change of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
+/// StartChange of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
 /// has moved visibly after a time that goes with the square root of the acceleration. A hot winding or a bad contact
 /// lowers the inrush; a late brake does not.
 const DELAY_OF_INRUSH: f64 = 0.5;
-/// Change of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
+/// StartChange of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
 const GAIN: f64 = 0.1;
 /// Least significance of a change, in standard deviations of a level.
 const SIGNIFICANT_SD: f64 = 4.0;
@@ -43,20 +40,20 @@ pub(crate) struct StartWatch {
 
 /// Changes of the start in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Change {
-    /// Change of the delay \[ms\].
+pub(crate) struct StartChange {
+    /// StartChange of the delay \[ms\].
     pub(crate) delay: Level,
-    /// Change of the logarithm of the acceleration per ampere.
+    /// StartChange of the logarithm of the acceleration per ampere.
     pub(crate) gain: Level,
-    /// Change of the logarithm of the running current.
+    /// StartChange of the logarithm of the running current.
     pub(crate) running: Level,
-    /// Change of the delay that speed and inrush of the motor explain \[ms\].
+    /// StartChange of the delay that speed and inrush of the motor explain \[ms\].
     pub(crate) of_motor_ms: f64,
     /// Lost part of the inrush, as a logarithm.
     pub(crate) lost_inrush: f64,
 }
 
-impl Change {
+impl StartChange {
     /// `None` if a gauge or its normal value is unknown.
     fn of(gauges: &Gauges) -> Option<Self> {
         let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
@@ -81,7 +78,7 @@ impl StartWatch {
     /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
     /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
     pub(crate) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> RuleResult {
-        let change = Change::of(gauges);
+        let change = StartChange::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
         streak(&mut self.named, is_changed && !explained);

@@ -2,20 +2,13 @@
 
 use jiff::Timestamp;
 
-use super::{
-    super::{
-        alarm::Actor,
-        event::{AlarmEvent, Cause},
-        observation::{Irregularity, Missing},
-        settings::Settings,
-        text,
-    },
-    MachineMonitor, to_micros,
-};
+use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
-        alarm::{command::Command, step::Step},
+        AlarmEvent, Cause, Irregularity, Missing, Settings,
+        alarm::{Actor, Command, Step},
         operation::boots,
+        text,
     },
     throw::ThrowRef,
 };

@@ -7,70 +7,47 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{
-        Actor, Alarms,
-        command::{Command, CommandError, Maintenance},
-        rule::Rule,
-        step::Step,
-    },
-    baseline::{BaselineRecord, motor_kind::ShownMotor, neutral::Neutral},
-    drift::{
-        alarms::{DRIFTS, DriftAlarms},
-        instruments::Instruments,
-    },
-    event::{AlarmEvent, Away, Cause, Severity},
-    gauges::{features::FeatureWatch, start::StartWatch},
-    observation::Parameters,
+    AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
+    alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
+    baseline::{BaselineRecord, Neutral, ShownMotor},
+    drift::{DRIFTS, DriftAlarms, Instruments},
+    gauges::{FeatureWatch, StartWatch},
     operation::{
-        alarms::{self, Operation},
-        boots::Boots,
-        logger_clock::LoggerClock,
-        site::{self, Common, Trail},
-        thermometer::Thermometer,
+        Boots, LoggerClock, Operation, Thermometer, alarms, site,
+        site::{Common, Trail},
     },
-    settings::Settings,
     snapshot::{Stamp, VersionOne},
     text,
     track::Tracks,
-    verdict::{Blindness, Drifting, MachineState, Present},
 };
 use crate::throw::{Direction, MachineId, ThrowRef};
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot has them all, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct MachineMonitor {
     version: Version,
     name: Box<str>,
     /// Number of observed throws.
     order: u64,
     tracks: Tracks,
-    #[serde(default)]
     neutral: Neutral,
-    #[serde(default)]
     motor: ShownMotor,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
-    #[serde(default)]
     thermometer: Thermometer,
-    #[serde(default)]
     clock: LoggerClock,
-    #[serde(default)]
     boots: Boots,
-    #[serde(default)]
     instruments: Instruments,
-    #[serde(default)]
     features: FeatureWatch,
-    #[serde(default)]
     start: StartWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
-    #[serde(default)]
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
-    #[serde(default)]
     has_position: bool,
     /// Parameters of the last identified throw.
     parameters: Option<Parameters>,

@@ -5,27 +5,18 @@ use std::mem;
 
 use nalgebra::Vector3;
 
-use super::{
-    super::{
-        baseline::BaselineRecord,
-        drift::Drift,
-        event::Cause,
-        gauges::Offset,
-        observation::{Evaluated, Observation, Unusable},
-        settings::Settings,
-        track::Tracks,
-        verdict::Verdict,
-    },
-    MachineMonitor, to_micros,
-};
+use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
-        alarm::{rule::Rule, rule_result, step::Step},
-        drift::{explain::percent, latest_throw::LatestThrow, origin::Origin},
-        operation::{
-            site::{self, Common},
-            thermometer::Implausible,
-        },
+        Cause, Common, Observation, Settings, Verdict,
+        alarm::{Rule, Step, rule_result},
+        baseline::BaselineRecord,
+        drift::{Drift, LatestThrow, Origin},
+        gauges::Offset,
+        observation::{Evaluated, Unusable},
+        operation::{Implausible, site},
+        statistics::percent,
+        track::Tracks,
     },
     estimate::Features,
     throw::POSSIBLE_SUPPLY_V,

@@ -5,16 +5,14 @@ use std::mem;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::thermometer::Implausible;
+use super::Implausible;
 use crate::{
     diagnose::{
-        alarm::{rule::Rule, step::Step},
-        drift::condition::streak,
-        event::{AlarmEvent, Cause, SensorChannel, Severity},
-        observation::{Irregularity, Missing, Observation, Unusable},
-        settings::Settings,
+        AlarmEvent, Blindness, Cause, Irregularity, Missing, Observation, SensorChannel, Settings, Severity,
+        alarm::{Rule, Step},
+        observation::Unusable,
+        statistics::streak,
         text,
-        verdict::Blindness,
     },
     estimate::Features,
     throw::{Direction, without_digits},

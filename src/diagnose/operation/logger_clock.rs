@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     diagnose::{
-        alarm::{rule::Rule, step::Step},
-        event::{Cause, SensorChannel},
+        Cause, SensorChannel,
+        alarm::{Rule, Step},
         text,
     },
     throw::ThrowRef,

@@ -3,6 +3,11 @@
 
 pub(super) mod alarms;
 pub(super) mod boots;
-pub(super) mod logger_clock;
+mod logger_clock;
 pub(super) mod site;
-pub(super) mod thermometer;
+mod thermometer;
+
+pub(super) use alarms::Operation;
+pub(super) use boots::Boots;
+pub(super) use logger_clock::LoggerClock;
+pub(super) use thermometer::{Implausible, Thermometer};

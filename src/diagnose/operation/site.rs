@@ -11,10 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
-    alarm::step::Step,
-    drift::explain::{percent, relevance},
-    event::{AlarmEvent, Cause},
-    statistics::{last::Last, robust::median},
+    AlarmEvent, Cause,
+    alarm::Step,
+    statistics::{Last, median, percent},
     text,
 };
 
@@ -115,7 +114,7 @@ pub(crate) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<
 /// Raises and clears the alarm about all machines of a site; it stays while the common change is unknown.
 pub(crate) fn judge(common: &Common, step: &mut Step) {
     for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
-        let size = relevance(cause, *log, step.settings);
+        let size = step.settings.relevance(cause, *log);
         if size > 1.0 {
             let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
             step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });

@@ -49,16 +49,15 @@ pub(crate) struct Reading {
 
 /// State of the temperature sensor of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct Thermometer {
     /// The last accepted temperature \[°C\], with its time.
     believed: Option<(f64, Timestamp)>,
     /// Number of accepted readings, counted up to [`SETTLED_READINGS`] + 1.
-    #[serde(default)]
     accepted: u32,
     /// The rejected readings since the last accepted one. Boxed, as few machines have any.
     #[serde(rename = "doubt", skip_serializing_if = "Option::is_none")]
     rejected: Option<Box<Rejected>>,
-    #[serde(default)]
     run: Run,
 }
 

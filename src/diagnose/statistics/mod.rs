@@ -1,11 +1,23 @@
 //! Statistics of short series of throws.
 
-pub(super) mod autoregression;
-pub(super) mod correlation;
-pub(super) mod last;
-pub(super) mod persistence;
-pub(super) mod rare;
-pub(super) mod regression;
-pub(super) mod robust;
-pub(super) mod scatter;
+mod autoregression;
+mod correlation;
+mod counts;
+mod last;
+mod level;
+mod persistence;
+mod rare;
+mod regression;
+mod robust;
+mod scatter;
 pub(super) mod sym3;
+
+pub(super) use autoregression::ln_sum;
+pub use correlation::Correlation;
+pub(super) use counts::{LONGEST_WINDOW, WINDOWS, streak};
+pub(super) use last::Last;
+pub(super) use level::{Level, percent};
+pub(super) use rare::Rare;
+pub(super) use regression::Series;
+pub(super) use robust::{centre_and_sd, clipped_mean, median, moving_range_sd, skewed_sd};
+pub(super) use scatter::{Factor, Noise, SLOW_LAG1, Scatter, inflation, serial_inflation};

@@ -1,10 +1,7 @@
 //! Texts about faults that are not monitored: throws without an estimate, scatter, temperature, season.
 
 use crate::{
-    diagnose::{
-        drift::explain::percent,
-        verdict::{Blindness, HidingTemperature},
-    },
+    diagnose::{Blindness, HidingTemperature, statistics::percent},
     estimate::Motor,
     throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},
 };

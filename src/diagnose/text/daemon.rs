@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 
 use crate::{
-    diagnose::event::Away,
+    diagnose::Away,
     throw::{MachineId, utc},
 };
 

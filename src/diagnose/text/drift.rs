@@ -1,17 +1,11 @@
 //! Texts of drifts: causes with sizes, checks, forecast, and end.
 
-use super::{half_width_pct, sensor::look_at_sensor};
+use super::sensor::look_at_sensor;
 use crate::{
     diagnose::{
-        drift::{
-            cause::{Attribution, CLOSE, DECISIVE, Naming, Rival},
-            course::LimitForecast,
-            explain::{Explanation, percent},
-            intermittent::Departures,
-            origin::Awaited,
-        },
-        event::{Cause, RunnerUp, SensorChannel},
-        gauges::Level,
+        Cause, RunnerUp, SensorChannel,
+        drift::{Attribution, Awaited, CLOSE, DECISIVE, Departures, Explanation, LimitForecast, Naming, Rival},
+        statistics::percent,
     },
     throw::counted,
 };
@@ -172,18 +166,13 @@ pub(crate) fn site_over(name: &str, cause: Cause) -> String {
 }
 
 fn change_of(name: &str, e: &Explanation) -> String {
-    let pct = percent(e.size);
+    let pct = e.level().pct();
     let way = if pct < 0.0 { "down" } else { "up" };
     // One decimal for small changes only; the interval has the same decimals as the change.
     let decimals = usize::from(pct.abs() < 9.95);
     let least = if decimals == 0 { 1.0 } else { 0.1 };
-    let interval = half_width_pct(e.size, e.size_sd).max(least);
+    let interval = e.level().half_width_pct().max(least);
     format!("{name} {way} {:.decimals$} % (±{interval:.decimals$} %)", pct.abs())
-}
-
-/// Standard deviation of a size \[%\].
-pub(crate) fn sd_pct(e: &Explanation) -> f64 {
-    100.0 * e.size_sd * e.size.exp()
 }
 
 fn rival(rival: Option<Rival>) -> String {
@@ -212,11 +201,11 @@ fn runner_up(runner_up: Option<&RunnerUp>) -> String {
 
 fn advice(attribution: &Attribution) -> String {
     let look_at = |e: &Explanation| match attribution.sound_magnets() {
-        Some(Level { value, sd }) if e.cause == Cause::Kt => format!(
+        Some(level) if e.cause == Cause::Kt => format!(
             "The motor's back-EMF has not changed as much ({:+.1} %, ±{:.1} %), so its magnets are sound. Check gear, \
              clutch and screw for wear and lubrication, then brushes and commutator.",
-            percent(value),
-            half_width_pct(value, sd)
+            level.pct(),
+            level.half_width_pct()
         ),
         _ => look_at(e.cause, e.size).to_owned(),
     };

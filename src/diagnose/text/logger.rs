@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 
 use crate::{
-    diagnose::observation::Missing,
+    diagnose::Missing,
     throw::{counted, utc},
 };
 

@@ -23,8 +23,3 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
         None => format!("Machine {name}"),
     }
 }
-
-/// Half width of the 95 % interval of a change \[%\]; `size`: its logarithm, with the standard deviation `sd`.
-fn half_width_pct(size: f64, sd: f64) -> f64 {
-    196.0 * sd * size.exp()
-}

@@ -1,20 +1,16 @@
 //! Texts about sensors, supply and the circuit of the motor.
 
-use super::half_width_pct;
 use crate::{
     diagnose::{
-        drift::{explain::percent, origin::SensorFault},
-        event::SensorChannel,
-        gauges::{Level, Offset},
-        observation::Unusable,
-        operation::thermometer::Implausible,
+        SensorChannel, drift::SensorFault, gauges::Offset, observation::Unusable, operation::Implausible,
+        statistics::Level,
     },
     throw::{POSSIBLE_C, brief, rounded, utc},
 };
 
 /// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
 pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
-    let pct = percent(fault.size);
+    let pct = fault.size.pct();
     let (what, why) = match fault.channel {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
         SensorChannel::Position => ("reads", "the travel differs from the stroke"),
@@ -32,7 +28,7 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
         "Machine {name}: the {} {what} {:.1} % {way} (±{:.1} %): {why}. The machine itself shows no fault. {}",
         fault.channel,
         pct.abs(),
-        half_width_pct(fault.size, fault.size_sd),
+        fault.size.half_width_pct(),
         look_at_sensor(fault.channel)
     )
 }
@@ -96,8 +92,8 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
     format!(
         "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat \
          explains, and the motor's back-EMF has not changed. {what}",
-        percent(level.value).abs(),
-        half_width_pct(level.value, level.sd)
+        level.pct().abs(),
+        level.half_width_pct()
     )
 }
 
@@ -108,8 +104,8 @@ pub(crate) fn inrush(name: &str, level: &Level) -> String {
          longer, and its running current has not fallen as much. A bad contact, worn brushes, a damaged cable or a \
          weak supply do this. Check terminals, brushes, contactor and cable, and the voltage at the motor while it \
          runs.",
-        percent(level.value).abs(),
-        half_width_pct(level.value, level.sd)
+        level.pct().abs(),
+        level.half_width_pct()
     )
 }
 

@@ -1,11 +1,8 @@
 //! Texts about throws that are incomplete, slow or different; these alarms name no part.
 
-use super::{half_width_pct, subject};
+use super::subject;
 use crate::{
-    diagnose::{
-        drift::explain::percent,
-        gauges::{Change, Gauge, start},
-    },
+    diagnose::gauges::{Change, Gauge, StartChange},
     throw::Direction,
 };
 
@@ -51,9 +48,9 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
             Gauge::Charge => "charge of a throw",
             _ => "travel",
         };
-        format!("{what} {:+.0} % (±{:.0} %)", percent(change.size), half_width_pct(change.size, change.size_sd))
+        format!("{what} {:+.0} % (±{:.0} %)", change.level.pct(), change.level.half_width_pct())
     };
-    let is_longer = changes.iter().any(|change| change.gauge == Gauge::Travel && change.size > 0.0);
+    let is_longer = changes.iter().any(|change| change.gauge == Gauge::Travel && change.level.value > 0.0);
     let check = if is_longer {
         "The rails cannot move beyond the stock rail: check the position sensor, its gain and the adjustment of the stroke."
     } else {
@@ -68,8 +65,8 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
 }
 
 /// Text for a changed start of the movement, over the last `throws`.
-pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String {
-    let start::Change { delay, gain, running, .. } = change;
+pub(crate) fn start(name: &str, change: &StartChange, throws: usize) -> String {
+    let StartChange { delay, gain, running, .. } = change;
     let moves = if delay.value.abs() < 0.05 {
         format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
     } else {
@@ -82,9 +79,9 @@ pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String
          of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain \
          this, so no running part is named. Check the brake, which may release late, play and lost motion in drive \
          and rods, and whether the position sensor is loose or its values are late. Then look for added load.",
-        percent(gain.value).abs(),
-        half_width_pct(gain.value, gain.sd),
-        percent(running.value)
+        gain.pct().abs(),
+        gain.half_width_pct(),
+        running.pct()
     )
 }
 
@@ -98,13 +95,13 @@ pub(crate) fn repeated_trace(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::gauges::Level;
+    use crate::diagnose::statistics::level::Level;
 
     #[test]
     fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
         let of = |delay_ms: f64| {
             let level = |value: f64, sd: f64| Level { value, sd };
-            let change = start::Change {
+            let change = StartChange {
                 delay: level(delay_ms, 0.2),
                 gain: level(-0.3, 0.02),
                 running: level(0.0, 0.01),

@@ -5,12 +5,8 @@ use nalgebra::Vector3;
 use super::Tracks;
 use crate::{
     diagnose::{
-        drift::{
-            course::{Course, Point},
-            history::History,
-            window::Stream,
-        },
-        statistics::scatter::{Noise, Scatter},
+        drift::{Course, History, Point, Stream},
+        statistics::{Noise, Scatter},
     },
     throw::Direction,
 };

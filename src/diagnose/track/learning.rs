@@ -5,22 +5,16 @@ use std::mem;
 use jiff::Timestamp;
 use nalgebra::Matrix3;
 
-use super::{
-    super::{
-        baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_in_order, learn_mixed, trend},
-        observation::Evaluated,
-        settings::Settings,
-    },
-    Mixed, Track, Tracks, Undecided,
-};
+use super::{Mixed, Track, Tracks, Undecided};
 use crate::{
     diagnose::{
+        Settings,
         baseline::{
-            trend::Filling,
-            wet::{WetSpell, wet_spells},
+            Baseline, BaselineRecord, BaselineThrow, Changes, Filling, WetSpell, filling, learn_in_order, learn_mixed,
+            trend, wet_spells,
         },
-        drift::threshold::WINDOWS,
-        statistics::sym3::Sym3,
+        observation::Evaluated,
+        statistics::{WINDOWS, sym3::Sym3},
     },
     estimate::Grade,
     throw::Direction,

@@ -9,23 +9,14 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::learning::Suspicion;
 use super::{
-    baseline::{
-        Baseline, BaselineRecord, BaselineThrow,
-        temperature::covariance_of_effect,
-        wet::{self, WetSpell},
-    },
+    Blindness, Cause, HidingTemperature, Settings,
+    baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, WetSpell, covariance_of_effect},
     drift::{
-        Drift,
-        cause::Known,
-        threshold::{Thresholds, WINDOWS},
-        visible_pct,
-        window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept},
+        Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Thresholds, UNKNOWN_SCALE_SD, Window, attribute,
+        visible_pct, with_middle_kept,
     },
-    event::Cause,
     observation::{Evaluated, relative_to},
-    settings::Settings,
-    statistics::{robust::median, scatter::Scatter, sym3::Sym3},
-    verdict::{Blindness, HidingTemperature},
+    statistics::{Scatter, WINDOWS, median, sym3::Sym3},
 };
 use crate::{estimate::Estimate, throw::Direction};
 
@@ -34,6 +25,7 @@ const HIDES_FROM: f64 = 1.5;
 
 /// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Track {
     /// Throws of the baseline, until both directions are complete. No spare memory, as a whole fleet may learn at once.
     learned: Box<[BaselineThrow]>,
@@ -46,12 +38,10 @@ struct Track {
     recent: RecentThrows,
     since_baseline: u64,
     /// Present while the direction has no baseline and is not `of_ratios`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     undecided: Option<Box<Undecided>>,
     /// Whether the throws are compared by their ratios only, as many throws have no reliable common scale.
-    #[serde(default)]
     of_ratios: bool,
-    #[serde(default)]
     rough: RoughErrors,
 }
 
@@ -251,7 +241,7 @@ impl Tracks {
     /// Whether a baseline may contain rain that began before it or lasted until its end. Such a spell cannot be taken
     /// out, as its throws do not distinguish it from a fault. Within the longest spell, the rails are dry again.
     pub(super) fn may_have_learned_rain(&self) -> bool {
-        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST_SPELL as u64)
+        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= LONGEST_SPELL as u64)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
@@ -307,7 +297,6 @@ impl Tracks {
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.complete);
         let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
-        let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
         // The known level is a mean of both directions, but the machine may have changed differently in each of them.
         let of_side = || {
             let (window, _, side) = best?;
@@ -315,7 +304,20 @@ impl Tracks {
         };
         let known_level = known.level.map(|level| level + of_side().unwrap_or_default());
         let known = &Known { level: known_level, baselines, ..known.clone() };
-        Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
+        let detected = best.as_ref().filter(|(window, ..)| window.excess > 1.0);
+        Drift {
+            provisional,
+            attribution: detected
+                .map(|(window, scatter, side)| attribute((window, scatter, *side), &last_few, known, settings)),
+            strongest: best.map(|(window, ..)| window),
+            origin: Origin::default(),
+            alarmed: known.causes.clone(),
+            is_half_seen,
+            levels,
+            last_few,
+            latest: (latest, level(latest, WINDOWS[0])),
+            hidden,
+        }
     }
 
     /// The cause that the uncertain effect of the temperature hides most in this direction, with its least visible
@@ -358,15 +360,13 @@ impl Tracks {
         let over_limit = |cause: Cause| {
             let critical_pct = settings.critical_factor * settings.limit_pct(cause)?;
             let streams = [mixed, Some(own)].into_iter().flatten();
-            let mut visible = streams.flat_map(|(scatter, thresholds, centre_throws)| {
-                // The longest window shows most, so on most machines the first one ends the search.
-                WINDOWS.into_iter().enumerate().rev().filter_map(move |(at, throws)| {
+            let visible = streams.flat_map(|(scatter, thresholds, centre_throws)| {
+                WINDOWS.into_iter().enumerate().filter_map(move |(at, throws)| {
                     let covariance = scatter.of_mean(throws, &scatter.sensor(), centre_throws);
                     visible_pct(cause, covariance, thresholds.of(at))
                 })
             });
-            let hidden = |least: f64, visible: f64| (visible > critical_pct).then_some(least.min(visible));
-            let least = visible.try_fold(f64::INFINITY, hidden).filter(|least| least.is_finite())?;
+            let least = visible.min_by(f64::total_cmp).filter(|least| *least > critical_pct)?;
             Some((cause, least, least / critical_pct))
         };
         Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
