@@ -25,8 +25,9 @@ use super::{
     rejection::Channel,
     settings::{Motor, Settings},
     trace::{
-        movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
-        window,
+        movement::{Movement, NEAR_END_SHARE},
+        samples::{mean, median_of_magnitudes, samples_in},
+        window::{self, Window},
     },
 };
 use crate::throw::{Direction, Throw};
@@ -132,7 +133,14 @@ pub(super) fn estimate(
         Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
         Some(Direction::NormalToReverse) | None => settings.neutral_mm,
     };
-    let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
+    let mut window = Window {
+        equilibrium: from_start_mm * std::f64::consts::TAU / settings.lead_mm,
+        from: start,
+        interval_s,
+        offsets: [window::current_offset_variance(movement), 0.0],
+        rest_a: window::rest(movement),
+        ..Window::default()
+    };
     let (mut a1, mut a0, mut resistance) = (0.0, 0.0, 0.0);
     let mut found = None;
     for _ in 0..ROUNDS {
@@ -146,11 +154,11 @@ pub(super) fn estimate(
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
             return Err(NO_ARMATURE);
         }
-        let output: Vec<f64> = (0..=last).map(|k| flux(k) / back_emf).collect();
-        let offset = window::current_offset_variance(movement);
-        let end = output.iter().position(|y| *y > NEAR_END_SHARE * angle).unwrap_or(last);
-        let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
-        let ratios = ratios::of(input, &output[..end], equilibrium, interval_s).ok_or(NO_MODEL)?;
+        window.output.clear();
+        window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
+        window.input.clear();
+        window.input.extend_from_slice(&amperes[..window.output.len()]);
+        let ratios = ratios::of(&window).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);
@@ -161,7 +169,8 @@ pub(super) fn estimate(
         return Err(NO_MODEL);
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
-    let mut estimate = ratios.estimate(None, None, start, start + last, interval_s);
+    let mut estimate = ratios.estimate(&window, (0.0, 0), None);
+    estimate.end_s = (start + last - 1) as f64 * interval_s;
     // An error of ln b0 is common to all three; the ratios have additional errors.
     let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
         let of_ratios = Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios;

@@ -1,36 +1,27 @@
 //! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use super::{
-    acceptance::{
-        Departure, accept, brake, finish, lateness, misfit,
-        start::{self, Fitted},
-    },
+    acceptance::{self, brake, start},
     armature, current_only,
     features::Features,
     identification::{Estimate, Grade, Identification},
-    load::Load,
-    motor_kind,
-    ratios::{self, FullModel},
+    motor_kind, ratios,
     rejection::{Channel, Rejection},
     settings::{Motor, Settings},
-    sriv::{Failure, Problem, Signal, Sriv, Workspace, covariance::Noise, filter::Hold},
+    sriv::{Sriv, Workspace},
     trace::{
         completeness, damage, decimate, held, hum, missing,
-        movement::{Level, MIN_QUIET, Movement, every, peak, second_difference_noise, start_of_motor},
+        movement::{Movement, start_of_motor},
         noise, release,
-        window::{self, Window, offset_variance},
+        samples::{Level, every, peak, second_difference_noise},
+        window::{Window, long_enough},
     },
 };
 use crate::throw::{Direction, Throw, Trace};
 
-/// Least number of samples, and shortest time, from which three coefficients can be estimated.
-const MIN_SAMPLES: usize = 30;
-const MIN_DURATION_S: f64 = 0.3;
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
 /// the remaining error is below a thousandth of a standard deviation of the estimate.
 const TOLERANCE: f64 = 1e-4;
-/// Number of samples in the window before the start of the motor.
-const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
 /// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
@@ -45,8 +36,6 @@ const LARGEST_RATIO_ERROR: f64 = 0.2;
 const HUM_FACTOR: f64 = 1.3;
 /// Duration of the start of the motor \[s\], in which the toe moves by 1.5 mm.
 const START_S: f64 = 0.05;
-/// Ratio of the equivalent noise bandwidth of a fourth-order Butterworth low-pass to its cut-off.
-const NOISE_BANDWIDTH: f64 = 1.026;
 
 /// The estimator with its buffers, which are reused from throw to throw.
 #[derive(Debug, Default)]
@@ -56,13 +45,10 @@ pub struct Identifier {
     buffers: Buffers,
 }
 
-/// The signals of a window and the buffers of its estimation.
+/// The window and the buffers of its estimation.
 #[derive(Debug, Default)]
 struct Buffers {
-    input: Vec<f64>,
-    input_scale: Vec<f64>,
-    output: Vec<f64>,
-    equilibrium: Vec<f64>,
+    window: Window,
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
@@ -149,7 +135,8 @@ impl Identifier {
             features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {
-            buffers.add_start(&mut features, estimate, &movement);
+            (features.start_delay_s, features.start_gain) =
+                start::find(&buffers.window, estimate.ratios(), &mut buffers.free).unzip();
         }
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
             outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
@@ -166,15 +153,6 @@ impl Identifier {
 }
 
 impl Buffers {
-    /// Adds delay and gain of the start to the features, from the window of the `estimate` and its ratios.
-    fn add_start(&mut self, features: &mut Features, estimate: &Estimate, movement: &Movement<'_>) {
-        let foot = movement.start().min(LEAD_IN);
-        let channels = (&self.input[foot..], &self.output[foot..]);
-        let equilibrium = &self.equilibrium[foot..];
-        (features.start_delay_s, features.start_gain) =
-            start::find(channels, equilibrium, estimate.ratios(), movement.interval_s, &mut self.free).unzip();
-    }
-
     /// Checks the samples of a complete movement. `filter_hz` is the cut-off of the logger's anti-alias filter. If the
     /// start is disturbed, only the ratios may be known: then it returns the reason.
     fn check_samples(
@@ -239,12 +217,12 @@ impl Buffers {
         let no_inrush = completeness::inrush(movement, &mut self.scratch);
         let doubt = self.check_samples(&throw.trace, settings, movement, factor, filter_hz)?;
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
-        let mut window = self.window(settings, movement, filter_hz, released)?;
+        let start_doubt = self.window.cut(settings, movement, filter_hz, released)?;
         if settings.stroke_mm.is_none() && movement.ends_moving() && movement.ends_driven() {
             return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
         }
-        let doubt = doubt.or(window.doubt.take());
-        let (scale, fitted) = self.fit(settings, movement, &window);
+        let doubt = doubt.or(start_doubt);
+        let (full, fitted) = self.fit(settings, movement);
         if fitted.is_err() || doubt.is_some() {
             // A controlled drive has no inrush either, but its throws fit the model. A throw that
             // has no inrush and does not fit is rejected.
@@ -259,171 +237,24 @@ impl Buffers {
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
         let reason = noisy.unwrap_or(reason);
-        let input = ratios::Input {
-            values: &self.input,
-            scale: Some(self.input_scale.as_slice()).filter(|_| window.series),
-            offset: window.offsets[0],
-            rest_a: window.rest_a,
-        };
-        let ratios =
-            ratios::of(input, &self.output, window.equilibrium, window.interval_s).ok_or_else(|| reason.clone())?;
-        let estimate = ratios.estimate(scale, Some(reason.clone()), window.from, window.to, window.interval_s);
+        let ratios = ratios::of(&self.window).ok_or_else(|| reason.clone())?;
+        let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
         let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
         let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
         if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
     }
 
-    /// Fits the full model to the window. Returns fit and iterations of the solution, if there is one, and the estimate
-    /// or the reason why the solution is not accepted.
-    fn fit(
-        &mut self,
-        settings: &Settings,
-        movement: &Movement<'_>,
-        window: &Window,
-    ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
+    /// Fits the full model to the window. Returns fit \[%\] and iterations of the solution, 0 without one, and the
+    /// estimate or the reason why the solution is not accepted.
+    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> ((f64, usize), Result<Estimate, Rejection>) {
+        let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
-        let Some(mut model) = Sriv::<2, 1, 3>::new([0]) else { return (None, Err(Rejection::Singular)) };
-        model.tolerance = TOLERANCE;
-        let problem = Problem {
-            interval_s: window.interval_s,
-            output: &self.output,
-            inputs: [Signal::Sampled(&self.input, Hold::First)],
-            equilibrium: (window.equilibrium != 0.0).then_some(self.equilibrium.as_slice()),
-        };
-        let solution = match model.identify(&problem, &mut self.workspace) {
-            Ok(solution) => solution,
-            Err(Failure::Singular | Failure::UnequalLengths) => return (None, Err(Rejection::Singular)),
-            Err(Failure::TooFewSamples) => {
-                let samples = window.to - window.from;
-                let duration_s = samples as f64 * window.interval_s;
-                return (None, Err(Rejection::TooShort { samples, duration_s }));
-            }
-        };
-        let found = FullModel { fit_pct: 100.0 * solution.fit, iterations: solution.iterations };
-        let noise = Noise {
-            output: window.output_noise,
-            inputs: [window.input_noise],
-            scale: window.series.then_some(self.input_scale.as_slice()),
-            offsets: window.offsets,
-        };
-        let travel = movement.travel_mm * std::f64::consts::TAU / settings.lead_mm;
-        let foot = movement.start() - window.from;
-        let accepted = || {
-            accept(&solution, settings)?;
-            let fitted = Fitted {
-                input: &self.input,
-                output: &self.output,
-                model: &self.workspace.model_output,
-                equilibrium: problem.equilibrium,
-                parameters: solution.parameters,
-                foot,
-                interval_s: window.interval_s,
-                noise: window.output_noise,
-            };
-            let slow_mm = misfit(&fitted, window, travel, settings.lead_mm)?;
-            let delay_s = lateness::check(&fitted)?;
-            let brake_sd = brake::scale_sd(&fitted, &mut self.brakes)?;
-            let refined = if settings.refined {
-                model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
-            } else {
-                None
-            };
-            let solution = refined.unwrap_or(solution);
-            accept(&solution, settings)?;
-            let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
-            let offset = (window.rest_a, noise.scale);
-            let errors = Sriv::systematic_errors(&problem, &solution, foot, offset, &self.workspace);
-            let load = ratios::start(&self.output, window.interval_s)
-                .and_then(|from| Load::of((&self.input, &self.output), window.equilibrium, from, window.interval_s))
-                .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
-                .ok_or(Rejection::Singular)?;
-            let cut = settings.stroke_mm.is_none() && movement.ends_moving();
-            let departure = Departure { slow_mm, delay_s, brake_sd };
-            finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
-        };
-        (Some(found), accepted())
+        let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });
+        let found = model.and_then(|model| Some((model.identify(&window.problem(), workspace).ok()?, model)));
+        let Some((solution, model)) = found else { return ((0.0, 0), Err(Rejection::Singular)) };
+        let full = (100.0 * solution.fit, solution.iterations);
+        (full, acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
     }
-
-    /// Cuts the window out of the trace and converts it into the buffers: the input is positive if it drives the throw,
-    /// the output is the angle of the screw from the start \[rad\].
-    fn window(
-        &mut self,
-        settings: &Settings,
-        movement: &Movement<'_>,
-        filter_hz: Option<f64>,
-        released: Option<f64>,
-    ) -> Result<Window, Rejection> {
-        let Movement { current_a: current, position_mm: position, interval_s, .. } = *movement;
-        let from = movement.start().saturating_sub(LEAD_IN);
-        let to = movement.end().max(from) + 1;
-        long_enough(to - from, interval_s)?;
-        let radians_per_mm = std::f64::consts::TAU / settings.lead_mm;
-        let offset = movement.current.mean;
-        let drive = movement.drive();
-        let start_mm = movement.position.mean;
-        self.output.clear();
-        self.output.extend(position[from..to].iter().map(|x| movement.sign * (x - start_mm) * radians_per_mm));
-        self.input.clear();
-        self.input.extend(current[from..to].iter().map(|i| drive * (i - offset)));
-        self.input_scale.clear();
-        if settings.motor == Motor::Series {
-            self.input_scale.extend(self.input.iter().map(|i| 2.0 * i.abs()));
-            for i in &mut self.input {
-                *i *= i.abs();
-            }
-        }
-        let (rise, doubt) = if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
-            release::complete_onset(&mut self.input, movement, movement.start() - from)?
-        } else {
-            (0.0, None)
-        };
-        let released = released.map_or_else(
-            || release::time(&current[from..to], offset, movement.start() - from, interval_s, filter_hz),
-            |released| released - from as f64 * interval_s,
-        );
-        let equilibrium = movement.sign * (settings.neutral_mm - start_mm) * radians_per_mm;
-        release::course(&mut self.equilibrium, to - from, released, interval_s, filter_hz);
-        for shift in &mut self.equilibrium {
-            *shift *= equilibrium;
-        }
-        let (current_sd, position_sd) = sensor_noise(settings, movement);
-        // Filtered noise has more power below the cut-off than white noise with the same variance of the samples.
-        let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
-        Ok(Window {
-            from,
-            to,
-            interval_s,
-            equilibrium,
-            input_noise: current_sd * current_sd * colour,
-            output_noise: (position_sd * radians_per_mm).powi(2)
-                * colour.max(held::noise_power(movement.position_every)),
-            noise_samples: movement.position.samples,
-            offsets: [
-                window::current_offset_variance(movement),
-                // Without quiet samples the start is the first position.
-                offset_variance(movement.position, position_sd.powi(2)) * radians_per_mm.powi(2),
-            ],
-            rest_a: window::rest(movement),
-            series: settings.motor == Motor::Series,
-            running: movement.mean_a,
-            rise,
-            doubt,
-        })
-    }
-}
-
-/// Standard deviations of the noise of current \[A\] and position \[mm\]. They are measured at rest. Without enough
-/// samples at rest that of the current is the configured one, that of the position the smaller one of the configured
-/// noise and that of the second differences. Both are at least the rounding error of the converter.
-fn sensor_noise(settings: &Settings, movement: &Movement<'_>) -> (f64, f64) {
-    let current = if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
-    let position = if movement.position.samples >= MIN_QUIET {
-        movement.position.sd
-    } else {
-        movement.position_noise_mm.min(settings.position_noise_mm)
-    };
-    let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
-    (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
 }
 
 /// Identifies a throw of a machine without a toe sensor; `values` is the result of [`damage::values`] for its samples.
@@ -475,15 +306,6 @@ fn sent_position(trace: &Trace) -> &'static str {
 fn usable(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
     settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() })?;
     long_enough(movement.current_a.len(), movement.interval_s)
-}
-
-/// Rejects a trace or window that is too short.
-fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
-    let duration_s = samples as f64 * interval_s;
-    if samples < MIN_SAMPLES || duration_s < MIN_DURATION_S {
-        return Err(Rejection::TooShort { samples, duration_s });
-    }
-    Ok(())
 }
 
 /// Direction of the toe's movement; `None` without movement, or if the position is too unreliable to show it.

@@ -24,8 +24,14 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{matrix::unit_diagonal, trace::movement::samples_in};
+use super::{
+    matrix::unit_diagonal,
+    trace::{samples::samples_in, window::Window},
+};
 
+/// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
+/// from 0 to 1.
+pub(super) const DRY_SHARE: f64 = 0.58;
 /// Length of a window \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load. With 0.05 s, 20 um of noise
 /// in the position look like a load that varies by 2 % within 50 ms.
 const STEP_S: f64 = 0.07;
@@ -59,12 +65,9 @@ pub(crate) struct Load {
 
 impl Load {
     /// Cuts a movement from the sample `from` on into steps; `None` if it is too short.
-    pub(crate) fn of(
-        (input, output): (&[f64], &[f64]),
-        equilibrium: f64,
-        from: usize,
-        interval_s: f64,
-    ) -> Option<Self> {
+    pub(crate) fn of(window: &Window, from: usize) -> Option<Self> {
+        let Window { input, output, .. } = window;
+        let (equilibrium, interval_s) = (window.equilibrium, window.interval_s);
         let samples = output.len().checked_sub(from)?;
         let steps = samples_in(samples as f64 * interval_s, STEP_S).clamp(LEAST_STEPS, STEPS);
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);

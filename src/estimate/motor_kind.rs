@@ -25,7 +25,10 @@ use nalgebra::{Matrix4, Vector4};
 
 use super::{
     settings::Motor,
-    trace::movement::{Movement, mean, samples_in},
+    trace::{
+        movement::Movement,
+        samples::{mean, samples_in},
+    },
 };
 
 /// Lowest sampling rate that resolves the inrush, as for the constants of the armature \[Hz\].

@@ -16,11 +16,10 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
     identification::{Estimate, Grade},
-    load::{Load, STEPS},
+    load::{DRY_SHARE, Load, STEPS},
     matrix::unit_diagonal,
     rejection::Rejection,
-    sriv::covariance::DRY_SHARE,
-    trace::movement::samples_in,
+    trace::{samples::samples_in, window::Window},
 };
 
 /// Standard deviation of the logarithm of the common scale of the coefficients if nothing is known about it.
@@ -53,34 +52,14 @@ pub(super) struct Ratios {
     pub(super) from: usize,
 }
 
-/// The input of the model.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Input<'a> {
-    pub(super) values: &'a [f64],
-    /// Derivative of each value with respect to the current; `None` if it is 1.
-    pub(super) scale: Option<&'a [f64]>,
-    /// Variance of the offset of the current \[A²\].
-    pub(super) offset: f64,
-    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\].
-    pub(super) rest_a: f64,
-}
-
-/// Fit and iterations of a solution of the full model, accepted or not.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct FullModel {
-    pub(super) fit_pct: f64,
-    pub(super) iterations: usize,
-}
-
 impl Ratios {
-    /// A rough estimate with these ratios, from the samples `from` to `to`, with the arbitrary b0 = 1.
+    /// A rough estimate with these ratios and the arbitrary b0 = 1. `fit_pct` and `iterations` are those of the full
+    /// model.
     pub(super) fn estimate(
         &self,
-        full: Option<FullModel>,
+        window: &Window,
+        (fit_pct, iterations): (f64, usize),
         reason: Option<Rejection>,
-        from: usize,
-        to: usize,
-        interval_s: f64,
     ) -> Estimate {
         let [a1, a0] = self.values;
         Estimate {
@@ -93,10 +72,10 @@ impl Ratios {
             systematic: covariance([1.0, a1, a0], 0.0, self.log_systematic),
             offset: [0.0, a1 * self.log_offset[0], a0 * self.log_offset[1]],
             reason,
-            fit_pct: full.map_or(0.0, |full| full.fit_pct),
-            iterations: full.map_or(0, |full| full.iterations),
-            start_s: (from + self.from) as f64 * interval_s,
-            end_s: (to - 1) as f64 * interval_s,
+            fit_pct,
+            iterations,
+            start_s: (window.from + self.from) as f64 * window.interval_s,
+            end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
         }
     }
 }
@@ -117,16 +96,18 @@ fn reach(interval_s: f64) -> usize {
 }
 
 /// The first sample after the start of the movement; `None` if the toe does not move.
-pub(super) fn start(output: &[f64], interval_s: f64) -> Option<usize> {
-    let (travel, reach) = (*output.last()?, reach(interval_s));
+pub(super) fn start(window: &Window) -> Option<usize> {
+    let output = &window.output;
+    let (travel, reach) = (*output.last()?, reach(window.interval_s));
     (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel).map(|k| k + reach)
 }
 
 /// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
-pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s: f64) -> Option<Ratios> {
-    let Input { values: input, scale: input_scale, offset, rest_a } = input;
+pub(super) fn of(window: &Window) -> Option<Ratios> {
+    let Window { input, output, .. } = window;
+    let (equilibrium, interval_s) = (window.equilibrium, window.interval_s);
     let travel = *output.last()?;
-    let (reach, from) = (reach(interval_s), start(output, interval_s)?);
+    let (reach, from) = (reach(interval_s), start(window)?);
     let to = output.len().checked_sub(reach)?;
     if to < from + LEAST_SAMPLES {
         return None;
@@ -152,14 +133,14 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let inverse = scaled.try_inverse()?;
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
     let found = inverse * right;
-    let load = Load::of((input, output), equilibrium, from, interval_s)?;
+    let load = Load::of(window, from)?;
     // A charge of the load changes all later rows.
     let mut effects = [Vector4::zeros(); STEPS];
     let (mut squares, mut total) = (0.0, 0.0_f64);
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
     // Charge from an offset of 1 A.
-    let mut extra = 0.0;
+    let (mut extra, input_scale) = (0.0, window.input_scale());
     for (at, (row, charge)) in rows().enumerate() {
         let time_s = at as f64 * interval_s;
         extra += input_scale.map_or(1.0, |scale| scale[from + at]) * interval_s;
@@ -184,8 +165,9 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         return None;
     }
     let log = |i: usize, j: usize, value: f64| value / (values[i] * values[j]);
-    let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)] + offset * drift[i] * drift[j]));
+    let log_covariance =
+        Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)] + window.offsets[0] * drift[i] * drift[j]));
     let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j] + hidden[i] * hidden[j]));
-    let log_offset = std::array::from_fn(|i| rest_a * drift[i] / values[i]);
+    let log_offset = std::array::from_fn(|i| window.rest_a * drift[i] / values[i]);
     Some(Ratios { values, log_covariance, log_systematic, log_offset, from })
 }

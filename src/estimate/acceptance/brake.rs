@@ -7,8 +7,11 @@
 //! motor's largest and releases up to 40 ms are fitted, and the uncertainty of the scale includes every brake that fits
 //! the start.
 
-use super::start::{Fitted, free_movement};
-use crate::estimate::{rejection::Rejection, trace::movement::samples_in};
+use super::start::free_movement;
+use crate::estimate::{
+    rejection::Rejection,
+    trace::{samples::samples_in, window::Window},
+};
 
 /// Length of the part of the movement that is fitted \[s\].
 const START_S: f64 = 0.06;
@@ -47,8 +50,9 @@ pub(crate) struct Buffers {
 ///
 /// # Errors
 /// When a brake is certain, as then the scale is wrong.
-pub(crate) fn scale_sd(fitted: &Fitted<'_>, buffers: &mut Buffers) -> Result<f64, Rejection> {
-    let Fitted { input, output, equilibrium, parameters: [b0, a1, a0], foot, interval_s, noise, .. } = *fitted;
+pub(crate) fn scale_sd(window: &Window, [b0, a1, a0]: [f64; 3], buffers: &mut Buffers) -> Result<f64, Rejection> {
+    let Window { input, output, foot, interval_s, output_noise: noise, .. } = window;
+    let (foot, interval_s, noise) = (*foot, *interval_s, *noise);
     let last = samples_in(START_S, interval_s).min(output.len() - foot - 1);
     if last < LEAST_SAMPLES {
         return Ok(LARGEST_SD);
@@ -57,8 +61,7 @@ pub(crate) fn scale_sd(fitted: &Fitted<'_>, buffers: &mut Buffers) -> Result<f64
     let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
     let peak = input.iter().copied().fold(0.0, f64::max);
     let Buffers { free, after, found } = buffers;
-    let equilibrium = equilibrium.map(|shift| &shift[foot..]);
-    free_movement(free, (input, output), equilibrium, [a1 / b0, a0 / b0], interval_s);
+    free_movement(free, window, last + 1, [a1 / b0, a0 / b0]);
     after.clear();
     after.resize(last + 1, [0.0; 9]);
     for k in (0..last).rev() {

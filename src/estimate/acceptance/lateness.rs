@@ -14,11 +14,11 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::start::{Fitted, LEAST_SAMPLES, START_SHARE};
+use super::start::{LEAST_SAMPLES, START_SHARE};
 use crate::estimate::{
     rejection::Rejection,
     sriv::filter::{Discrete, Hold, dot},
-    trace::movement::samples_in,
+    trace::{samples::samples_in, window::Window},
 };
 
 /// Longest part of the movement that counts as its start \[s\], for a toe that hardly moves.
@@ -34,8 +34,8 @@ const SCALE_STEP: f64 = 0.02;
 ///
 /// # Errors
 /// When the delay is too large.
-pub(crate) fn check(fitted: &Fitted<'_>) -> Result<f64, Rejection> {
-    match find(fitted) {
+pub(crate) fn check(window: &Window, model: &[f64], parameters: [f64; 3]) -> Result<f64, Rejection> {
+    match find(window, model, parameters) {
         Some((delay_s, sd_s)) if delay_s.abs() > LARGEST_DELAY_S.max(DELAY_SIGMAS * sd_s) => {
             Err(Rejection::LateStart { delay_ms: 1e3 * delay_s })
         }
@@ -44,8 +44,9 @@ pub(crate) fn check(fitted: &Fitted<'_>) -> Result<f64, Rejection> {
 }
 
 /// Computes the delay and its standard deviation \[s\] from the measured and the modelled output.
-fn find(fitted: &Fitted<'_>) -> Option<(f64, f64)> {
-    let Fitted { input, output, model, equilibrium, parameters: [b0, a1, a0], foot, interval_s, noise } = *fitted;
+fn find(window: &Window, model: &[f64], [b0, a1, a0]: [f64; 3]) -> Option<(f64, f64)> {
+    let Window { input, output, shift, foot, interval_s, .. } = window;
+    let (foot, interval_s) = (*foot, *interval_s);
     let travel = output.last()?.abs();
     let far = (foot..output.len()).find(|&k| output[k] > START_SHARE * travel)?;
     let longest = foot + samples_in(LONGEST_START_S, interval_s);
@@ -70,11 +71,11 @@ fn find(fitted: &Fitted<'_>) -> Option<(f64, f64)> {
             squares += (output[k] - model[k]).powi(2);
         }
         filter.advance(&mut state, input[k]);
-        filter.advance(&mut shift_state, equilibrium.map_or(0.0, |shift| shift[k]));
+        filter.advance(&mut shift_state, shift[k]);
     }
     let inverse = normal.try_inverse()?;
     let found = inverse * right;
     let left = (squares - found.dot(&right)) / (last - foot) as f64;
-    let variance = inverse[(1, 1)] * noise.max(left);
+    let variance = inverse[(1, 1)] * window.output_noise.max(left);
     Some((found[1], variance.max(0.0).sqrt()))
 }

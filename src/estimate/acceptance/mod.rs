@@ -1,19 +1,22 @@
 //! Checks of a fitted model, and the estimate with its covariance from a model that passes them.
 
 pub(super) mod brake;
-pub(super) mod lateness;
+mod errors;
+mod lateness;
 pub(super) mod start;
 
-use nalgebra::Matrix3;
+use std::f64::consts::TAU;
 
-use self::start::Fitted;
+use nalgebra::{Matrix3, Vector3};
+
 use super::{
     identification::{Estimate, Grade},
     rejection::Rejection,
     settings::Settings,
-    sriv::Solution,
+    sriv::{Solution, Sriv, Workspace, covariance::Noise},
     trace::{
-        movement::{MIN_QUIET, samples_in},
+        movement::{MIN_QUIET, Movement},
+        samples::samples_in,
         window::Window,
     },
 };
@@ -38,19 +41,8 @@ const SCALE_PER_MM: f64 = 3.0;
 /// Relative error of this scale if the rise of the current departs from that of an armature by the peak of the current.
 const SCALE_PER_RISE: f64 = 2.0;
 
-/// Departure of an accepted movement from the model.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Departure {
-    /// Root mean square of the slow difference of measured and modelled output, without that from noise \[mm\].
-    pub(super) slow_mm: f64,
-    /// Delay of the movement behind the model at the start \[s\].
-    pub(super) delay_s: f64,
-    /// Relative standard deviation of the common scale of b0, a1 and a0 by a brake that may drag at the start.
-    pub(super) brake_sd: f64,
-}
-
 /// Rejects a solution that is unsound, or has a coefficient that is not positive.
-pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
+fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
     let positive = b0 > 0.0 && a1 > 0.0 && a0 > 0.0;
     match solution.sound(settings.fit_floor_pct) {
@@ -62,11 +54,18 @@ pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Resul
 
 /// Rejects a movement that departs from the model by more than noise and usual dry friction explain. Returns the root
 /// mean square of the slow departure, without that from noise \[mm\].
-pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm: f64) -> Result<f64, Rejection> {
-    let Fitted { output, model, parameters: [b0, a1, a0], .. } = *fitted;
+fn misfit(
+    window: &Window,
+    model: &[f64],
+    [b0, a1, a0]: [f64; 3],
+    travel_mm: f64,
+    lead_mm: f64,
+) -> Result<f64, Rejection> {
+    let output = &window.output;
+    let travel = travel_mm * TAU / lead_mm;
     // Variance of the modelled output, in steady state, for white noise of variance 1 on the input.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
-    let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
+    let scale = if window.input_scale().is_some() { 4.0 * window.running * window.running } else { 1.0 };
     let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
     let stretch = samples_in(MISFIT_STRETCH_S, window.interval_s).clamp(1, output.len());
     let (mut squares, mut slow, mut peak, mut at) = (0.0, 0.0, 0.0_f64, 0);
@@ -85,59 +84,69 @@ pub(super) fn misfit(fitted: &Fitted<'_>, window: &Window, travel: f64, lead_mm:
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
     if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
         let at_s = (window.from + at) as f64 * window.interval_s;
-        return Err(Rejection::Misfit { peak_mm: peak * lead_mm / std::f64::consts::TAU, at_s });
+        return Err(Rejection::Misfit { peak_mm: peak * lead_mm / TAU, at_s });
     }
     let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
-    Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU)
+    Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / TAU)
 }
 
-/// The estimate with its covariance, from an accepted solution; rejects a solution that is too uncertain.
-///
-/// `dry` and `offset` are the errors of (b0, a1, a0) from dry friction and from the current at rest, `load` is the
-/// covariance of their errors from a random load. `cut_after_mm` is the travel of a trace that ends during the
-/// movement, `None` for a complete one.
-pub(super) fn finish(
-    solution: &Solution<2, 1, 3>,
-    covariance: &[[f64; 3]; 3],
-    [dry, offset]: [[f64; 3]; 2],
-    load: &Matrix3<f64>,
-    departure: Departure,
+/// The estimate with its covariance; rejects a solution that does not describe the movement, or is too uncertain.
+/// `workspace` has the instruments and the output of the solution.
+pub(super) fn estimate(
+    model: &Sriv<2, 1, 3>,
+    solution: Solution<2, 1, 3>,
     window: &Window,
-    cut_after_mm: Option<f64>,
+    movement: &Movement<'_>,
+    settings: &Settings,
+    workspace: &mut Workspace<3>,
+    brakes: &mut brake::Buffers,
 ) -> Result<Estimate, Rejection> {
-    let [b0, a1, a0] = solution.parameters;
+    accept(&solution, settings)?;
+    let slow_mm = misfit(window, &workspace.model_output, solution.parameters, movement.travel_mm, settings.lead_mm)?;
+    let delay_s = lateness::check(window, &workspace.model_output, solution.parameters)?;
+    let brake_sd = brake::scale_sd(window, solution.parameters, brakes)?;
+    let scale_sd =
+        (SCALE_PER_S * delay_s).hypot(SCALE_PER_MM * slow_mm).hypot(SCALE_PER_RISE * window.rise).hypot(brake_sd);
+    let problem = window.problem();
+    let noise = Noise {
+        output: window.output_noise,
+        inputs: [window.input_noise],
+        scale: window.input_scale(),
+        offsets: window.offsets,
+    };
+    let refined = settings.refined.then(|| model.refine(&problem, &solution, &noise, workspace));
+    let solution = refined.transpose().map_err(|_| Rejection::Singular)?.flatten().unwrap_or(solution);
+    accept(&solution, settings)?;
+    let covariance = Matrix3::from(model.covariance(&problem, &solution, &noise, workspace));
+    let [dry, offset] = errors::systematic(window, &solution, workspace);
+    let load = errors::of_load(window, &solution, workspace).ok_or(Rejection::Singular)?;
+    let ends_moving = settings.stroke_mm.is_none() && movement.ends_moving();
+    let parameters = solution.parameters;
     for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
-        let sd_pct = 100.0 * covariance[i][i].sqrt() / solution.parameters[i];
-        match cut_after_mm {
-            Some(travel_mm) if sd_pct.is_nan() || sd_pct > MAX_SD_CUT_PCT => {
-                return Err(Rejection::EndMissing { travel_mm });
-            }
-            _ if sd_pct.is_nan() => return Err(Rejection::Singular),
-            _ if sd_pct > MAX_SD_PCT[i] => {
-                return Err(Rejection::Uncertain { name: name.to_owned(), sd_pct, limit_pct: MAX_SD_PCT[i] });
-            }
-            _ => {}
+        let sd_pct = 100.0 * covariance[(i, i)].sqrt() / parameters[i];
+        if ends_moving && (sd_pct.is_nan() || sd_pct > MAX_SD_CUT_PCT) {
+            return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
+        } else if sd_pct.is_nan() {
+            return Err(Rejection::Singular);
+        } else if sd_pct > MAX_SD_PCT[i] {
+            return Err(Rejection::Uncertain { name: name.to_owned(), sd_pct, limit_pct: MAX_SD_PCT[i] });
         }
     }
-    let scale = (SCALE_PER_S * departure.delay_s)
-        .hypot(SCALE_PER_MM * departure.slow_mm)
-        .hypot(SCALE_PER_RISE * window.rise)
-        .hypot(departure.brake_sd);
+    let [b0, a1, a0] = parameters;
+    let [dry, parameters] = [Vector3::from(dry), Vector3::from(parameters)];
     Ok(Estimate {
         grade: Grade::Good,
         b0,
         a1,
         a0,
         ratios_only: false,
-        covariance: Matrix3::from_fn(|i, j| 0.5 * (covariance[i][j] + covariance[j][i])),
-        systematic: Matrix3::from_fn(|i, j| {
-            load[(i, j)] + dry[i] * dry[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
-        }),
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        systematic: load + dry * dry.transpose() + parameters * (scale_sd * scale_sd) * parameters.transpose(),
         offset,
         reason: None,
         fit_pct: 100.0 * solution.fit,
         iterations: solution.iterations,
         start_s: window.from as f64 * window.interval_s,
-        end_s: (window.to - 1) as f64 * window.interval_s,
+        end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
     })
 }

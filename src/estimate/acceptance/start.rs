@@ -12,7 +12,7 @@
 //! acceleration. Friction, motor and inertia hardly change δ. Dry friction and the elastic drive are not in the model,
 //! so a healthy machine has a δ of some milliseconds of either sign. Only changes of δ show a fault.
 
-use crate::estimate::trace::movement::samples_in;
+use crate::estimate::trace::{samples::samples_in, window::Window};
 
 /// Share of the travel that counts as the start: after 3 % the inrush is over.
 pub(crate) const START_SHARE: f64 = 0.03;
@@ -29,61 +29,34 @@ const CONVERGED_S: f64 = 2e-6;
 /// Least number of samples of a usable start.
 pub(crate) const LEAST_SAMPLES: usize = 8;
 
-/// The signals of a window and the model fitted to them.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Fitted<'a> {
-    pub(crate) input: &'a [f64],
-    pub(crate) output: &'a [f64],
-    /// The output of the model.
-    pub(crate) model: &'a [f64],
-    /// The output at which the spring is unstressed; `None` if it is always 0.
-    pub(crate) equilibrium: Option<&'a [f64]>,
-    /// b0, a1, a0.
-    pub(crate) parameters: [f64; 3],
-    /// Foot of the current's rise: the last sample before the start of the motor.
-    pub(crate) foot: usize,
-    pub(crate) interval_s: f64,
-    /// Variance of the noise of the output.
-    pub(crate) noise: f64,
-}
-
-/// Computes F, the movement after a start without delay for b0 = 1, for the samples of `output`.
-pub(crate) fn free_movement(
-    free: &mut Vec<f64>,
-    (input, output): (&[f64], &[f64]),
-    equilibrium: Option<&[f64]>,
-    [a1_per_b0, a0_per_b0]: [f64; 2],
-    interval_s: f64,
-) {
+/// Computes F, the movement after a start without delay for b0 = 1, for `samples` from the foot of the current's rise
+/// on.
+pub(crate) fn free_movement(free: &mut Vec<f64>, window: &Window, samples: usize, [a1_per_b0, a0_per_b0]: [f64; 2]) {
+    let Window { interval_s, foot, .. } = *window;
+    let [input, output, shift] = [&window.input, &window.output, &window.shift].map(|signal| &signal[foot..]);
     free.clear();
-    free.resize(output.len(), 0.0);
+    free.resize(samples, 0.0);
     let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
-    for k in 1..output.len() {
-        let shift = equilibrium.map_or(0.0, |shift| shift[k - 1]);
+    for k in 1..samples {
         charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
-        angle += (0.5 * (output[k - 1] + output[k]) - shift) * interval_s;
+        angle += (0.5 * (output[k - 1] + output[k]) - shift[k - 1]) * interval_s;
         let balance = charge - (a1_per_b0 * output[k] + a0_per_b0 * angle);
         free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
         before = balance;
     }
 }
 
-/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. The motor starts with
-/// the first sample. `None` if the samples do not show them.
-pub(crate) fn find(
-    (input, output): (&[f64], &[f64]),
-    equilibrium: &[f64],
-    ratios: [f64; 2],
-    interval_s: f64,
-    free: &mut Vec<f64>,
-) -> Option<(f64, f64)> {
+/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. `None` if the samples
+/// do not show them.
+pub(crate) fn find(window: &Window, ratios: [f64; 2], free: &mut Vec<f64>) -> Option<(f64, f64)> {
+    let (output, interval_s) = (&window.output[window.foot..], window.interval_s);
     let travel = *output.last()?;
     let last = output.iter().take(samples_in(LONGEST_S, interval_s)).position(|y| *y > START_SHARE * travel)?;
     let end = (last + samples_in(AHEAD_S, interval_s).max(1) + 1).min(output.len());
     if last < LEAST_SAMPLES {
         return None;
     }
-    free_movement(free, (&input[..end], &output[..end]), Some(equilibrium), ratios, interval_s);
+    free_movement(free, window, end, ratios);
     // The delay in samples.
     let (mut delay, step) = (0.0_f64, STEP_S / interval_s);
     for _ in 0..STEPS {

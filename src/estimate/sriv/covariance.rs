@@ -24,17 +24,12 @@
 //! (Σw)(Σw)' to the bracket, with the rows w of W. (If the noise is below half a step of the converter, the mean is no
 //! better than one sample, so the variance of the rounding error is added to theirs.)
 
-use nalgebra::Matrix3;
-
 use super::{
     Solution,
-    filter::{Discrete, Hold, dot},
+    filter::{Discrete, Hold},
     problem::{Problem, Signal, Sriv, Workspace},
 };
-use crate::estimate::{
-    load::{Load, STEPS},
-    matrix::{sandwich, times},
-};
+use crate::estimate::matrix::sandwich;
 
 /// Variances of the white noise on the signals of a problem.
 #[derive(Debug, Clone, Copy)]
@@ -100,76 +95,6 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-/// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
-/// from 0 to 1.
-pub(crate) const DRY_SHARE: f64 = 0.58;
-/// Share of the travel after which the machine has its running speed.
-const STARTED_SHARE: f64 = 0.05;
-
-impl Sriv<2, 1, 3> {
-    /// Covariance of the errors of (b0, a1, a0) from a random load. A charge of 1 A s in one sample of the input
-    /// changes them by M⁻¹ w / T, with the sampling interval T. `None` if the movement does not determine the load.
-    pub(crate) fn load_covariance(
-        &self,
-        problem: &Problem<1>,
-        solution: &Solution<2, 1, 3>,
-        load: &Load,
-        workspace: &Workspace<3>,
-    ) -> Option<Matrix3<f64>> {
-        let (z, stride) = (&workspace.instruments, workspace.stride);
-        let filter = Discrete::new(&solution.denominator, stride as f64 * problem.interval_s)?;
-        let numerator = self.numerator(&solution.parameters, 0);
-        let mut effects = [[0.0; 3]; STEPS];
-        backwards(z, &filter, Hold::First, &numerator, |k, w| {
-            add(&mut effects[load.step_of(k * stride)], w, stride as f64 / problem.interval_s);
-        });
-        load.covariance(|step| times(&solution.inverse, &effects[step]).into())
-    }
-
-    /// Errors of (b0, a1, a0) that are equal in every throw: those from dry friction, for one standard deviation of its
-    /// share, and those from an error `offset` of the current's offset, with the `scale` of [`Noise`].
-    ///
-    /// A disturbance d of the acceleration changes the output by n = d/A (d/C with a prefilter 1/C) and the estimate by
-    /// M⁻¹ Σ z n. The model has only viscous friction. It stands for a dry friction F with the same torque at the speed
-    /// ω, and the two differ by d = -F (1 - y'/ω) at the speed y'. ω is the mean speed of the movement after its start.
-    /// A mean over less of the movement would depend on the spring, which brakes one direction and drives the other,
-    /// and the resulting interval would not contain the true friction.
-    pub(crate) fn systematic_errors(
-        problem: &Problem<1>,
-        solution: &Solution<2, 1, 3>,
-        foot: usize,
-        (offset, scale): (f64, Option<&[f64]>),
-        workspace: &Workspace<3>,
-    ) -> [[f64; 3]; 2] {
-        let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
-        let [b0, a1, _] = solution.parameters;
-        let last = model.len() - 1;
-        let moving = model.iter().position(|y| *y > STARTED_SHARE * model[last]).unwrap_or_default().min(last);
-        let per_sample = (model[last] - model[moving]) / (last - moving).max(1) as f64;
-        let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
-        let dry = |k: usize| if k >= foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 };
-        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [[0.0; 3]; 2] };
-        let row = filter.readout(Hold::Zero).state[0];
-        let (mut states, mut sums) = ([[0.0; 2]; 2], [[0.0; 3]; 2]);
-        let mut kept = z.iter();
-        let mut until_kept = stride / 2;
-        for k in 0..last {
-            if until_kept == 0 {
-                until_kept = stride;
-                if let Some(z) = kept.next() {
-                    for (sum, state) in sums.iter_mut().zip(&states) {
-                        add(sum, z, stride as f64 * dot(&row, state));
-                    }
-                }
-            }
-            until_kept -= 1;
-            filter.advance(&mut states[0], dry(k));
-            filter.advance(&mut states[1], b0 * offset * scale.map_or(1.0, |scale| scale[k]));
-        }
-        sums.map(|sum| times(&solution.inverse, &sum))
-    }
-}
-
 /// A - C for the prefilter 1/C, with the coefficient of the d-th derivative at index d; `None` if A and C are equal.
 fn excess<const N: usize, const S: usize, const P: usize>(solution: &Solution<N, S, P>) -> Option<[f64; N]> {
     let a = Sriv::<N, S, P>::denominator(&solution.parameters);
@@ -196,14 +121,14 @@ fn add_square<const P: usize>(sum: &mut [[f64; P]; P], v: &[f64; P], weight: f64
 }
 
 #[inline]
-fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
+pub(crate) fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
     for (sum, v) in sum.iter_mut().zip(v) {
         *sum += weight * v;
     }
 }
 
 /// Filters the rows of `z` from the last to the first by B/A; calls `take` with each index and filtered row.
-fn backwards<const N: usize, const P: usize>(
+pub(crate) fn backwards<const N: usize, const P: usize>(
     z: &[[f64; P]],
     filter: &Discrete<N>,
     hold: Hold,

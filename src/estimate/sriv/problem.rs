@@ -53,8 +53,8 @@ pub struct Sriv<const N: usize, const S: usize, const P: usize> {
 #[derive(Debug, Default)]
 pub struct Workspace<const P: usize> {
     /// Every `stride`-th instrument, which is enough for a covariance: instruments are smooth, and two digits suffice.
-    pub(super) instruments: Vec<[f64; P]>,
-    pub(super) stride: usize,
+    pub(crate) instruments: Vec<[f64; P]>,
+    pub(crate) stride: usize,
     /// The output x̂ of the auxiliary model in the last pass, one value for each sample.
     pub(crate) model_output: Vec<f64>,
 }

@@ -2,10 +2,8 @@
 
 use super::{
     damage::LEAST_SLIP,
-    movement::{
-        LARGEST_POSITION_SHARE, Level, MIN_QUIET, Movement, SD_PER_MEDIAN, every, first_difference_noise, mean,
-        median_distance, peak,
-    },
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
+    samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, peak},
 };
 use crate::estimate::{
     rejection::{Channel, Rejection},

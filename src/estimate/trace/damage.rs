@@ -4,7 +4,10 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use statrs::function::erf::erf;
 
-use super::movement::{MIN_QUIET, Movement, every, largest, quantum, samples_in};
+use super::{
+    movement::{MIN_QUIET, Movement},
+    samples::{every, largest, quantum, samples_in},
+};
 use crate::estimate::rejection::{Channel, Rejection};
 
 /// Largest plausible current \[A\]; public recordings contain 188,776 A.
@@ -320,7 +323,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
-    use crate::estimate::trace::movement::Level;
+    use crate::estimate::trace::samples::Level;
 
     /// The level is in the middle of a converter step, where equal samples are most frequent.
     #[test]

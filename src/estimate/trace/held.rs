@@ -1,7 +1,10 @@
 //! Channels with fewer new values than samples. A logger that reads a slow sensor, or samples slowly, repeats each
 //! value until the next one, or sends `null` instead.
 
-use super::movement::{median_of, quantum, samples_in, start_of_motor};
+use super::{
+    movement::start_of_motor,
+    samples::{median_of, quantum, samples_in},
+};
 use crate::throw::Trace;
 
 /// A channel with this many new values, or fewer, is left as it is.

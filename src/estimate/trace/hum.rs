@@ -10,7 +10,7 @@ use nalgebra::{Matrix4, Vector4};
 
 use super::{
     damage::INRUSH_S,
-    movement::{Level, samples_in},
+    samples::{Level, samples_in},
 };
 
 /// Mains frequencies \[Hz\]: of most of the world, of the Americas, and of railways.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::movement::every;
+use super::samples::every;
 use crate::{
     estimate::rejection::{Channel, Rejection},
     throw::Trace,

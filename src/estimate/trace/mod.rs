@@ -9,4 +9,5 @@ pub(super) mod missing;
 pub(super) mod movement;
 pub(super) mod noise;
 pub(super) mod release;
+pub(super) mod samples;
 pub(super) mod window;

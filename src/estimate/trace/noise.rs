@@ -2,7 +2,8 @@
 
 use super::{
     damage::INRUSH_S,
-    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, samples_in, second_difference_noise},
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
+    samples::{samples_in, second_difference_noise},
 };
 use crate::estimate::{
     rejection::{Channel, Rejection},

@@ -23,7 +23,10 @@
 use nalgebra::Complex;
 use std::f64::consts::TAU;
 
-use super::movement::{MIN_QUIET, Movement, mean, start_of_motor};
+use super::{
+    movement::{MIN_QUIET, Movement, start_of_motor},
+    samples::mean,
+};
 use crate::estimate::rejection::Rejection;
 
 /// Widths of the fitted pulse \[s\], for motors of low to high inductance.

@@ -1,0 +1,132 @@
+//! Statistics of samples: level, noise, converter step, median and peak.
+
+/// Mean and standard deviation of a channel at rest, in its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Level {
+    pub(crate) mean: f64,
+    pub(crate) sd: f64,
+    /// Number of samples at rest.
+    pub(crate) samples: usize,
+    /// Quantum of the channel: one step of its analogue-to-digital converter, from the whole trace; 0 if unknown.
+    pub(crate) quantum: f64,
+}
+
+impl Level {
+    /// Whether the noise hides this step of the converter, so that a constant value does not give the same output for
+    /// long. A constant value between two outputs of the converter makes it flicker with a standard deviation of half a
+    /// step, even with hardly any noise; this does not count.
+    pub(crate) fn hides(&self, step: f64) -> bool {
+        self.sd > 0.6 * step
+    }
+
+    pub(crate) fn of(values: &[f64]) -> Self {
+        if values.is_empty() {
+            return Self::default();
+        }
+        let mean = mean(values.iter().copied());
+        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
+        Self { mean, sd, samples: values.len(), quantum: 0.0 }
+    }
+}
+
+/// Largest distance of a value from the level; 0 without values.
+pub(crate) fn peak(values: &[f64], level: f64) -> f64 {
+    largest(values, |v| (v - level).abs()).max(0.0)
+}
+
+/// Largest of the function's results for all values; negative infinity without values. It is computed in independent
+/// lanes without a branch, for speed.
+pub(crate) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
+    const LANES: usize = 8;
+    let mut most = [f64::NEG_INFINITY; LANES];
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            let value = of(chunk[lane]);
+            most[lane] = if value > most[lane] { value } else { most[lane] };
+        }
+    }
+    most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// Whether all tests are true. It counts them, as a loop that may end early takes three times as long.
+pub(crate) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
+    let count = tests.len() as u64;
+    tests.map(u64::from).sum::<u64>() == count
+}
+
+pub(crate) fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Number of whole sampling intervals in a time; both in s.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+pub(crate) fn samples_in(time_s: f64, interval_s: f64) -> usize {
+    (time_s / interval_s) as usize
+}
+
+/// Median (for an even number of values the upper one), computed in the scratch buffer; 0 without values.
+pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend_from_slice(values);
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *scratch.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// Median of values that are not negative, computed in place; 0 without values. Such values have the same order as
+/// their bits, and integers compare faster.
+pub(crate) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
+}
+
+/// Median distance of values from a level, computed in the scratch buffer; 0 without values.
+pub(super) fn median_distance(values: &[f64], level: f64, scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.iter().map(|v| (v - level).abs()));
+    median_of_magnitudes(scratch)
+}
+
+/// Ratio of the standard deviation of a normal variable to the median of its magnitude.
+pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
+
+/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
+pub(crate) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
+}
+
+/// Standard deviation of white noise from first differences, for a mostly constant signal.
+pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b]| (b - a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
+}
+
+/// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
+/// it. 0 if all values are equal.
+pub(crate) fn quantum(values: &[f64]) -> f64 {
+    const LANES: usize = 4;
+    // Four lanes without a branch, as this runs over every sample several times in each throw.
+    let mut least = [f64::INFINITY; LANES];
+    let mut compare = |lane: usize, before: f64, after: f64| {
+        let difference = (after - before).abs();
+        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
+        least[lane] = if difference < least[lane] { difference } else { least[lane] };
+    };
+    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
+    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
+    for (before, after) in before.iter().zip(after) {
+        for lane in 0..LANES {
+            compare(lane, before[lane], after[lane]);
+        }
+    }
+    for (before, after) in before_rest.iter().zip(after_rest) {
+        compare(0, *before, *after);
+    }
+    let least = least.into_iter().fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
