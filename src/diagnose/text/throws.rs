@@ -95,7 +95,7 @@ pub(crate) fn repeated_trace(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::statistics::level::Level;
+    use crate::diagnose::statistics::Level;
 
     #[test]
     fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
