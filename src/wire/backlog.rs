@@ -9,9 +9,10 @@ use crate::throw::ThrowRef;
 
 /// Largest page \[throws\]; a higher `limit` is reduced to it.
 pub const MAX_PAGE: usize = 1_000;
-/// Characters that are percent-encoded in a `boot_id`: those with a meaning in a selector, and `%`. Zenoh has no escape
-/// sequence of its own.
-const ESCAPED: [char; 7] = ['%', ';', '=', '&', '|', '?', '#'];
+/// Characters that are percent-encoded in a `boot_id`: the separator of parameters, and `%`. Zenoh has no escape sequence
+/// of its own. All others are sent as they are, as a logger may compare the value with its own boot without decoding it:
+/// `=` is in every second base64 text, and zenoh takes only the first one of a parameter for its separator.
+const ESCAPED: [char; 2] = ['%', ';'];
 
 /// A query for one page of a backlog.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -98,6 +99,8 @@ mod tests {
             let parameters = query.parameters();
             assert_eq!(BacklogQuery::parse(&parameters), query, "{parameters}");
         }
+        let plain = BacklogQuery { after: Some(throw("q83/+Eg==", 41)), limit: 32 };
+        assert_eq!(plain.parameters(), "after_boot=q83/+Eg==;after_no=41;limit=32", "for loggers that do not decode");
         let oldest = BacklogQuery { after: None, limit: 4 };
         assert_eq!(oldest.parameters(), "limit=4");
         assert_eq!(BacklogQuery::parse("limit=4"), oldest);
