@@ -221,7 +221,9 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let over = if newest.state == AlarmState::ClearedUnacknowledged { ", over and not acknowledged" } else { "" };
     let silenced = alarms.iter().filter(|alarm| alarm.state.is_silenced()).count();
     let silenced = if silenced > 0 { format!("; {silenced} shelved or in maintenance") } else { String::new() };
-    indented(&format!("raised {} to {}{over}; by site: {}{silenced}", utc(&first), utc(&last), sites.join(", ")))?;
+    let (first, last) = (utc(&first), utc(&last));
+    let last = if last == first { String::new() } else { format!(" to {last}") };
+    indented(&format!("raised {first}{last}{over}; by site: {}{silenced}", sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
     indented("pointsd alarms --all lists all of them")
 }

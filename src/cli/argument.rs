@@ -2,7 +2,11 @@
 
 use anyhow::Context as _;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
+use jiff::{
+    SignedDuration, Span, SpanRelativeTo, Timestamp,
+    civil::{Date, DateTime},
+    tz::TimeZone,
+};
 use strum::VariantArray as _;
 
 use super::{Exit, Failure, ResultExt as _};
@@ -66,7 +70,10 @@ pub(super) fn moment(text: &str) -> Result<Timestamp, String> {
     let date = || text.parse::<Date>().ok()?.to_zoned(TimeZone::UTC).ok().map(|day| day.timestamp());
     // `Date` would accept a date and time without a zone, and ignore the time.
     let date = if text.contains(['T', ' ', ':']) { None } else { date() };
-    let wrong = || format!("{text:?} is neither a date, as 2026-05-04, nor a time, as 2026-05-04T06:00:00Z");
+    let wrong = || match text.parse::<DateTime>() {
+        Ok(_) => format!("{text:?} has no time zone: end it with Z for UTC, or with the offset, as +02:00"),
+        Err(_) => format!("{text:?} is neither a date, as 2026-05-04, nor a time, as 2026-05-04T06:00:00Z"),
+    };
     date.or_else(|| text.parse().ok()).ok_or_else(wrong)
 }
 
@@ -122,6 +129,17 @@ impl Window {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_without_its_zone_is_refused_with_the_reason() {
+        assert_eq!(moment("2026-05-04"), moment("2026-05-04T02:00+02:00"));
+        for text in ["2026-05-04T06:00", "2026-05-04 06:00:00"] {
+            assert!(moment(text).unwrap_err().contains("has no time zone: end it with Z"), "{text}");
+        }
+        for text in ["06:00", "2026-13-01", "yesterday"] {
+            assert!(moment(text).unwrap_err().contains("is neither a date"), "{text}");
+        }
+    }
 
     #[test]
     fn a_length_out_of_range_is_refused_with_the_range() {
