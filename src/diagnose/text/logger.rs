@@ -53,17 +53,25 @@ pub(crate) fn contradicted(name: &str) -> String {
 }
 
 pub(crate) fn silent(name: &str, hours: f64) -> String {
-    let hours = counted(format_args!("{hours:.0}"), "hour");
+    let length = if hours < 0.95 {
+        counted(format_args!("{:.0}", 60.0 * hours), "minute")
+    } else {
+        counted(format_args!("{hours:.0}"), "hour")
+    };
     format!(
-        "Machine {name}: no throw arrived for {hours}, so the machine is not monitored. Check the logger and the \
+        "Machine {name}: no throw arrived for {length}, so the machine is not monitored. Check the logger and the \
          network; if the machine was not used, acknowledge."
     )
 }
 
 pub(crate) fn logger_gone(name: &str, minutes: f64) -> String {
-    let minutes = counted(format_args!("{minutes:.0}"), "minute");
+    let length = if minutes < 0.95 {
+        counted(format_args!("{:.0}", 60.0 * minutes), "second")
+    } else {
+        counted(format_args!("{minutes:.0}"), "minute")
+    };
     format!(
-        "Machine {name}: its logger has been gone for {minutes}, so the machine is not monitored. Check the \
+        "Machine {name}: its logger has been gone for {length}, so the machine is not monitored. Check the \
          logger's supply and the network."
     )
 }
@@ -128,6 +136,8 @@ mod tests {
 
     #[test]
     fn one_minute_and_one_hour_are_singular() {
+        assert!(silent("21B", 0.5).contains("no throw arrived for 30 minutes, so"));
+        assert!(logger_gone("21B", 0.1).contains("has been gone for 6 seconds, so"));
         assert!(logger_gone("21B", 1.2).contains("has been gone for 1 minute, so"));
         assert!(logger_gone("21B", 10.0).contains("has been gone for 10 minutes, so"));
         assert!(silent("21B", 0.9).contains("for 1 hour, so") && silent("21B", 26.0).contains("for 26 hours, so"));
