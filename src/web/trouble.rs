@@ -42,7 +42,7 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
         trouble.push("New throws wait: this page may be old.".to_owned());
     }
     if report.loggers == 0 {
-        trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
+        trouble.push("No logger has a liveliness token: none is connected, or those that are declare none. Silence is not health.".to_owned());
     }
     trouble
 }

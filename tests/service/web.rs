@@ -147,7 +147,7 @@ async fn every_page_shows_the_problems_of_the_daemon() {
     let (rig, _daemon, address) = history_in(rig).await;
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
     // No logger has a liveliness token, so the pages must say so.
-    let silence = "No logger is connected";
+    let silence = "No logger has a liveliness token";
     let own_alarm = "Alarm of the daemon itself: pointsd loses data: its database was broken and was set aside";
     let fresh = "/machines/north/21B?span=all";
     until_page(&address, fresh, own_alarm).await;
