@@ -1,6 +1,9 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::{BTreeSet, HashSet},
+    sync::Arc,
+};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
@@ -39,13 +42,16 @@ use super::{
 };
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
-    store::{self, Found, Opened, Store},
+    store::{self, Found, Opened, Selector, Store},
     throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws to observers. A slow observer misses the oldest throws.
 const JUDGED_CAPACITY: usize = 4_096;
+
+/// Largest number of machines outside `subscribe.key` that the status names.
+const NAMED: usize = 20;
 
 /// Name that [`Daemon::ended`] returns for the writer of the database.
 pub const DATABASE: &str = "the database";
@@ -323,6 +329,13 @@ impl Starting {
         let machines = self.store.reader().machines().await?;
         let monitor = self.config.monitor.clone();
         let sends = |machine: &MachineId| monitor.reserves(machine).is_none();
+        let left_out = |machine: &&MachineId| sends(machine) && !subscribe.serves(machine);
+        if machines.iter().any(|machine| left_out(&machine)) {
+            // Without a throw it is no machine, but an earlier name of this daemon.
+            let latest = self.store.reader().latest_health(&Selector::default()).await?;
+            let left_out: BTreeSet<_> = latest.iter().map(|health| &health.machine).filter(left_out).collect();
+            self.status.edit().not_served = left_out.into_iter().take(NAMED).map(ToString::to_string).collect();
+        }
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),

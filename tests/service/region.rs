@@ -117,3 +117,21 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
     until_machines(&session, &SITES).await;
     assert!(alarms.try_recv().unwrap().is_none(), "an alarm without a fault");
 }
+
+/// Their alarms would stay open for ever, and no command could end them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn machines_that_a_new_key_leaves_out_are_named() {
+    let (rig, daemon) = Rig::running();
+    daemon.logger(KEY).await.send([&throws("boot", 1)[0]]).await;
+    rig.judged(1).await;
+    daemon.terminate();
+    let narrowed = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"").moved_to(rig.folder());
+    let daemon = narrowed.start();
+    let said = daemon.says(1, &["status"]);
+    assert!(said.contains("NOT SERVED: north/21B: in the database, but not in subscribe.key"), "{said}");
+    daemon.terminate();
+    let daemon = rig.start();
+    daemon.says(0, &["retire", "north/21B", "--why", "moved", "--by", "tester"]);
+    daemon.terminate();
+    narrowed.start().says(0, &["status"]);
+}

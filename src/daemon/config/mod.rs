@@ -94,6 +94,13 @@ settings! {
     }
 }
 
+impl Subscribe {
+    /// Whether the key includes a machine.
+    pub(super) fn serves(&self, machine: &MachineId) -> bool {
+        intersect(&self.key.key_expression(Kind::Throw), &machine_key(machine, Kind::Throw))
+    }
+}
+
 settings! {
     /// The `[identify]` section: threads of the estimator.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -196,10 +203,7 @@ impl Config {
 
     /// Warnings about settings that are valid and have no effect.
     pub fn warnings(&self) -> Vec<String> {
-        let key = &self.subscribe.key;
-        let served =
-            |machine: &MachineId| intersect(&key.key_expression(Kind::Throw), &machine_key(machine, Kind::Throw));
-        let other = self.machine_entries.iter().map(MachineEntry::id).filter(|machine| !served(machine));
+        let other = self.machine_entries.iter().map(MachineEntry::id).filter(|machine| !self.subscribe.serves(machine));
         let other =
             other.map(|id| format!("[[machine]] {id}: has no effect, as subscribe.key does not include this machine"));
         let web = (self.web.listen.is_none() && self.web != Web::default())

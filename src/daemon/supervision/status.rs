@@ -87,6 +87,10 @@ pub struct StatusReport {
     /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
     #[serde(default)]
     pub refused: Vec<String>,
+    /// Machines of the database that `subscribe.key` does not include, at the start; at most 20. Their states and alarms
+    /// stay as they were, and no command reaches them.
+    #[serde(default)]
+    pub not_served: Vec<String>,
     /// Number of loggers, of the last 32, that date their throws a day or more after this computer; 0 if they are not
     /// the majority.
     #[serde(default)]
@@ -264,6 +268,13 @@ impl StatusReport {
             "CLOCK AHEAD: most loggers date their throws a day or more before this computer, all by the same time",
         );
         add(!self.refused.is_empty(), &format!("EVERY MESSAGE REFUSED: {}", self.refused.join("; ")));
+        let not_served = self.not_served.join(", ");
+        add(
+            !self.not_served.is_empty(),
+            &format!(
+                "NOT SERVED: {not_served}: in the database, but not in subscribe.key, so their states and alarms are old"
+            ),
+        );
         add(self.webhook_fails, "WEBHOOK FAILS: alarms wait for its receiver");
         let refused = counted(self.webhook_refused, "alarm event");
         add(self.webhook_refused > 0, &format!("WEBHOOK REFUSED {refused}: not sent again, look in the log"));
