@@ -89,11 +89,6 @@ impl DatabaseFiles {
         self.size("-wal")
     }
 
-    /// Whether the write-ahead log exists, perhaps empty. SQLite removes it at a clean close.
-    pub(super) fn has_log(&self) -> bool {
-        beside(&self.file(), "-wal").exists()
-    }
-
     /// Identity of the database file and log at the configured path.
     pub(super) fn identity(&self) -> Identity {
         let file = self.file();

@@ -121,8 +121,9 @@ pub(crate) async fn open(
     files: &DatabaseFiles,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
-    // Checked before a reader opens the database, which creates an empty log.
-    let has_log = files.has_log();
+    // Checked before a reader opens the database, which creates an empty log. An empty one is from such a reader too, as
+    // from a query before this start: the daemon writes to its log as soon as it has opened it.
+    let has_log = files.log_bytes() > 0;
     refuse_foreign(&settings.path).await?;
     files.clear_leftovers(now)?;
     // If only the log exists, SQLite would delete it, and with it the last commits.
