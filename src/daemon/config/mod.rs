@@ -347,8 +347,12 @@ fn is_module(path: &str) -> bool {
 pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
     // The filter accepts any other word as the name of a module: it would log all lines of this module and nothing
     // else.
-    let is_wrong =
-        |part: &&str| part.contains(char::is_whitespace) || !part.contains('=') && part.parse::<LevelFilter>().is_err();
+    // An empty level would stop all lines.
+    let is_wrong = |part: &&str| {
+        log.level.is_empty()
+            || part.contains(char::is_whitespace)
+            || !part.contains('=') && part.parse::<LevelFilter>().is_err()
+    };
     if let Some(part) = log.level.split(',').find(is_wrong) {
         let problem = format!(
             "{part:?} is not a level: write error, warn, info, debug or trace, for a module zenoh=debug, and no spaces"

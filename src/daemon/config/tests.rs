@@ -144,6 +144,7 @@ fn an_error_names_line_and_key() {
             "[store]\npath = \"/dev/null\"",
             "pointsd.toml:2: store.path: /dev/null is a folder or a device, must be a file",
         ),
+        ("[log]\nlevel = \"\"", "pointsd.toml:2: log.level: \"\" is not a level"),
         ("[store]\nmax_wal_mib = 1", "pointsd.toml:2: store.max_wal_mib: "),
         ("monitor = 3", "pointsd.toml:1: monitor: invalid type"),
         ("[monitor\nid = 3", "pointsd.toml:1: "),
