@@ -450,7 +450,15 @@ impl JudgeLoop {
             return Ok((false, text.to_owned()));
         }
         tracing::info!(%machine, ?command, "operator's command applied");
-        Ok((true, confirmation))
+        // The logger may have made throws before the repair that it could not send yet.
+        let is_away = !self.links.loggers.borrow().alive.contains(machine) && self.judge.monitors.is_announced(machine);
+        let late = if is_away && matches!(command, Command::Rebaseline { .. }) {
+            ". Its logger is not connected: throws that it made before this command and sends later are learned too. If \
+             there are any, repeat the command when they have arrived"
+        } else {
+            ""
+        };
+        Ok((true, confirmation + late))
     }
 
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.

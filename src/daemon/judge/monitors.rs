@@ -95,6 +95,11 @@ impl Monitors {
         self.of_machines.contains_key(machine)
     }
 
+    /// Whether the logger of a machine has declared a liveliness token, even if the token is gone now.
+    pub(crate) fn is_announced(&self, machine: &MachineId) -> bool {
+        self.of_machines.get(machine).is_some_and(MachineMonitor::is_announced)
+    }
+
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
         self.of_machines.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
