@@ -140,6 +140,6 @@ mod tests {
         assert!(logger_gone("21B", 0.1).contains("has been gone for 6 seconds, so"));
         assert!(logger_gone("21B", 1.2).contains("has been gone for 1 minute, so"));
         assert!(logger_gone("21B", 10.0).contains("has been gone for 10 minutes, so"));
-        assert!(silent("21B", 0.9).contains("for 1 hour, so") && silent("21B", 26.0).contains("for 26 hours, so"));
+        assert!(silent("21B", 1.2).contains("for 1 hour, so") && silent("21B", 26.0).contains("for 26 hours, so"));
     }
 }
