@@ -17,8 +17,9 @@ use super::{
     statements as sql,
     writer::{
         Writer,
-        backlog_page::{Cursor, Page, PageStored, WriteOff},
+        backlog_page::{Page, PageStored, WriteOff},
         connection::WritingConnection,
+        cursor::Cursor,
         judgement::{Judgement, Judgements, Outcome},
         quarantine::{Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
