@@ -17,8 +17,9 @@ use super::{
     statements as sql,
     writer::{
         Writer,
-        backlog_page::{Cursor, Page, PageStored, WriteOff},
+        backlog_page::{Page, PageStored, WriteOff},
         connection::WritingConnection,
+        cursor::Cursor,
         judgement::{Judgement, Judgements, Outcome},
         quarantine::{Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
@@ -105,13 +106,7 @@ impl Store {
     /// When the throws could not be stored; the same call may be repeated.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Result<Vec<Spooled>, StoreError> {
         let spools = compress(throws.to_vec()).await?;
-        let spooled = self.writer.write(Spools(spools)).await?;
-        for ((_, throw, _), spooled) in throws.iter().zip(&spooled) {
-            if let Spooled::New(row) = spooled {
-                self.reader.recent.keep(*row, throw);
-            }
-        }
-        Ok(spooled)
+        self.writer.write(Spools(spools)).await
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.

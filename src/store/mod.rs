@@ -8,7 +8,7 @@
 //! | `files` | the files of a database: opening, check, salvage, free space |
 //! | `writer` | the writing task, and each kind of write |
 //! | `reader` | the read-only connections, and the queries of the pages and commands |
-//! | `rows`, `codec`, `recent` | the stored types, the compression of traces, and the newest throws in memory |
+//! | `rows`, `codec` | the stored types, and the compression of traces |
 
 mod codec;
 mod database;
@@ -16,7 +16,6 @@ mod error;
 mod files;
 mod rate_limit;
 mod reader;
-mod recent;
 mod rows;
 mod settings;
 pub mod statements;
@@ -44,7 +43,8 @@ pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
 pub use settings::Settings;
 pub(crate) use statements::ALL_MACHINES;
 pub use statistics::Statistics;
-pub use writer::backlog_page::{Cursor, PageStored};
+pub use writer::backlog_page::PageStored;
+pub use writer::cursor::Cursor;
 pub use writer::judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use writer::quarantine::QuarantinedMessage;
 pub use writer::retention::Dropped;

@@ -10,7 +10,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use hyper::body::Bytes;
 use tokio::{sync::Notify, time};
 
 use super::{
@@ -53,15 +52,6 @@ pub(super) struct Notifier {
     sent: (Instant, u32),
 }
 
-/// A message for the receiver.
-struct Message {
-    body: Bytes,
-    /// Number of events in the message.
-    events: u64,
-    /// Row of the last event. All notifications up to this row are removed after the message.
-    last: i64,
-}
-
 impl Notifier {
     /// Prepares the loop; `None` if no webhook is configured.
     ///
@@ -98,10 +88,8 @@ impl Notifier {
             } else {
                 pending.truncate(1);
             }
-            if let Some(message) = self.message(&pending) {
-                self.sent.1 += 1;
-                self.deliver(message).await;
-            }
+            self.sent.1 += 1;
+            self.deliver(&pending).await;
         }
     }
 
@@ -135,27 +123,21 @@ impl Notifier {
         }
     }
 
-    /// The message for some events: a single event as it is, several as a summary; `None` without an event.
-    fn message(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
-        let alarms: Vec<&Alarm> = pending.iter().map(|(_, alarm)| alarm).collect();
-        let body = match &*alarms {
-            [alarm] => body(alarm),
-            alarms => body(&Summary::of(alarms, &self.monitor)?),
-        };
-        Some(Message { body, events: alarms.len() as u64, last: pending.last()?.0 })
-    }
-
-    /// Sends a message again and again until the receiver accepts or refuses it, then removes its notifications.
-    async fn deliver(&self, message: Message) {
-        let mut pause = FIRST_PAUSE;
+    /// Sends events in one message, a single event as it is and several as a summary, again and again until the receiver
+    /// accepts or refuses it. Then removes their notifications.
+    async fn deliver(&self, pending: &[(i64, Alarm)]) {
+        let Some((last, alarm)) = pending.last() else { return };
+        let (events, mut pause) = (pending.len() as u64, FIRST_PAUSE);
+        let alarms = pending.iter().map(|(_, alarm)| alarm);
+        let body =
+            if events == 1 { wire::json(alarm) } else { wire::json(&Summary::of(alarms.collect(), &self.monitor)) };
         loop {
             self.beat();
-            match self.server.post(message.body.clone()).await {
+            match self.server.post(body.clone().into()).await {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
-                    let body = String::from_utf8_lossy(&message.body);
-                    tracing::error!(%error, events = message.events, %body, "webhook: the receiver refuses alarm events, which are not sent again");
-                    self.status.edit().webhook_refused += message.events;
+                    tracing::error!(%error, events, body, "webhook: the receiver refuses alarm events, which are not sent again");
+                    self.status.edit().webhook_refused += events;
                     break;
                 }
                 Err(error) => {
@@ -167,7 +149,7 @@ impl Notifier {
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
         self.status.edit().webhook_fails = false;
-        self.remove(message.last).await;
+        self.remove(*last).await;
     }
 
     /// Removes the notifications up to a row.
@@ -193,8 +175,4 @@ impl Notifier {
     fn beat(&self) {
         self.status.heartbeats.beat(TaskName::Webhook);
     }
-}
-
-fn body(message: &impl serde::Serialize) -> Bytes {
-    wire::json(message).into()
 }

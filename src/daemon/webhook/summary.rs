@@ -42,10 +42,14 @@ struct Group {
 }
 
 impl Summary {
-    /// The summary of some alarm events; `None` without an event.
-    pub(super) fn of(alarms: &[&Alarm], monitor: &MachineId) -> Option<Self> {
+    /// The summary of some alarm events, of at least one.
+    pub(super) fn of(alarms: Vec<&Alarm>, monitor: &MachineId) -> Self {
         let mut kinds: BTreeMap<_, Vec<&Alarm>> = BTreeMap::new();
-        for alarm in alarms.iter().copied() {
+        let events = alarms.len();
+        let (first, last) = alarms.iter().fold((Timestamp::MAX, Timestamp::MIN), |(first, last), alarm| {
+            (first.min(alarm.event_at), last.max(alarm.event_at))
+        });
+        for alarm in alarms {
             let kind = (alarm.machine.site.as_str(), alarm.cause.as_str(), alarm.severity, alarm.state.as_str());
             kinds.entry(kind).or_default().push(alarm);
         }
@@ -53,16 +57,15 @@ impl Summary {
         groups.sort_by_key(|group| std::cmp::Reverse((group.severity, group.events)));
         let kinds: Vec<String> = groups.iter().take(NAMED).map(Group::sentence).collect();
         let more = if groups.len() > NAMED { ", and others" } else { "" };
-        let events = alarms.len();
-        Some(Self {
+        Self {
             schema: "points.alarm_summary/1",
             monitor: monitor.to_string(),
             events,
-            first_event_at: alarms.iter().map(|alarm| alarm.event_at).min()?,
-            last_event_at: alarms.iter().map(|alarm| alarm.event_at).max()?,
+            first_event_at: first,
+            last_event_at: last,
             text: format!("{events} alarm events: {}{more}.", kinds.join(", ")),
             groups,
-        })
+        }
     }
 }
 

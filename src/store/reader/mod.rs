@@ -2,15 +2,16 @@
 
 pub(super) mod export;
 pub(super) mod fleet;
+pub(super) mod history;
 pub(super) mod overview;
+pub(super) mod pipeline;
 pub(super) mod read_only;
 
 use std::{future::Future, path::Path, sync::Arc, time::Duration};
 
-use jiff::Timestamp;
 use parking_lot::RwLock;
 use sqlx::{
-    FromRow, Row as _, Sqlite, SqlitePool,
+    FromRow, Sqlite, SqlitePool,
     query::QueryAs,
     sqlite::{SqliteArguments, SqliteConnectOptions, SqlitePoolOptions, SqliteRow},
 };
@@ -20,22 +21,13 @@ use tokio_util::sync::CancellationToken;
 use super::{
     error::{StoreError, is_corrupt},
     files::open,
-    recent::RecentThrows,
-    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, from_json, timestamp},
-    statements as sql,
-    writer::backlog_page::{self, Cursor},
 };
-use crate::{
-    throw::MachineId,
-    wire::{Alarm, Health},
-};
+use crate::{throw::MachineId, wire::Alarm};
 
 /// Connections for the daemon. Reader and writer do not wait for each other.
 const CONNECTIONS: u32 = 2;
 /// Connections for external queries (zenoh, dashboard); more queries wait.
 const EXTERNAL_CONNECTIONS: u32 = 3;
-/// Number of samples of each channel after which a batch of pending throws ends: 32 MiB.
-const BATCH_SAMPLES: usize = 2 << 20;
 /// Instructions of SQLite's virtual machine between two checks of the clock: some milliseconds.
 const STEPS: i32 = 100_000;
 
@@ -49,7 +41,6 @@ pub struct Reader {
     broken: CancellationToken,
     /// Cancelled when the store closes: external queries end.
     closing: CancellationToken,
-    pub(super) recent: RecentThrows,
 }
 
 /// Separate connections, so that many external queries cannot delay the pipeline.
@@ -87,7 +78,6 @@ impl Reader {
             pools: Arc::new(RwLock::new(pools)),
             broken: CancellationToken::new(),
             closing: CancellationToken::new(),
-            recent: RecentThrows::default(),
         })
     }
 
@@ -186,189 +176,6 @@ impl Reader {
         }
         Ok(alarms)
     }
-
-    /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
-    /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
-    /// machine was opened or last became smaller. Also returns whether the batch is full.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn to_judge(
-        &self,
-        after: Option<&MachineId>,
-        limit: u32,
-        now: Timestamp,
-        wait: Duration,
-    ) -> Result<(Vec<StoredThrow>, bool), StoreError> {
-        let (from_us, to_us) = waiting(now, wait);
-        let turn = async |after: Option<&MachineId>| {
-            let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
-            let query = sqlx::query(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine);
-            let chosen = self.limited(query.fetch_one(&self.pool())).await?;
-            chosen.try_get(0).and_then(from_json::<Vec<PendingRow>>).map_err(StoreError::read)
-        };
-        let mut rows = turn(after).await?;
-        if rows.is_empty() && after.is_some() {
-            rows = turn(None).await?;
-        }
-        let mut is_full = rows.len() >= limit as usize;
-        let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
-        for row in rows {
-            let stored = match self.recent.take(ThrowRow(row.0)) {
-                Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
-                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop() {
-                    Some(stored) => stored,
-                    // Retention has just deleted the throw.
-                    None => continue,
-                },
-            };
-            samples += stored.throw.as_ref().map_or(0, |throw| throw.trace.len());
-            throws.push(stored);
-            if samples >= BATCH_SAMPLES {
-                is_full = true;
-                break;
-            }
-        }
-        Ok((throws, is_full))
-    }
-
-    /// The cursor of a machine.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
-        let read = async {
-            let mut connection = self.pool().acquire().await?;
-            backlog_page::current(&mut connection, machine).await
-        };
-        self.limited(read).await
-    }
-
-    /// Up to `limit` machines with missing throws that their backlog may have, the longest waiting first.
-    pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
-        self.rows(sqlx::query_as(sql::BACKLOGS).bind(limit)).await
-    }
-
-    /// Number of missing throws that a backlog may have.
-    pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
-        let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
-        Ok(count.cast_unsigned())
-    }
-
-    /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
-    }
-
-    /// The monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
-        let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
-        self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
-    }
-
-    pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
-        self.rows(sqlx::query_as(sql::MACHINES)).await
-    }
-
-    /// Time of reception of the newest throw.
-    pub(crate) async fn last_received(&self) -> Result<Option<Timestamp>, StoreError> {
-        let at_us = self.limited(sqlx::query_scalar(sql::LAST_RECEIVED).fetch_optional(&self.pool())).await?;
-        Ok(at_us.map(timestamp))
-    }
-
-    /// The latest health of each selected machine and direction, with the state of the machine now, and changes from
-    /// its present baseline.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
-        let query = sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine);
-        let mut rows: Vec<Health> = self.external(query).await?;
-        for health in &mut rows {
-            health.change_pct = health.present_change_pct();
-        }
-        Ok(rows)
-    }
-
-    /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn health_history(
-        &self,
-        which: &Selector,
-        since: Timestamp,
-        limit: u32,
-    ) -> Result<Vec<Health>, StoreError> {
-        let since_us = if since <= Timestamp::UNIX_EPOCH { i64::MIN } else { since.as_microsecond() };
-        let query = if since_us == i64::MIN && *which == Selector::default() {
-            sqlx::query_as(sql::NEWEST_HEALTH).bind(limit)
-        } else {
-            sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(&which.site).bind(&which.machine).bind(since_us)
-        };
-        let mut rows = self.external(query).await?;
-        rows.reverse();
-        Ok(rows)
-    }
-
-    /// The last event of every open alarm of the selected machines, oldest alarm first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
-        let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
-        self.external_alarms(query).await
-    }
-
-    /// The newest `limit` alarm events since `since`, oldest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn alarm_history(
-        &self,
-        which: &Selector,
-        since: Timestamp,
-        limit: u32,
-    ) -> Result<Vec<Alarm>, StoreError> {
-        let of_machine = !which.machine.contains('*');
-        let statement = if of_machine { sql::ALARM_HISTORY_OF_MACHINE } else { sql::ALARM_HISTORY };
-        let query = sqlx::query_as(statement).bind(&which.site).bind(&which.machine);
-        let mut alarms = self.external_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
-        alarms.reverse();
-        Ok(alarms)
-    }
-
-    /// Up to `limit` messages of the outbox after the row `after` (0 for all), in order.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
-        self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
-    }
-
-    /// Up to `limit` notifications for the webhook with their rows, in order.
-    pub(crate) async fn notifications(&self, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
-        self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
-    }
-
-    /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps
-    /// of machines for whose backlog the judge does not wait any longer (see [`Self::to_judge`]). Gaps from before the
-    /// first contact are left out.
-    pub(crate) async fn unreported_gaps(
-        &self,
-        limit: u32,
-        now: Timestamp,
-        wait: Duration,
-    ) -> Result<Vec<Gap>, StoreError> {
-        let (from_us, to_us) = waiting(now, wait);
-        self.rows(sqlx::query_as(sql::UNREPORTED_GAPS).bind(limit).bind(from_us).bind(to_us)).await
-    }
 }
 
 /// A query about one machine, whose site and name are the first two parameters.
@@ -380,13 +187,6 @@ where
     Row: for<'r> FromRow<'r, SqliteRow>,
 {
     sqlx::query_as(statement).bind(machine.site.as_str()).bind(machine.machine.as_str())
-}
-
-/// The judge waits for a backlog that was opened or last became smaller within this range of times \[µs\]. The upper
-/// end is now: a later time was stored before the clock was set back.
-fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
-    let wait_us = i64::try_from(wait.as_micros()).unwrap_or(i64::MAX);
-    (now.as_microsecond().saturating_sub(wait_us).saturating_add(1), now.as_microsecond())
 }
 
 impl Pools {
@@ -402,6 +202,8 @@ impl Pools {
 
 #[cfg(test)]
 mod tests {
+    use jiff::Timestamp;
+
     use super::*;
     use crate::store::{Settings, Store};
 

@@ -6,7 +6,10 @@
 
 use sqlx::SqliteConnection;
 
-use crate::store::statements as sql;
+use crate::{
+    store::statements as sql,
+    throw::{MachineId, ThrowRef},
+};
 
 /// A position in the order of a machine's throws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, sqlx::FromRow)]
@@ -23,6 +26,21 @@ impl Default for ThrowPosition {
     fn default() -> Self {
         Self { boot_row: None, position: i64::MIN, throw_no: -1 }
     }
+}
+
+/// The position for the next backlog query of a machine.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Cursor {
+    /// The last throw up to which every throw is stored or written off; `None` to read from the oldest.
+    pub after: Option<ThrowRef>,
+    /// Number of throws missing right after `after`; `None` if unknown.
+    pub missing: Option<u64>,
+    /// Whether later throws are stored already, so that the backlog should have the throws in between.
+    pub awaits: bool,
+    /// Samples of the newest throw, to estimate the size of the next ones.
+    pub samples: Option<u64>,
+    /// The last stored throw. A gap after this throw opened later, so a query with this cursor does not write it off.
+    pub(crate) newest: ThrowPosition,
 }
 
 /// A boot of a logger.
@@ -117,4 +135,51 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         moved.bind(cursor.throw_no).bind(at_us).execute(connection).await?;
     }
     Ok(())
+}
+
+/// The cursor after a throw of a page; it skips the throws that are stored already.
+pub(super) async fn after(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    last: ThrowPosition,
+) -> sqlx::Result<Cursor> {
+    let newest = newest(connection, machine_row).await?;
+    let Some(boot_row) = last.boot_row else { return Ok(Cursor { newest, ..Cursor::default() }) };
+    let boot_id = sqlx::query_scalar(sql::BOOT_ID).bind(boot_row).fetch_one(&mut *connection).await?;
+    let boot: Boot = sqlx::query_as(sql::BOOT_OF_ROW).bind(boot_row).fetch_one(&mut *connection).await?;
+    let gap = awaited(connection, boot_row).await?;
+    let samples: Option<i64> =
+        sqlx::query_scalar(sql::NEWEST_SAMPLES).bind(boot_row).fetch_optional(&mut *connection).await?;
+    let has_later = next_boot(connection, machine_row, boot.position).await?.is_some();
+    let throw_no = gap.map_or(boot.highest_no, |(first_no, _)| first_no - 1).max(last.throw_no);
+    Ok(Cursor {
+        after: Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() }),
+        missing: gap.map(|(first_no, last_no)| last_no.abs_diff(first_no).saturating_add(1)),
+        awaits: gap.is_some() || has_later,
+        samples: samples.map(i64::cast_unsigned),
+        newest,
+    })
+}
+
+/// The last throw of the last boot.
+async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<ThrowPosition> {
+    let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
+    Ok(boot.as_ref().map(Boot::last).unwrap_or_default())
+}
+
+/// The cursor of a machine.
+pub(crate) async fn current(connection: &mut SqliteConnection, machine: &MachineId) -> sqlx::Result<Cursor> {
+    let row: Option<(i64, bool)> = sqlx::query_as(sql::MACHINE_BACKLOG)
+        .bind(machine.site.as_str())
+        .bind(machine.machine.as_str())
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some((machine_row, is_read)) = row else { return Ok(Cursor::default()) };
+    let open = stored(connection, machine_row).await?;
+    let place = match open {
+        Some(place) => place,
+        None => newest(connection, machine_row).await?,
+    };
+    let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };
+    Ok(if is_read { cursor } else { Cursor { after: None, missing: None, ..cursor } })
 }
