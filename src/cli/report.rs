@@ -24,8 +24,9 @@ use crate::{
 /// The file contains everything that it shows, and no links. The daemon may run. The limits in the charts are those of
 /// the configuration.
 ///
-/// Exit codes: 0 written; 64 --out names another format than HTML; 65 the file is no database of pointsd, or of another version; 66 there is no database, or no
-/// throw of this machine; 73 the file cannot be written; 78 the configuration is invalid.
+/// Exit codes: 0 written; 64 --out names another format than HTML; 65 the file is no database of pointsd, or of another
+/// version; 66 there is no database, or no throw of this machine; 73 the file cannot be written; 78 the configuration
+/// is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {
