@@ -220,7 +220,7 @@ impl Operation {
             let event = event(Severity::Warning);
             step.raise(event);
         } else if self.fast_enough >= settings.off_delay_throws {
-            step.clear(Cause::SlowThrow, text::fast_again(step.name));
+            step.clear(Cause::SlowThrow, text::machine(step.name, text::FAST_AGAIN));
         }
     }
 
@@ -262,7 +262,7 @@ impl Operation {
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-                step.clear(Cause::NotMonitored, text::monitored_again(name));
+                step.clear(Cause::NotMonitored, text::machine(name, text::MONITORED_AGAIN));
             }
             return;
         };
@@ -341,7 +341,7 @@ impl Operation {
             && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
             && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
         {
-            step.clear(Cause::Sensor, text::sensor_plausible(step.name));
+            step.clear(Cause::Sensor, text::machine(step.name, text::SENSOR_PLAUSIBLE));
         }
     }
 
@@ -413,7 +413,7 @@ impl Operation {
             && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
             && !self.is_silent(step.settings);
         if there && alarmed && monitored {
-            step.clear(Cause::NotMonitored, text::logger_back(step.name));
+            step.clear(Cause::NotMonitored, text::machine(step.name, text::LOGGER_BACK));
         }
     }
 
@@ -438,7 +438,7 @@ impl Operation {
                 step.remark(Cause::DataLoss, text.to_owned());
             }
         } else if self.calm_s >= CALM_S {
-            step.clear(Cause::DataLoss, text::daemon_calm());
+            step.clear(Cause::DataLoss, text::DAEMON_CALM.to_owned());
         }
     }
 
@@ -464,8 +464,8 @@ impl Operation {
     pub(crate) fn on_irregularity(&mut self, irregularity: Irregularity, step: &mut Step) {
         self.since_gap = 0;
         let text = match irregularity {
-            Irregularity::RepeatedTrace => text::repeated_trace(step.name),
-            Irregularity::RepeatedNumber => text::repeated_number(step.name),
+            Irregularity::RepeatedTrace => text::machine(step.name, text::REPEATED_TRACE),
+            Irregularity::RepeatedNumber => text::machine(step.name, text::REPEATED_NUMBER),
             Irregularity::Invalid { count, reason } => text::invalid(step.name, count, reason),
         };
         step.raise(step.warning(Cause::DataLoss, text));
@@ -496,7 +496,7 @@ impl Operation {
 pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
     let cause = Cause::NotMonitored;
     match away {
-        None => step.clear(cause, text::peers_back()),
+        None => step.clear(cause, text::PEERS_BACK.to_owned()),
         Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
         Some(text) => _ = step.raise(step.critical(cause, text)),
     }

@@ -35,9 +35,7 @@ pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) ->
     )
 }
 
-pub(crate) fn fast_again(name: &str) -> String {
-    format!("Machine {name}: throws are as fast as the baseline's again.")
-}
+pub(crate) const FAST_AGAIN: &str = "throws are as fast as the baseline's again.";
 
 /// Text for changed features of throws without coefficients, over `throws` throws of a direction.
 pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String {
@@ -85,12 +83,9 @@ pub(crate) fn start(name: &str, change: &StartChange, throws: usize) -> String {
     )
 }
 
-pub(crate) fn repeated_trace(name: &str) -> String {
-    format!(
-        "Machine {name}: the logger repeats itself: it sends the same recordings again, so the machine itself is not \
-         monitored. Check the recorder."
-    )
-}
+pub(crate) const REPEATED_TRACE: &str = "\
+    the logger repeats itself: it sends the same recordings again, so the machine itself is not monitored. Check the \
+    recorder.";
 
 #[cfg(test)]
 mod tests {
