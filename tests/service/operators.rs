@@ -140,7 +140,10 @@ async fn a_retired_machine_is_left_out_until_its_next_throw() {
     let text = last["text"].as_str().unwrap();
     assert!(last["state"] == "normal" && text.ends_with("is no longer monitored (tester: replaced)."), "{last}");
     let page = ends(0, pointsd(&["report", "north/machine-1", "--out", "-", "--database"]).arg(rig.database()));
-    assert!(page.contains("it is not monitored, as it was retired at") && page.contains("by tester: replaced."), "{page}");
+    assert!(
+        page.contains("it is not monitored, as it was retired at") && page.contains("by tester: replaced."),
+        "{page}"
+    );
     daemon.terminate();
 
     let daemon = rig.start();

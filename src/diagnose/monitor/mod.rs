@@ -12,10 +12,7 @@ use super::{
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DRIFTS, DriftAlarms, Instruments},
     gauges::{FeatureWatch, StartWatch},
-    operation::{
-        Boots, LoggerClock, Operation, Thermometer, alarms, site,
-        site::{Common, Trail},
-    },
+    operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Stamp, VersionOne},
     text,
     track::Tracks,
@@ -173,7 +170,7 @@ impl MachineMonitor {
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        self.step(now, None, settings, |_, step| alarms::on_peers(text, step)).pop()
+        self.step(now, None, settings, |_, step| on_peers(text, step)).pop()
     }
 
     /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
