@@ -14,7 +14,7 @@ use crate::{
     diagnose::{
         Cause,
         baseline::{Baseline, covariance_of_effect},
-        statistics::{Last, Scatter, WINDOWS, clipped_mean, sym3, sym3::Sym3},
+        statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3},
     },
     estimate::Estimate,
 };
@@ -112,7 +112,7 @@ impl RecentThrow {
 }
 
 /// The last throws of one direction.
-pub(crate) type RecentThrows = Last<RecentThrow, KEPT>;
+pub(crate) type RecentThrows = LastValues<RecentThrow, KEPT>;
 
 /// The common scale of the throws of a window. If only the ratios of the coefficients of a throw are known, its three
 /// logarithms have an unknown term in common: their common scale, which a change of the inertia shifts. It is the mean

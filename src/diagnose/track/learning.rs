@@ -14,7 +14,7 @@ use crate::{
             trend, wet_spells,
         },
         observation::Evaluated,
-        statistics::{WINDOWS, sym3::Sym3},
+        statistics::{Sym3, WINDOWS},
     },
     estimate::Grade,
     throw::Direction,

@@ -16,7 +16,7 @@ use super::{
         visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
-    statistics::{Scatter, WINDOWS, median, sym3::Sym3},
+    statistics::{Scatter, Sym3, WINDOWS, median},
 };
 use crate::{estimate::Estimate, throw::Direction};
 
