@@ -36,7 +36,7 @@ pub use drift::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Missing, Observation, Parameters};
-pub use operation::site::Common;
+pub use operation::Common;
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
 pub use statistics::Correlation;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

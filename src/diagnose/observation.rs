@@ -208,7 +208,8 @@ pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f6
 
 /// Apparent loss of a1 \[1/s\] by a spring whose neutral position is `shift` times the travel nearer to reverse than
 /// configured. The spring force differs by a0 dx from the assumed one, where dx is the distance of the two neutral
-/// positions. In a steady movement at speed v (equation 12 without acceleration) this looks like a0 dx / v in a1.
+/// positions. In a steady movement at speed v (equation 12 of the study, without acceleration) this looks like a0 dx /
+/// v in a1.
 pub(super) fn apparent_friction(shift: f64, direction: Direction, a0: f64, duration_s: f64) -> f64 {
     direction.sign() * shift * duration_s * a0
 }

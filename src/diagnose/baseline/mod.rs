@@ -21,7 +21,7 @@ use self::{temperature::Temperature, trend::TrendThrow};
 use super::{
     Cause, Settings,
     observation::{Evaluated, SCALE_VARIANCE},
-    statistics::{Scatter, centre_and_sd, median, sym3::Sym3},
+    statistics::{Scatter, Sym3, centre_and_sd, median},
 };
 use crate::throw::Direction;
 
@@ -251,7 +251,7 @@ impl Baseline {
 }
 
 /// Friction over the force of the spring at the end of the stroke, a1 / (a0 T), where T \[s\] is the duration: equation
-/// (12) in a steady movement over the stroke.
+/// 12 of the study in a steady movement over the stroke.
 pub(super) fn friction_over_spring([_, a1, a0]: [f64; 3], duration_s: f64) -> f64 {
     a1 / a0 / duration_s
 }

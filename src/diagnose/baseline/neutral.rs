@@ -1,11 +1,12 @@
 //! The neutral position, at which the spring of the rails is unstressed, as the throws of both directions show it.
 //!
 //! If the true neutral position is not the configured one, the spring has an additional constant force, which helps the
-//! movement in one direction and hinders it in the other. In a steady movement (equation 12 without acceleration) this
-//! force looks like friction. Let g be the distance from the configured to the true position as a part of the travel,
-//! and T the duration of a throw. Then a1 of the throws to reverse is smaller by g a0 T, and a1 of the throws to normal
-//! is larger by as much. So a1 / (a0 T) differs by 2 g between the directions of a machine with the same friction in
-//! both. a0 / b0 is the same in both directions, unlike in a machine whose load differs for another reason.
+//! movement in one direction and hinders it in the other. In a steady movement (equation 12 of the study, without
+//! acceleration) this force looks like friction. Let g be the distance from the configured to the true position as a
+//! part of the travel, and T the duration of a throw. Then a1 of the throws to reverse is smaller by g a0 T, and a1 of
+//! the throws to normal is larger by as much. So a1 / (a0 T) differs by 2 g between the directions of a machine with
+//! the same friction in both. a0 / b0 is the same in both directions, unlike in a machine whose load differs for
+//! another reason.
 
 use serde::{Deserialize, Serialize};
 

@@ -43,13 +43,11 @@ const CLIP_SD: f64 = 3.5;
 const ANCHORED: u32 = LONGEST_WINDOW;
 /// Change of the level since the anchor that counts as another lasting change, in standard deviations of the anchor.
 const LEVEL_SD: f64 = 4.0;
-/// Throws in the baseline, for a snapshot that does not contain their number.
-const USUAL_THROWS: f64 = 50.0;
 
 /// A known point of the line over the temperature, and sums over the throws since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Anchor {
-    /// Number of throws that determine the point; `None` for the centre of the baseline.
+    /// Number of throws that determine the point; `None`, as by default, for the centre of the baseline.
     throws: Option<u32>,
     /// Mean distance of these throws from the reference \[K\].
     distance: f64,
@@ -63,14 +61,9 @@ struct Anchor {
     residuals: [f64; 3],
 }
 
-impl Anchor {
-    /// The centre of the baseline, without later throws.
-    const CENTRE: Self =
-        Self { throws: None, distance: 0.0, residual: [0.0; 3], later: 0.0, distances: 0.0, residuals: [0.0; 3] };
-}
-
 /// Compensation of temperature: the compensated x is x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub(crate) struct Temperature {
     pub(super) source: TemperatureSource,
     /// Slopes of ln b0, ln a1, ln a0 \[per K\].
@@ -79,42 +72,43 @@ pub(crate) struct Temperature {
     /// The reference temperature \[°C\]; `None` if no throw of the baseline has a temperature.
     pub(crate) reference_c: Option<f64>,
     /// Sum of squared distances from the anchor \[K²\].
-    #[serde(default)]
     information: f64,
     /// Sum of distances from the anchor times residuals \[K\].
-    #[serde(default)]
     product: [f64; 3],
-    /// Number of throws in the baseline.
-    #[serde(default = "usual_throws")]
+    /// Number of throws in the baseline. Early snapshots do not contain it: the usual number.
     throws: f64,
-    #[serde(default)]
     anchor: Anchor,
     /// Throws since a drift is suspected, and the anchor from the second half of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<Box<(u32, Anchor)>>,
 }
 
-impl Temperature {
-    const NONE: Self = Self {
-        source: TemperatureSource::None,
-        per_k: [0.0; 3],
-        per_k_variance: [0.0; 3],
-        reference_c: None,
-        information: 0.0,
-        product: [0.0; 3],
-        throws: USUAL_THROWS,
-        anchor: Anchor::CENTRE,
-        next: None,
-    };
+impl Default for Temperature {
+    /// No compensation.
+    fn default() -> Self {
+        Self {
+            source: TemperatureSource::None,
+            per_k: [0.0; 3],
+            per_k_variance: [0.0; 3],
+            reference_c: None,
+            information: 0.0,
+            product: [0.0; 3],
+            throws: 50.0,
+            anchor: Anchor::default(),
+            next: None,
+        }
+    }
+}
 
+impl Temperature {
     /// Learns the compensation from the throws of a baseline: their logarithms, and temperatures \[°C\] if known.
     pub(crate) fn learn(throws: &[(Vector3<f64>, Option<f64>)], settings: &Settings) -> Self {
         let mut known: Vec<f64> = throws.iter().filter_map(|(_, celsius)| *celsius).collect();
         if known.is_empty() {
-            return Self::NONE;
+            return Self::default();
         }
         let reference = median(&mut known);
-        let none = Self { reference_c: Some(reference), throws: throws.len() as f64, ..Self::NONE };
+        let none = Self { reference_c: Some(reference), throws: throws.len() as f64, ..Self::default() };
         if let Some(t) = &settings.temperature {
             let per_k = [t.b0_pct_per_k, t.a1_pct_per_k, t.a0_pct_per_k].map(|pct| pct / 100.0);
             return Self { source: TemperatureSource::Configured, per_k, ..none };
@@ -160,7 +154,7 @@ impl Temperature {
         if !suspected {
             self.next = None;
             if self.anchor.throws.is_some() {
-                self.move_anchor(Anchor::CENTRE);
+                self.move_anchor(Anchor::default());
             }
         } else if self.is_moving(&raw, distance) {
             return;
@@ -187,14 +181,14 @@ impl Temperature {
         let change = self.change(self.per_k);
         if suspected && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt()) {
             // Another fault, or the repair of a part.
-            self.next = Some(Box::new((ANCHORED, Anchor::CENTRE)));
+            self.next = Some(Box::new((ANCHORED, Anchor::default())));
         }
     }
 
     /// Adds a throw of a suspected drift to the next anchor. Returns whether the throw was used for this.
     fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
         if self.anchor.throws.is_none() && self.next.is_none() {
-            self.next = Some(Box::new((0, Anchor::CENTRE)));
+            self.next = Some(Box::new((0, Anchor::default())));
         }
         let Some((throws, next)) = self.next.as_deref_mut() else { return false };
         *throws += 1;
@@ -274,8 +268,4 @@ impl Temperature {
 /// Covariance of a mean of throws by the temperature, from the standard deviation of its effect.
 pub(crate) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
-}
-
-fn usual_throws() -> f64 {
-    USUAL_THROWS
 }

@@ -445,24 +445,9 @@ impl Explanations {
     fn of(window: &Window, open: &[Cause], evidence: Option<MotorEvidence>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
-        let of_pair = |pair: [Cause; 2]| {
-            if pair.iter().all(|cause| open.contains(cause)) {
-                2.0 * ALARM_BONUS
-            } else if open.contains(&Cause::Unattributed) {
-                ALARM_BONUS
-            } else {
-                0.0
-            }
-        };
         Self {
-            singles: ranked(
-                Cause::PHYSICAL.map(|cause| [cause]),
-                window,
-                |[cause]| if open.contains(&cause) { ALARM_BONUS } else { 0.0 },
-                evidence,
-                settings,
-            ),
-            pairs: ranked(pairs, window, of_pair, evidence, settings),
+            singles: ranked(Cause::PHYSICAL.map(|cause| [cause]), window, open, evidence, settings),
+            pairs: ranked(pairs, window, open, evidence, settings),
             any: explained([a, b, c], window, evidence, settings),
         }
     }
@@ -545,18 +530,22 @@ fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, fit: &
     level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
 }
 
-/// The explanations with their bonus, the best first. An explanation by a cause that the window does not show is the
+/// The explanations with their bonus for the causes `open`, which have an alarm; the best first. An explanation by a cause that the window does not show is the
 /// last.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
-    bonus: impl Fn([Cause; K]) -> f64,
+    open: &[Cause],
     evidence: Option<MotorEvidence>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
         let mut fit = explained(causes, window, evidence, settings);
-        fit.score -= bonus(causes);
+        if causes.iter().all(|cause| open.contains(cause)) {
+            fit.score -= K as f64 * ALARM_BONUS;
+        } else if K == 2 && open.contains(&Cause::Unattributed) {
+            fit.score -= ALARM_BONUS;
+        }
         if !causes.iter().all(|cause| window.shows(*cause)) {
             fit.score = f64::INFINITY;
         }
@@ -568,7 +557,7 @@ fn ranked<const N: usize, const K: usize>(
 
 /// The single cause that explains the drift of `window` best, without gauges.
 pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
-    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |_| 0.0, None, settings);
+    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, &[], None, settings);
     best.parts[0]
 }
 

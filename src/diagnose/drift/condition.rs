@@ -35,9 +35,10 @@ pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
 
 /// Evidence of a throw for an alarm about a cause.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Claim {
     /// No evidence.
+    #[default]
     None,
     /// Counts for the on delay, but does not raise the alarm.
     Counts,
@@ -46,7 +47,7 @@ pub(crate) enum Claim {
 }
 
 /// Evidence of a throw for and against an alarm about a cause.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::struct_excessive_bools, reason = "independent findings about one throw")]
 pub(crate) struct Reading {
     /// Evidence for the alarm.
@@ -268,17 +269,7 @@ mod tests {
 
     #[test]
     fn an_alarm_ends_the_sooner_the_plainer_its_machine_is_healthy() {
-        let below = Reading {
-            claim: Claim::None,
-            undoubted: 0.0,
-            patience: 0,
-            plain_health: false,
-            likely_health: false,
-            below: true,
-            other_name: false,
-            turned: false,
-            latest: Some(0.2),
-        };
+        let below = Reading { below: true, latest: Some(0.2), ..Reading::default() };
         let likely = Reading { likely_health: true, ..below };
         let plain = Reading { plain_health: true, ..likely };
         assert_eq!([plain, likely, below].map(cleared_after), [Some(LEVELS_FOLLOW), Some(LONGEST_WINDOW), Some(200)]);

@@ -1,9 +1,9 @@
 //! Explanations of a drift by causes, as directions in the space of the three logarithms.
 //!
-//! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the causes have the directions motor
-//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). A drift m with covariance V is explained by
-//! causes, whose directions are the columns of D, with the sizes f = (D'U^-1 D)^-1 D'U^-1 m and the misfit (m - D f)'
-//! U^-1 (m - D f). U is V plus the error of the model, which grows in proportion to f.
+//! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13 of the study), so in (ln b0, ln a1, ln a0) the causes have the
+//! directions motor (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). A drift m with covariance V is
+//! explained by causes, whose directions are the columns of D, with the sizes f = (D'U^-1 D)^-1 D'U^-1 m and the misfit
+//! (m - D f)' U^-1 (m - D f). U is V plus the error of the model, which grows in proportion to f.
 //!
 //! # Error of the model
 //! All figures are from estimates of simulated throws. A change of motor, stiffness or inertia changes each other

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Point;
-use crate::diagnose::statistics::{LONGEST_WINDOW, Last};
+use crate::diagnose::statistics::{LONGEST_WINDOW, LastValues};
 
 /// Means of consecutive blocks of throws since the baseline. When there are [`History::PLACES`] blocks, neighbouring
 /// blocks are joined in pairs, and new blocks are twice as long. So the history stays complete, and becomes coarser.
@@ -15,7 +15,7 @@ use crate::diagnose::statistics::{LONGEST_WINDOW, Last};
 pub(crate) struct History {
     /// Length of a block \[throws\].
     length: u32,
-    blocks: Last<[f32; 3], { History::PLACES }>,
+    blocks: LastValues<[f32; 3], { History::PLACES }>,
     /// Number of throws in the block that is not complete yet.
     filling: u32,
     /// Sum of the residuals in this block.
@@ -26,7 +26,7 @@ pub(crate) struct History {
 
 impl Default for History {
     fn default() -> Self {
-        Self { length: Self::FIRST_LENGTH, blocks: Last::default(), filling: 0, sum: [0.0; 3], since: None }
+        Self { length: Self::FIRST_LENGTH, blocks: LastValues::default(), filling: 0, sum: [0.0; 3], since: None }
     }
 }
 

@@ -2,9 +2,9 @@
 //!
 //! A drift is a vector in (ln b0, ln a1, ln a0). A gain error of the position sensor changes it as a fault of the motor
 //! does, and a gain error of the current sensor in the opposite sense. A clock that stretches time by the factor s
-//! changes it by (-2, -1, -2) ln s, by the derivatives in equation (12). The coefficients alone thus cannot name the
-//! faulty device. The gauges can: the table gives the change of the logarithm of each gauge for a fault of size 1. The
-//! supply voltage is V, the current i and the speed of the motor ω.
+//! changes it by (-2, -1, -2) ln s, by the derivatives in equation 12 of the study. The coefficients alone thus cannot
+//! name the faulty device. The gauges can: the table gives the change of the logarithm of each gauge for a fault of
+//! size 1. The supply voltage is V, the current i and the speed of the motor ω.
 //!
 //! | fault | travel | back-EMF (V - R i)/ω | resistance R | duration |
 //! |---|---|---|---|---|

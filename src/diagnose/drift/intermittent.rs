@@ -15,7 +15,7 @@ use statrs::function::gamma::ln_gamma;
 use super::{CLOSE, Explanation, single};
 use crate::diagnose::{
     Cause, Settings,
-    statistics::{Last, Rare, sym3},
+    statistics::{LastValues, SparseValues, sym3},
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -56,7 +56,7 @@ const OVERLAP: f64 = 10.0;
 #[serde(default)]
 pub(crate) struct Intermittent {
     /// The last throws; one that ended a departure has the departure as value, in (ln b0, ln a1, ln a0).
-    recent: Rare,
+    recent: SparseValues,
     /// The unfinished departure of each direction: its first throw, and its number of throws.
     begun: [Option<([f32; 3], u32)>; 2],
     /// Departures, and throws, of the healthy past before `recent`.
@@ -66,7 +66,7 @@ pub(crate) struct Intermittent {
     /// Throws far out, and all throws; they show how heavy the tails of the scatter are.
     tail: (f64, f64),
     /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
-    undecided: Last<bool, DECIDED_AFTER>,
+    undecided: LastValues<bool, DECIDED_AFTER>,
 }
 
 /// Frequent departures, with their cause.

@@ -14,7 +14,7 @@ use crate::{
     diagnose::{
         Cause,
         baseline::{Baseline, covariance_of_effect},
-        statistics::{Last, Scatter, WINDOWS, clipped_mean, sym3, sym3::Sym3},
+        statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3},
     },
     estimate::Estimate,
 };
@@ -112,7 +112,7 @@ impl RecentThrow {
 }
 
 /// The last throws of one direction.
-pub(crate) type RecentThrows = Last<RecentThrow, KEPT>;
+pub(crate) type RecentThrows = LastValues<RecentThrow, KEPT>;
 
 /// The common scale of the throws of a window. If only the ratios of the coefficients of a throw are known, its three
 /// logarithms have an unknown term in common: their common scale, which a change of the inertia shifts. It is the mean
@@ -224,24 +224,19 @@ impl<'a> Stream<'a> {
         let last = self.0.get(..throws)?;
         let sensor = mean_sensor(last);
         let mut distance = [0.0; 2];
-        let mut residuals = [Vector3::zeros(); KEPT];
-        for (residual, (side, throw)) in residuals.iter_mut().zip(last) {
+        let mut residuals = Vec::with_capacity(throws);
+        for (side, throw) in last {
             distance[*side] += f64::from(throw.distance_k);
-            *residual = baselines[*side]?.compensated(throw.raw());
+            residuals.push(baselines[*side]?.compensated(throw.raw()));
         }
         let n = throws as f64;
-        let scale = self.common_scale(&residuals[..throws], scatter);
+        let scale = self.common_scale(&residuals, scatter);
         for (residual, (_, throw)) in residuals.iter_mut().zip(last) {
             *residual = throw.scaled(*residual, &scale);
         }
         let sd = scatter.sd_of_one(&sensor);
-        let mut values = [0.0; KEPT];
-        let mut mean = Vector3::from_fn(|i, _| {
-            for (value, residual) in values.iter_mut().zip(&residuals[..throws]) {
-                *value = residual[i];
-            }
-            clipped_mean(&mut values[..throws], sd[i])
-        });
+        let values = |i: usize| residuals.iter().map(|residual| residual[i]).collect::<Vec<_>>();
+        let mut mean = Vector3::from_fn(|i, _| clipped_mean(&mut values(i), sd[i]));
         let mut temperature_sd = Vector3::zeros();
         for side in 0..2 {
             if last.iter().any(|(at, _)| *at == side) {

@@ -10,7 +10,7 @@ use crate::{
     diagnose::{
         Cause, Severity,
         alarm::{RuleResult, Step, count_over},
-        statistics::{Last, Level, median, percent},
+        statistics::{LastValues, Level, median, percent},
         text,
     },
     estimate::Features,
@@ -86,7 +86,7 @@ impl Earlier {
 #[serde(default)]
 pub(crate) struct FeatureWatch {
     /// The last throws of each direction, the newest last.
-    sides: [Last<Departures, LEVEL>; 2],
+    sides: [LastValues<Departures, LEVEL>; 2],
     /// Number of consecutive throws without a change.
     calm: u32,
     /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Gauge, Normal, Values, sd_of_mean, values};
 use crate::{
-    diagnose::statistics::{Last, Level, WINDOWS, median, moving_range_sd},
+    diagnose::statistics::{LastValues, Level, WINDOWS, median, moving_range_sd},
     estimate::Features,
     throw::Direction,
 };
@@ -75,7 +75,7 @@ impl From<Shown> for (u16, Vec<f32>) {
 pub(crate) struct Gauges {
     pub(super) sides: [Normal; 2],
     /// The last throws, the newest last.
-    recent: Last<Shown, RECENT>,
+    recent: LastValues<Shown, RECENT>,
 }
 
 impl Gauges {

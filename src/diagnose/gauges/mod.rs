@@ -17,7 +17,7 @@ pub(super) use features::{FeatureWatch, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges};
 pub(super) use offset::Offset;
-pub(super) use start::{StartChange, StartWatch};
+pub(super) use start::StartWatch;
 
 use self::{
     gauge::{Values, heat, values},

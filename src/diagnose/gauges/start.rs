@@ -12,18 +12,18 @@ use crate::diagnose::{
     text,
 };
 
-/// StartChange of the delay between current and toe that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
+/// Change of the delay between current and toe that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
 const DELAY_MS: f64 = 1.0;
 /// Largest change of the delay by friction \[ms\], for a change of 1 in the logarithm of the running current: dry
 /// friction winds up an elastic drive before the toe moves. For drives of 1.5e7 N/m it is 10 to 26 ms.
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
-/// StartChange of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
+/// Change of the delay with the duration, both relative to normal: an unlocking stroke follows the motor's speed.
 const DELAY_OF_DURATION: f64 = 1.5;
-/// StartChange of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
+/// Change of the delay as part of the normal delay, for a change of 1 in the logarithm of the inrush current. The toe
 /// has moved visibly after a time that goes with the square root of the acceleration. A hot winding or a bad contact
 /// lowers the inrush; a late brake does not.
 const DELAY_OF_INRUSH: f64 = 0.5;
-/// StartChange of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
+/// Change of the logarithm of the acceleration that matters, beyond that of the running current: a motor changes both.
 const GAIN: f64 = 0.1;
 /// Least significance of a change, in standard deviations of a level.
 const SIGNIFICANT_SD: f64 = 4.0;
@@ -40,20 +40,20 @@ pub(crate) struct StartWatch {
 
 /// Changes of the start in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct StartChange {
-    /// StartChange of the delay \[ms\].
-    pub(crate) delay: Level,
-    /// StartChange of the logarithm of the acceleration per ampere.
-    pub(crate) gain: Level,
-    /// StartChange of the logarithm of the running current.
-    pub(crate) running: Level,
-    /// StartChange of the delay that speed and inrush of the motor explain \[ms\].
-    pub(crate) of_motor_ms: f64,
+struct Change {
+    /// Change of the delay \[ms\].
+    delay: Level,
+    /// Change of the logarithm of the acceleration per ampere.
+    gain: Level,
+    /// Change of the logarithm of the running current.
+    running: Level,
+    /// Change of the delay that speed and inrush of the motor explain \[ms\].
+    of_motor_ms: f64,
     /// Lost part of the inrush, as a logarithm.
-    pub(crate) lost_inrush: f64,
+    lost_inrush: f64,
 }
 
-impl StartChange {
+impl Change {
     /// `None` if a gauge or its normal value is unknown.
     fn of(gauges: &Gauges) -> Option<Self> {
         let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
@@ -78,14 +78,14 @@ impl StartWatch {
     /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
     /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
     pub(crate) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> RuleResult {
-        let change = StartChange::of(gauges);
+        let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
         streak(&mut self.named, is_changed && !explained);
         count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {
-                let text = text::start(step.name, &change, WINDOWS[2]);
+                let text = text::start(step.name, [change.delay, change.gain, change.running], WINDOWS[2]);
                 RuleResult::Fault(Box::new(step.warning(Cause::Unattributed, text)))
             }
             _ if self.calm >= step.settings.off_delay_throws => RuleResult::Nothing,

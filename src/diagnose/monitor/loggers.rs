@@ -126,7 +126,7 @@ impl MachineMonitor {
         let is_of_two = |event: &AlarmEvent| {
             event.raised_at >= since && (event.cause.is_drift() || event.cause == Cause::SlowThrow)
         };
-        self.clear_all(is_of_two, &text::checked_anew(&self.name), now);
+        self.clear_all(is_of_two, &text::machine(&self.name, text::CHECKED_ANEW), now);
         None
     }
 }

@@ -12,10 +12,7 @@ use super::{
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DRIFTS, DriftAlarms, Instruments},
     gauges::{FeatureWatch, StartWatch},
-    operation::{
-        Boots, LoggerClock, Operation, Thermometer, alarms, site,
-        site::{Common, Trail},
-    },
+    operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Stamp, VersionOne},
     text,
     track::Tracks,
@@ -173,7 +170,7 @@ impl MachineMonitor {
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        self.step(now, None, settings, |_, step| alarms::on_peers(text, step)).pop()
+        self.step(now, None, settings, |_, step| on_peers(text, step)).pop()
     }
 
     /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
@@ -275,7 +272,7 @@ impl MachineMonitor {
         let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
         for cause in [Cause::Sensor, Cause::Supply].into_iter().chain(of_rules) {
-            self.alarms.clear(cause, text::checked_anew(&self.name), now);
+            self.alarms.clear(cause, text::machine(&self.name, text::CHECKED_ANEW), now);
         }
     }
 
@@ -311,7 +308,7 @@ impl MachineMonitor {
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
-        let unread = self.unread.as_ref().map(|_| text::unread(&self.name));
+        let unread = self.unread.as_ref().map(|_| text::machine(&self.name, text::UNREAD));
         unread
             .into_iter()
             .chain(self.two_loggers())
@@ -321,8 +318,8 @@ impl MachineMonitor {
             .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct.into())))
             .chain(self.drift.shared_changes().map(|(cause, pct)| text::shared(&self.name, cause, pct)))
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
-            .chain(only_features.then(|| text::only_features(&self.name)))
-            .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
+            .chain(only_features.then(|| text::machine(&self.name, text::ONLY_FEATURES)))
+            .chain(self.operation.is_contradicted().then(|| text::machine(&self.name, text::CONTRADICTED)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.neutral_elsewhere())
             .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))

@@ -1,38 +1,25 @@
-//! The operational alarms: throws that are incomplete, slow, not evaluated or lost, and silence.
+//! The counters of the operational alarms, and the alarms about throws that are incomplete, slow or not evaluated.
 
 use std::mem;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::Implausible;
 use crate::{
     diagnose::{
-        AlarmEvent, Blindness, Cause, Irregularity, Missing, Observation, SensorChannel, Settings, Severity,
+        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
         alarm::{Rule, Step},
-        observation::Unusable,
         statistics::streak,
         text,
     },
     estimate::Features,
-    throw::{Direction, without_digits},
+    throw::Direction,
 };
 
 /// Consecutive slow throws that raise the alarm: one may be an animal between the rails or a dip of the supply.
 const SLOW_IN_A_ROW: u32 = 3;
-/// Consecutive rejected temperatures or voltages that raise the alarm: one is a disturbance.
-const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
-/// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
-const UNUSABLE_OF_EIGHT: u32 = 3;
 /// Evaluated throws among the last eight of a direction that end the alarm: one now and then is no monitoring.
 const EVALUATED_OF_EIGHT: u32 = 4;
-/// Longest time between two ticks that counts as silence \[s\]; a longer one is a jump of the clock or a restart.
-const LONGEST_TICK_S: f64 = 3600.0;
-/// Longest time between two ticks that counts for delays of minutes \[s\]. After a start of the daemon, loggers thus
-/// have the whole delay to connect again.
-const USUAL_TICK_S: f64 = 60.0;
-/// Time without failures of the daemon after which its alarm clears \[s\]: a disk at its limit must not let it flap.
-const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the direction named by the logger until a caveat says so.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
 /// Largest distance from the end of a throw to the start of the next, as part of the travel: the rails spring back.
@@ -49,7 +36,7 @@ const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Logger {
+pub(super) enum Logger {
     /// The logger has never declared a token, or its throws arrive without one.
     #[default]
     Unannounced,
@@ -70,13 +57,13 @@ enum Logger {
 /// never shows in consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-struct Streaks {
+pub(super) struct Streaks {
     incomplete: u32,
     slow: u32,
     very_slow: u32,
-    unevaluated: u32,
+    pub(super) unevaluated: u32,
     /// Throws while the temperature hides faults at their warning limit.
-    blind: u32,
+    pub(super) blind: u32,
     /// The last 32 throws as bits, 1 for a throw that was not evaluated.
     lost: u32,
     /// Code of the reason for the last rejection.
@@ -88,11 +75,11 @@ struct Streaks {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Operation {
-    sides: [Streaks; 2],
+    pub(super) sides: [Streaks; 2],
     incomplete: u32,
     complete: u32,
     fast_enough: u32,
-    unevaluated: u32,
+    pub(super) unevaluated: u32,
     blind: u32,
     /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
@@ -112,25 +99,25 @@ pub(crate) struct Operation {
     /// Throws with features of the current only.
     without_coefficients: u32,
     /// Throws with an implausible temperature or voltage, and throws without.
-    disbelieved: u32,
-    believed: u32,
+    pub(super) disbelieved: u32,
+    pub(super) believed: u32,
     /// The sensor with unusable values, and its last eight throws as bits, 1 for unusable.
-    unusable: Option<(SensorChannel, u8)>,
-    usable: u32,
+    pub(super) unusable: Option<(SensorChannel, u8)>,
+    pub(super) usable: u32,
     /// Throws received since the last gap or irregularity.
-    since_gap: u32,
+    pub(super) since_gap: u32,
     /// Time when the last gap was noticed \[s since 1970\]. A throw received before may have been made before the gap.
-    gap_at_s: u32,
+    pub(super) gap_at_s: u32,
     /// Missing throws since the alarm was raised.
-    lost: u64,
+    pub(super) lost: u64,
     /// Number of them whose messages were refused.
     #[serde(skip_serializing_if = "is_zero")]
-    refused: u64,
-    silence_s: f64,
-    ticked_at: Option<Timestamp>,
-    logger: Logger,
+    pub(super) refused: u64,
+    pub(super) silence_s: f64,
+    pub(super) ticked_at: Option<Timestamp>,
+    pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
-    calm_s: f64,
+    pub(super) calm_s: f64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
@@ -139,7 +126,7 @@ fn is_zero(count: &u64) -> bool {
 }
 
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
-fn unix_s(at: Timestamp) -> u32 {
+pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
 }
 
@@ -220,7 +207,7 @@ impl Operation {
             let event = event(Severity::Warning);
             step.raise(event);
         } else if self.fast_enough >= settings.off_delay_throws {
-            step.clear(Cause::SlowThrow, text::fast_again(step.name));
+            step.clear(Cause::SlowThrow, text::machine(step.name, text::FAST_AGAIN));
         }
     }
 
@@ -262,7 +249,7 @@ impl Operation {
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-                step.clear(Cause::NotMonitored, text::monitored_again(name));
+                step.clear(Cause::NotMonitored, text::machine(name, text::MONITORED_AGAIN));
             }
             return;
         };
@@ -323,154 +310,6 @@ impl Operation {
         sentences.into_iter().flatten().chain(often).collect()
     }
 
-    /// Applies an implausible temperature or supply voltage of a throw; `None` if both are plausible.
-    pub(crate) fn on_sensors(&mut self, implausible: Option<Implausible>, step: &mut Step) {
-        streak(&mut self.disbelieved, implausible.is_some());
-        streak(&mut self.believed, implausible.is_none());
-        if let Some(implausible) = implausible.filter(|_| self.disbelieved >= IMPLAUSIBLE_IN_A_ROW) {
-            let channel = match implausible {
-                Implausible::Supply(_) => SensorChannel::Supply,
-                Implausible::Impossible(_)
-                | Implausible::Jump(..)
-                | Implausible::Missing(_)
-                | Implausible::Stuck(..) => SensorChannel::Temperature,
-            };
-            let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
-            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == IMPLAUSIBLE_IN_A_ROW);
-        } else if self.believed >= step.settings.off_delay_throws
-            && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
-            && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
-        {
-            step.clear(Cause::Sensor, text::sensor_plausible(step.name));
-        }
-    }
-
-    /// Applies the channel that is unusable in a throw; `None` if all are usable.
-    pub(crate) fn on_channel(&mut self, found: Option<Unusable>, step: &mut Step) {
-        let faulty = found.map(Unusable::channel);
-        streak(&mut self.usable, faulty.is_none());
-        let before = self.unusable;
-        if let Some((channel, throws)) = &mut self.unusable {
-            *throws = *throws << 1 | u8::from(faulty == Some(*channel));
-        }
-        let over = self.unusable.is_none_or(|(_, throws)| throws == 0);
-        if let Some(channel) = faulty.filter(|_| over) {
-            self.unusable = Some((channel, 1));
-        }
-        let Some((channel, throws)) = self.unusable else { return };
-        if throws.count_ones() >= UNUSABLE_OF_EIGHT {
-            let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
-            let event = step.sensor(channel, text::sensor_unusable(step.name, found));
-            let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
-            step.alarms.raise_another(Rule::Usual, event, is_new);
-        } else if self.usable >= step.settings.off_delay_throws.max(u8::BITS) {
-            self.unusable = None;
-            if step.alarms.faulty_sensor() == Some(channel) && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual) {
-                step.clear(Cause::Sensor, text::sensor_usable(step.name, channel));
-            }
-        }
-    }
-
-    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence.
-    pub(crate) fn on_tick(&mut self, in_service: bool, step: &mut Step) {
-        let Step { name, at, settings, .. } = *step;
-        let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
-        // The time of the last gap can be in the future only if the clock was set back.
-        self.gap_at_s = self.gap_at_s.min(unix_s(at));
-        self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
-        if !in_service {
-            return;
-        }
-        self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
-        if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
-            // A longer time is that of a restart of the daemon, after which the loggers connect again.
-            *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
-            if *for_s >= 60.0 * settings.logger_gone_minutes {
-                *alarmed |= step.raise(step.warning(Cause::NotMonitored, text::logger_gone(name, *for_s / 60.0)));
-                return;
-            }
-        }
-        if self.is_silent(settings) {
-            step.raise(step.warning(Cause::NotMonitored, text::silent(name, self.silence_s / 3600.0)));
-        }
-    }
-
-    fn is_silent(&self, settings: &Settings) -> bool {
-        self.silence_s >= 3600.0 * settings.not_monitored_hours
-    }
-
-    /// Applies the liveliness of the logger, `there`: whether its token exists. No alarm without an earlier token.
-    pub(crate) fn on_liveliness(&mut self, there: bool, step: &mut Step) {
-        let before = self.logger;
-        self.logger = match before {
-            _ if there => Logger::There,
-            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(step.at) },
-            absent => absent,
-        };
-        let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
-        let enough = step.settings.not_monitored_throws;
-        let monitored = self.unevaluated < enough
-            && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
-            && !self.is_silent(step.settings);
-        if there && alarmed && monitored {
-            step.clear(Cause::NotMonitored, text::logger_back(step.name));
-        }
-    }
-
-    /// Whether the logger has declared a token, even if the token is gone now.
-    pub(crate) fn is_announced(&self) -> bool {
-        self.logger != Logger::Unannounced
-    }
-
-    /// Applies a failure of the daemon to store data; `None` without one. A changed text is a new event, unless only
-    /// its numbers differ or the last event is younger than ten minutes.
-    pub(crate) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
-        if let Some((severity, text)) = trouble {
-            self.calm_s = 0.0;
-            let before = step.alarms.active().find(|event| event.cause == Cause::DataLoss);
-            // A disk at its limit must not make many events.
-            let is_new = before.is_some_and(|event| {
-                let quiet_s = step.at.duration_since(event.event_at).as_secs_f64().abs();
-                quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
-            });
-            let event = step.event(Cause::DataLoss, severity, text.to_owned());
-            if !step.alarms.raise_or_escalate(event) && is_new {
-                step.remark(Cause::DataLoss, text.to_owned());
-            }
-        } else if self.calm_s >= CALM_S {
-            step.clear(Cause::DataLoss, text::daemon_calm());
-        }
-    }
-
-    /// Applies a gap. The alarm states the sum of the gaps since its raise.
-    pub(crate) fn on_gap(&mut self, missing: Missing, step: &mut Step) {
-        if missing.throws == 0 {
-            return;
-        }
-        (self.since_gap, self.gap_at_s) = (0, unix_s(step.at));
-        let before = self.lost;
-        self.lost = before.saturating_add(missing.throws);
-        self.refused = self.refused.saturating_add(missing.refused);
-        let all = Missing { throws: self.lost, refused: self.refused, ..missing };
-        let text = text::gap(step.name, &all, step.at);
-        if !step.alarms.is_active(Cause::DataLoss) {
-            step.raise(step.warning(Cause::DataLoss, text));
-        } else if before == 0 || before.ilog2() != self.lost.ilog2() {
-            // A flapping link must not make an event of each gap: the sum is reported at each power of two.
-            step.remark(Cause::DataLoss, text);
-        }
-    }
-
-    pub(crate) fn on_irregularity(&mut self, irregularity: Irregularity, step: &mut Step) {
-        self.since_gap = 0;
-        let text = match irregularity {
-            Irregularity::RepeatedTrace => text::repeated_trace(step.name),
-            Irregularity::RepeatedNumber => text::repeated_number(step.name),
-            Irregularity::Invalid { count, reason } => text::invalid(step.name, count, reason),
-        };
-        step.raise(step.warning(Cause::DataLoss, text));
-    }
-
     /// Forgets the unusable sensor and the usual direction, after a rebaseline.
     pub(crate) fn forget_channel(&mut self) {
         (self.unusable, self.usable, self.usually_contradicted) = (None, 0, None);
@@ -489,15 +328,5 @@ impl Operation {
             logger: self.logger,
             ..Self::default()
         };
-    }
-}
-
-/// Applies a change of the watched daemons; `away`: a text about unreachable ones, `None` without any.
-pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
-    let cause = Cause::NotMonitored;
-    match away {
-        None => step.clear(cause, text::peers_back()),
-        Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
-        Some(text) => _ = step.raise(step.critical(cause, text)),
     }
 }

@@ -1,13 +1,20 @@
 //! Alarms about the operation, not about a part: incomplete, slow and lost throws, silence, clocks of loggers, two
 //! loggers for one machine, thermometers, and the weather of a site.
 
-pub(super) mod alarms;
+mod alarms;
 pub(super) mod boots;
+mod logger;
 mod logger_clock;
+mod sensors;
 pub(super) mod site;
 mod thermometer;
 
 pub(super) use alarms::Operation;
 pub(super) use boots::Boots;
+pub(super) use logger::on_peers;
+
+use self::alarms::{Logger, unix_s};
 pub(super) use logger_clock::LoggerClock;
+pub use site::Common;
+pub(super) use site::Trail;
 pub(super) use thermometer::{Implausible, Thermometer};

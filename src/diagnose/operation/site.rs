@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::diagnose::{
     AlarmEvent, Cause,
     alarm::Step,
-    statistics::{Last, median, percent},
+    statistics::{LastValues, median, percent},
     text,
 };
 
@@ -54,7 +54,7 @@ impl Common {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Trail {
     /// Time, and departure of ln b0, ln a1, ln a0; the oldest first.
-    last: Last<(Timestamp, [f32; 3]), KEPT>,
+    last: LastValues<(Timestamp, [f32; 3]), KEPT>,
     /// Standard deviations of one throw.
     sd: [f32; 3],
 }

@@ -3,21 +3,22 @@
 mod autoregression;
 mod correlation;
 mod counts;
-mod last;
+mod last_values;
 mod level;
 mod persistence;
-mod rare;
 mod regression;
 mod robust;
 mod scatter;
+mod sparse_values;
 pub(super) mod sym3;
 
 pub(super) use autoregression::ln_sum;
 pub use correlation::Correlation;
 pub(super) use counts::{LONGEST_WINDOW, WINDOWS, streak};
-pub(super) use last::Last;
+pub(super) use last_values::LastValues;
 pub(super) use level::{Level, percent};
-pub(super) use rare::Rare;
 pub(super) use regression::Series;
 pub(super) use robust::{centre_and_sd, clipped_mean, median, moving_range_sd, skewed_sd};
 pub(super) use scatter::{Factor, Noise, SLOW_LAG1, Scatter, inflation, serial_inflation};
+pub(super) use sparse_values::SparseValues;
+pub(super) use sym3::Sym3;

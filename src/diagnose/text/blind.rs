@@ -39,9 +39,7 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     )
 }
 
-pub(crate) fn monitored_again(name: &str) -> String {
-    format!("Machine {name}: it is monitored again.")
-}
+pub(crate) const MONITORED_AGAIN: &str = "it is monitored again.";
 
 /// Text for a machine that is monitored, with many rejected throws.
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
@@ -80,13 +78,10 @@ pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
 }
 
 /// Text for a machine without a baseline of its coefficients.
-pub(crate) fn only_features(name: &str) -> String {
-    format!(
-        "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running \
-         current, charge and travel are monitored. A change of these is reported without its cause. \
-         throws_not_evaluated has the reason of each throw."
-    )
-}
+pub(crate) const ONLY_FEATURES: &str = "\
+    its throws do not give the complete coefficients of a baseline, so only duration, running current, charge and \
+    travel are monitored. A change of these is reported without its cause. throws_not_evaluated has the reason of \
+    each throw.";
 
 /// Text for a machine whose neutral position seems to be `off_mm` from the configured one, towards reverse if positive.
 /// `is_corrected`: whether the drifts are corrected for this.

@@ -16,18 +16,13 @@ pub(crate) fn orphaned(name: &str) -> String {
 }
 
 /// Text for a machine whose stored monitor cannot be read.
-pub(crate) fn unread(name: &str) -> String {
-    format!(
-        "Machine {name}: this version of pointsd cannot read the stored baselines and alarms of the machine, so it \
-         learns a new baseline. The stored data are kept: install the version of pointsd that wrote them, or inspect \
-         the machine and take a new baseline (rebaseline)."
-    )
-}
+pub(crate) const UNREAD: &str = "\
+    this version of pointsd cannot read the stored baselines and alarms of the machine, so it learns a new baseline. \
+    The stored data are kept: install the version of pointsd that wrote them, or inspect the machine and take a new \
+    baseline (rebaseline).";
 
 /// Text for an alarm whose rule starts anew, after maintenance or with a new baseline.
-pub(crate) fn checked_anew(name: &str) -> String {
-    format!("Machine {name}: this alarm ends. The next throws raise it again if its reason still exists.")
-}
+pub(crate) const CHECKED_ANEW: &str = "this alarm ends. The next throws raise it again if its reason still exists.";
 
 /// Text of an alarm at the end of maintenance; `before`: its text until then.
 pub(crate) fn before_maintenance(before: &str) -> String {
@@ -50,9 +45,7 @@ pub(crate) fn retired(name: &str, by: &str, why: &str) -> String {
     format!("Machine {name} is no longer monitored ({by}: {why}).")
 }
 
-pub(crate) fn daemon_calm() -> String {
-    "pointsd stores all data again.".to_owned()
-}
+pub(crate) const DAEMON_CALM: &str = "pointsd stores all data again.";
 
 /// Text about watched daemons that cannot be reached.
 pub(crate) fn peers_away(Away { daemons: away, has_link }: &Away) -> String {
@@ -77,6 +70,4 @@ pub(crate) fn peers_away(Away { daemons: away, has_link }: &Away) -> String {
     )
 }
 
-pub(crate) fn peers_back() -> String {
-    "All watched daemons can be reached again.".to_owned()
-}
+pub(crate) const PEERS_BACK: &str = "All watched daemons can be reached again.";

@@ -35,9 +35,7 @@ pub(crate) fn two_loggers(name: &str, [first, second]: &[String; 2], hours: i64)
     )
 }
 
-pub(crate) fn right_clock(name: &str) -> String {
-    format!("Machine {name}: the clock of the logger is right again.")
-}
+pub(crate) const RIGHT_CLOCK: &str = "the clock of the logger is right again.";
 
 /// Text for a logger that sends fields with impossible values.
 pub(crate) fn unused_fields(name: &str, sentence: &str) -> String {
@@ -45,12 +43,9 @@ pub(crate) fn unused_fields(name: &str, sentence: &str) -> String {
 }
 
 /// Text for a logger that names other directions than those of the movement.
-pub(crate) fn contradicted(name: &str) -> String {
-    format!(
-        "Machine {name}: the logger names another direction than the position shows. The position must rise from \
-         normal to reverse. pointsd uses the position: correct its sign, or the directions of the logger."
-    )
-}
+pub(crate) const CONTRADICTED: &str = "\
+    the logger names another direction than the position shows. The position must rise from normal to reverse. \
+    pointsd uses the position: correct its sign, or the directions of the logger.";
 
 pub(crate) fn silent(name: &str, hours: f64) -> String {
     let length = if hours < 0.95 {
@@ -76,9 +71,7 @@ pub(crate) fn logger_gone(name: &str, minutes: f64) -> String {
     )
 }
 
-pub(crate) fn logger_back(name: &str) -> String {
-    format!("Machine {name}: its logger is connected again.")
-}
+pub(crate) const LOGGER_BACK: &str = "its logger is connected again.";
 
 /// Text for missing throws; `at`: time of the count.
 pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
@@ -116,12 +109,9 @@ pub(crate) fn no_gap(name: &str, throws: u32) -> String {
     format!("Machine {name}: none of the last {} was lost, invalid or a repetition.", counted(throws, "throw"))
 }
 
-pub(crate) fn repeated_number(name: &str) -> String {
-    format!(
-        "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have \
-         the same number. They are stored and judged. Give the logger a new boot_id at each start."
-    )
-}
+pub(crate) const REPEATED_NUMBER: &str = "\
+    its logger restarted without a new boot_id, or its counter is stuck: different throws have the same number. They \
+    are stored and judged. Give the logger a new boot_id at each start.";
 
 #[cfg(test)]
 mod tests {

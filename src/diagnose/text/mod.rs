@@ -16,6 +16,11 @@ pub(super) use throws::*;
 
 use crate::throw::Direction;
 
+/// A text about a machine without details.
+pub(super) fn machine(name: &str, sentence: &str) -> String {
+    format!("Machine {name}: {sentence}")
+}
+
 /// "Machine 21B, normal to reverse"; "Machine 21B" for both directions.
 pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     match direction {

@@ -153,9 +153,7 @@ pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String
     format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")
 }
 
-pub(crate) fn sensor_plausible(name: &str) -> String {
-    format!("Machine {name}: the sensors of temperature and supply voltage are plausible again.")
-}
+pub(crate) const SENSOR_PLAUSIBLE: &str = "the sensors of temperature and supply voltage are plausible again.";
 
 pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
     let (what, check) = match found {

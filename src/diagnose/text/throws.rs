@@ -2,7 +2,10 @@
 
 use super::subject;
 use crate::{
-    diagnose::gauges::{Change, Gauge, StartChange},
+    diagnose::{
+        gauges::{Change, Gauge},
+        statistics::Level,
+    },
     throw::Direction,
 };
 
@@ -35,9 +38,7 @@ pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) ->
     )
 }
 
-pub(crate) fn fast_again(name: &str) -> String {
-    format!("Machine {name}: throws are as fast as the baseline's again.")
-}
+pub(crate) const FAST_AGAIN: &str = "throws are as fast as the baseline's again.";
 
 /// Text for changed features of throws without coefficients, over `throws` throws of a direction.
 pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String {
@@ -64,9 +65,8 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
     )
 }
 
-/// Text for a changed start of the movement, over the last `throws`.
-pub(crate) fn start(name: &str, change: &StartChange, throws: usize) -> String {
-    let StartChange { delay, gain, running, .. } = change;
+/// Text for a changed start of the movement, over the last `throws`: delay of the toe \[ms\], acceleration, current.
+pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usize) -> String {
     let moves = if delay.value.abs() < 0.05 {
         format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
     } else {
@@ -85,30 +85,19 @@ pub(crate) fn start(name: &str, change: &StartChange, throws: usize) -> String {
     )
 }
 
-pub(crate) fn repeated_trace(name: &str) -> String {
-    format!(
-        "Machine {name}: the logger repeats itself: it sends the same recordings again, so the machine itself is not \
-         monitored. Check the recorder."
-    )
-}
+pub(crate) const REPEATED_TRACE: &str = "\
+    the logger repeats itself: it sends the same recordings again, so the machine itself is not monitored. Check the \
+    recorder.";
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::statistics::Level;
 
     #[test]
     fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
         let of = |delay_ms: f64| {
             let level = |value: f64, sd: f64| Level { value, sd };
-            let change = StartChange {
-                delay: level(delay_ms, 0.2),
-                gain: level(-0.3, 0.02),
-                running: level(0.0, 0.01),
-                of_motor_ms: 0.0,
-                lost_inrush: 0.0,
-            };
-            start("21B", &change, 12)
+            start("21B", [level(delay_ms, 0.2), level(-0.3, 0.02), level(0.0, 0.01)], 12)
         };
         assert!(of(-0.04).contains("the toe moves as soon as usual (±0.4 ms) after the start"), "{}", of(-0.04));
         assert!(of(-2.0).contains("the toe moves 2.0 ms (±0.4 ms) earlier after the start"), "{}", of(-2.0));

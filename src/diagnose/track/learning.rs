@@ -14,7 +14,7 @@ use crate::{
             trend, wet_spells,
         },
         observation::Evaluated,
-        statistics::{WINDOWS, sym3::Sym3},
+        statistics::{Sym3, WINDOWS},
     },
     estimate::Grade,
     throw::Direction,
@@ -104,7 +104,7 @@ impl Tracks {
         let track = &mut self.sides[throw.direction.side()];
         if !track.becomes_of_ratios(order, throw, settings) {
             let is_other = !track.of_ratios && throw.grade == Grade::Rough;
-            if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
+            if is_other || track.is_final(settings) {
                 return Vec::new();
             }
             track.aside.push(BaselineThrow::new(order, throw));
@@ -138,7 +138,7 @@ impl Tracks {
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
         // A trend that the last throws end was chance. It was chance in the other baseline too, which is taken again.
-        let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
+        let is_final = track.is_final(settings);
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];
         let had_trend = |baseline: &Baseline| baseline.is_final(settings) && baseline.has_trend();
@@ -216,7 +216,7 @@ impl Tracks {
     fn learn_mixed(&mut self, settings: &Settings) {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
-        let done = first.is_final(settings) && second.is_final(settings);
+        let done = self.sides.iter().all(|track| track.is_final(settings));
         if self.are_comparable() {
             let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
             self.mixed = Some(Mixed::new(scatter, settings));

@@ -16,7 +16,7 @@ use super::{
         visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
-    statistics::{Scatter, WINDOWS, median, sym3::Sym3},
+    statistics::{Scatter, Sym3, WINDOWS, median},
 };
 use crate::{estimate::Estimate, throw::Direction};
 
@@ -43,6 +43,13 @@ struct Track {
     /// Whether the throws are compared by their ratios only, as many throws have no reliable common scale.
     of_ratios: bool,
     rough: RoughErrors,
+}
+
+impl Track {
+    /// Whether the baseline has all its throws.
+    fn is_final(&self, settings: &Settings) -> bool {
+        self.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings))
+    }
 }
 
 /// Throws of a direction before its first baseline. They decide whether the direction compares ratios only.
@@ -403,9 +410,8 @@ impl Tracks {
 
     /// Whether a baseline is incomplete and has throws already.
     pub(super) fn is_learning(&self, settings: &Settings) -> bool {
-        let is_final = |track: &Track| track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let has_throws = |track: &Track| !track.learned.is_empty() || !track.aside.is_empty();
-        self.sides.iter().any(|track| has_throws(track) && !is_final(track))
+        self.sides.iter().any(|track| has_throws(track) && !track.is_final(settings))
     }
 
     /// Centres of the baselines of both directions: of coefficients or ratios, and of the duration \[s\].

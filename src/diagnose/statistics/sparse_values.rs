@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 /// The last throws, with a value for some of them. In a snapshot, a list with `null` for the throws without.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(from = "Vec<Option<[f32; 3]>>", into = "Vec<Option<[f32; 3]>>")]
-pub(crate) struct Rare {
+pub(crate) struct SparseValues {
     throws: u32,
     /// The values, the oldest first, each with its age: the number of throws after it.
     values: Vec<(u32, [f32; 3])>,
 }
 
-impl Rare {
+impl SparseValues {
     /// Number of throws, with and without a value.
     pub(crate) fn throws(&self) -> u32 {
         self.throws
@@ -41,21 +41,21 @@ impl Rare {
     }
 }
 
-impl From<Vec<Option<[f32; 3]>>> for Rare {
+impl From<Vec<Option<[f32; 3]>>> for SparseValues {
     fn from(all: Vec<Option<[f32; 3]>>) -> Self {
-        let mut rare = Self::default();
+        let mut sparse = Self::default();
         for value in all {
-            rare.push(value);
+            sparse.push(value);
         }
-        rare
+        sparse
     }
 }
 
-impl From<Rare> for Vec<Option<[f32; 3]>> {
-    fn from(rare: Rare) -> Self {
-        let mut all = vec![None; rare.throws as usize];
-        for (age, value) in rare.values {
-            all[(rare.throws - 1 - age) as usize] = Some(value);
+impl From<SparseValues> for Vec<Option<[f32; 3]>> {
+    fn from(sparse: SparseValues) -> Self {
+        let mut all = vec![None; sparse.throws as usize];
+        for (age, value) in sparse.values {
+            all[(sparse.throws - 1 - age) as usize] = Some(value);
         }
         all
     }
@@ -67,19 +67,19 @@ mod tests {
 
     #[test]
     fn values_are_those_of_the_last_throws() {
-        let mut rare = Rare::default();
+        let mut sparse = SparseValues::default();
         let mut all = Vec::new();
         for throw in 0..40_u8 {
             let value = throw.is_multiple_of(7).then(|| [f32::from(throw); 3]);
-            rare.push(value);
+            sparse.push(value);
             all.push(value);
-            if rare.throws() > 15 {
-                assert_eq!(rare.pop_oldest(), all.remove(0));
+            if sparse.throws() > 15 {
+                assert_eq!(sparse.pop_oldest(), all.remove(0));
             }
-            assert_eq!(Vec::from(rare.clone()), all);
-            assert_eq!(Rare::from(all.clone()), rare);
+            assert_eq!(Vec::from(sparse.clone()), all);
+            assert_eq!(SparseValues::from(all.clone()), sparse);
             let last = (0..10).zip(all.iter().rev()).filter_map(|(age, value)| Some((age, (*value)?)));
-            assert_eq!(rare.last(10).copied().collect::<Vec<_>>(), last.collect::<Vec<_>>());
+            assert_eq!(sparse.last(10).copied().collect::<Vec<_>>(), last.collect::<Vec<_>>());
         }
     }
 }

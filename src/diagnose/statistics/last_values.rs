@@ -8,9 +8,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 /// most of the memory of a large fleet.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
-pub(crate) struct Last<T, const N: usize>(Vec<T>);
+pub(crate) struct LastValues<T, const N: usize>(Vec<T>);
 
-impl<T, const N: usize> Last<T, N> {
+impl<T, const N: usize> LastValues<T, N> {
     /// Adds a value. Returns the oldest one if the list was full.
     pub(crate) fn push(&mut self, value: T) -> Option<T> {
         let oldest = if self.len() == N { self.pop_oldest() } else { None };
@@ -34,13 +34,13 @@ impl<T, const N: usize> Last<T, N> {
     }
 }
 
-impl<T, const N: usize> Default for Last<T, N> {
+impl<T, const N: usize> Default for LastValues<T, N> {
     fn default() -> Self {
         Self(Vec::new())
     }
 }
 
-impl<T, const N: usize> Deref for Last<T, N> {
+impl<T, const N: usize> Deref for LastValues<T, N> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
@@ -48,13 +48,13 @@ impl<T, const N: usize> Deref for Last<T, N> {
     }
 }
 
-impl<T, const N: usize> DerefMut for Last<T, N> {
+impl<T, const N: usize> DerefMut for LastValues<T, N> {
     fn deref_mut(&mut self) -> &mut [T] {
         &mut self.0
     }
 }
 
-impl<T, const N: usize> FromIterator<T> for Last<T, N> {
+impl<T, const N: usize> FromIterator<T> for LastValues<T, N> {
     fn from_iter<I: IntoIterator<Item = T>>(values: I) -> Self {
         let mut values: Vec<T> = values.into_iter().collect();
         values.drain(..values.len().saturating_sub(N));
@@ -63,7 +63,7 @@ impl<T, const N: usize> FromIterator<T> for Last<T, N> {
     }
 }
 
-impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for Last<T, N> {
+impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for LastValues<T, N> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         Ok(Vec::deserialize(from)?.into_iter().collect())
     }
@@ -75,10 +75,10 @@ mod tests {
 
     #[test]
     fn the_last_values_stay_in_memory_for_no_more() {
-        let mut last = Last::<u32, 3>::default();
+        let mut last = LastValues::<u32, 3>::default();
         assert_eq!([1, 2, 3, 4, 5].map(|value| last.push(value)), [None, None, None, Some(1), Some(2)]);
         assert_eq!(serde_json::to_string(&last).unwrap(), "[3,4,5]");
-        let read: Last<u32, 3> = serde_json::from_str("[1,2,3,4,5]").unwrap();
+        let read: LastValues<u32, 3> = serde_json::from_str("[1,2,3,4,5]").unwrap();
         assert_eq!(read, last);
         assert_eq!([last.0.capacity(), read.0.capacity()], [3, 3]);
     }
