@@ -60,7 +60,7 @@ impl Identifier {
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
         match held::resampled(&throw.trace) {
             None => self.identify_sampled(throw, 1.0, settings),
-            Some(held::Resampled { trace, position_every }) => {
+            Some((trace, position_every)) => {
                 self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings)
             }
         }
@@ -304,7 +304,7 @@ fn sent_position(trace: &Trace) -> &'static str {
 
 /// Rejects settings out of range, and a trace that is too short.
 fn usable(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
-    settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() })?;
+    settings.check_ranges().map_err(|error| Rejection::BadSettings { problem: error.to_string() })?;
     long_enough(movement.current_a.len(), movement.interval_s)
 }
 
@@ -314,7 +314,7 @@ fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection
         outcome,
         Err(Rejection::NoMovement
             | Rejection::NotFinite { channel: Channel::Position, .. }
-            | Rejection::Implausible { channel: Channel::Position, .. }
+            | Rejection::ImplausibleValue { channel: Channel::Position, .. }
             | Rejection::Noisy { channel: Channel::Position, .. }
             | Rejection::PositionJump { .. })
     );

@@ -80,9 +80,7 @@ pub enum Rejection {
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
          unit ({field})", brief(rounded(*.value)), field = .channel.field()
     )]
-    #[serde(rename = "implausible_value")]
-    #[strum(serialize = "implausible_value")]
-    Implausible {
+    ImplausibleValue {
         /// Which channel.
         channel: Channel,
         /// Time of this sample from the start of the trace \[s\].
@@ -363,9 +361,7 @@ pub enum Rejection {
     },
     /// A setting is out of its range.
     #[error("the setting {problem}")]
-    #[serde(rename = "bad_settings")]
-    #[strum(serialize = "bad_settings")]
-    Settings {
+    BadSettings {
         /// The setting, its value and its range.
         problem: String,
     },
@@ -421,7 +417,7 @@ impl Rejection {
     pub fn faulty_channel(&self) -> Option<Channel> {
         match self {
             Self::NotFinite { channel, .. }
-            | Self::Implausible { channel, .. }
+            | Self::ImplausibleValue { channel, .. }
             | Self::Clipped { channel, .. }
             | Self::Stuck { channel, .. }
             | Self::Noisy { channel, .. } => Some(*channel),
