@@ -52,7 +52,6 @@ struct Buffers {
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
-    free: Vec<f64>,
 }
 
 impl Identifier {
@@ -128,15 +127,15 @@ impl Identifier {
             _ => {}
         }
         add_supply(&mut features, throw);
-        if undamaged && settings.motor == Motor::PermanentMagnet {
-            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
-        }
-        if undamaged {
+        if undamaged && movement.sign != 0.0 && interval_s * armature::LEAST_RATE_HZ <= 1.0 {
+            if settings.motor == Motor::PermanentMagnet {
+                armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
+            }
             features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {
             (features.start_delay_s, features.start_gain) =
-                start::find(&buffers.window, estimate.ratios(), &mut buffers.free).unzip();
+                start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free).unzip();
         }
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
             outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)

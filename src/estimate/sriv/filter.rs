@@ -31,13 +31,12 @@
 //! powers of a fast pole do not dominate. The companion matrix in this time is that of `a_i` / ρ^i.
 
 use nalgebra::{SMatrix, SVector};
-use serde::{Deserialize, Serialize};
 
 use super::polynomial::{normalised, root_radius};
 use crate::estimate::matrix::invert;
 
 /// The values of a signal between two samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Hold {
     /// Constant until the next sample: for a held input (zero-order hold).
     Zero,
