@@ -442,7 +442,7 @@ mod tests {
 
     #[test]
     fn measured_values_in_a_reason_have_six_digits() {
-        let value = Rejection::Implausible { channel: Channel::Current, at_s: 0.1, value: 188_776.123_456_7 };
+        let value = Rejection::ImplausibleValue { channel: Channel::Current, at_s: 0.1, value: 188_776.123_456_7 };
         assert!(value.to_string().contains("at 0.100 s is 188776, "), "{value}");
         let slow = Rejection::TooSlow { duration_s: 60.0, longest_s: 30.0, rate_hz: 1.0 / 0.03 };
         assert!(slow.to_string().ends_with("check sample_rate_hz, 33.3333 Hz"), "{slow}");
