@@ -19,18 +19,15 @@ use nalgebra::{Matrix4, Vector4};
 use super::{features::Features, trace::movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush \[Hz\]: it gives 60 samples in the 0.3 s of the inrush.
-const LEAST_RATE_HZ: f64 = 200.0;
+pub(super) const LEAST_RATE_HZ: f64 = 200.0;
 /// The toe counts as moving after this share of its travel (0.3 mm of 115 mm), and after this many standard deviations
 /// of the position's noise.
-const MOVES_SHARE: f64 = 0.0026;
-const MOVES_SD: f64 = 5.0;
+pub(super) const MOVES_SHARE: f64 = 0.0026;
+pub(super) const MOVES_SD: f64 = 5.0;
 
 /// Adds the no-load speed to the features of a throw; with a supply voltage, also resistance and back-EMF constant.
 pub(super) fn add_constants(features: &mut Features, supply_v: Option<f64>, movement: &Movement<'_>, lead_mm: f64) {
     let interval_s = movement.interval_s;
-    if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
-        return;
-    }
     let radians_per_mm = std::f64::consts::TAU / lead_mm;
     let drive = movement.drive();
     let (start, end) = (movement.start(), movement.near_end);

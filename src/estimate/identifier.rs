@@ -52,7 +52,6 @@ struct Buffers {
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
-    free: Vec<f64>,
 }
 
 impl Identifier {
@@ -60,7 +59,7 @@ impl Identifier {
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
         match held::resampled(&throw.trace) {
             None => self.identify_sampled(throw, 1.0, settings),
-            Some(held::Resampled { trace, position_every }) => {
+            Some((trace, position_every)) => {
                 self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings)
             }
         }
@@ -128,15 +127,15 @@ impl Identifier {
             _ => {}
         }
         add_supply(&mut features, throw);
-        if undamaged && settings.motor == Motor::PermanentMagnet {
-            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
-        }
-        if undamaged {
+        if undamaged && movement.sign != 0.0 && interval_s * armature::LEAST_RATE_HZ <= 1.0 {
+            if settings.motor == Motor::PermanentMagnet {
+                armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
+            }
             features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {
             (features.start_delay_s, features.start_gain) =
-                start::find(&buffers.window, estimate.ratios(), &mut buffers.free).unzip();
+                start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free).unzip();
         }
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
             outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
@@ -304,7 +303,7 @@ fn sent_position(trace: &Trace) -> &'static str {
 
 /// Rejects settings out of range, and a trace that is too short.
 fn usable(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
-    settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() })?;
+    settings.check_ranges().map_err(|error| Rejection::BadSettings { problem: error.to_string() })?;
     long_enough(movement.current_a.len(), movement.interval_s)
 }
 
@@ -314,7 +313,7 @@ fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection
         outcome,
         Err(Rejection::NoMovement
             | Rejection::NotFinite { channel: Channel::Position, .. }
-            | Rejection::Implausible { channel: Channel::Position, .. }
+            | Rejection::ImplausibleValue { channel: Channel::Position, .. }
             | Rejection::Noisy { channel: Channel::Position, .. }
             | Rejection::PositionJump { .. })
     );

@@ -1,5 +1,8 @@
 //! The estimator: from a throw to b0, a1, a0 with their covariance (SRIV in continuous time).
 //!
+//! "Equation (n)" in this crate is that of Dutta, Ambur, Hamadache, Olaby, Shih, Stewart, Dixon: Health monitoring of a
+//! railway track switch actuator based on continuous-time parameter estimation method.
+//!
 //! An [`Identifier`] makes an [`Identification`] from a throw: it calls the stages in their order.
 //!
 //! | module | contents |

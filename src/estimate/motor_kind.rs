@@ -24,6 +24,7 @@
 use nalgebra::{Matrix4, Vector4};
 
 use super::{
+    armature::{MOVES_SD, MOVES_SHARE},
     settings::Motor,
     trace::{
         movement::Movement,
@@ -31,12 +32,6 @@ use super::{
     },
 };
 
-/// Lowest sampling rate that resolves the inrush, as for the constants of the armature \[Hz\].
-const LEAST_RATE_HZ: f64 = 200.0;
-/// Travel at which the toe counts as moving, as part of the whole travel.
-const MOVES_SHARE: f64 = 0.0026;
-/// Travel at which the toe counts as moving, in standard deviations of the position's noise.
-const MOVES_SD: f64 = 5.0;
 /// Largest residual of the better equation, as part of the duration. A motor that drives the toe by a crank leaves
 /// more.
 const LARGEST_RESIDUAL: f64 = 1.5e-3;
@@ -66,15 +61,16 @@ const ROWS: usize = 250;
 /// The kind of motor; `None` if the throw does not decide it.
 pub(super) fn shown(movement: &Movement<'_>) -> Option<Motor> {
     let (start, end) = (movement.start(), movement.near_end);
-    if movement.interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 || end < start + 2 * BLOCKS {
+    if end < start + 2 * BLOCKS {
         return None;
     }
-    let way = Way { movement, drive: movement.drive(), start, len: end - start };
+    let current_a = &movement.current_a[start..=end];
+    let way = Way { movement, drive: movement.drive(), current_a, position_mm: &movement.position_mm[start..=end] };
     let [magnets, series] = way.residuals()?;
     let inrush = way.inrush_of_standstill()?;
     let is_series = series < LARGEST_OF_SERIES * magnets && inrush > INRUSH_OF_SERIES
         || series < magnets && inrush > INRUSH_OF_MAGNETS;
-    if magnets.min(series) > LARGEST_RESIDUAL * way.len as f64 * movement.interval_s {
+    if magnets.min(series) > LARGEST_RESIDUAL * way.len() as f64 * movement.interval_s {
         None
     } else if is_series {
         Some(Motor::Series)
@@ -90,32 +86,37 @@ struct Way<'a> {
     movement: &'a Movement<'a>,
     /// Sign of the driving current.
     drive: f64,
-    /// First sample, and number of samples after it.
-    start: usize,
-    len: usize,
+    /// The channels on this way.
+    current_a: &'a [f64],
+    position_mm: &'a [f64],
 }
 
 impl Way<'_> {
+    /// Number of samples after the first one.
+    fn len(&self) -> usize {
+        self.current_a.len() - 1
+    }
+
     /// Current \[A\], positive if it drives.
     fn current(&self, sample: usize) -> f64 {
-        self.drive * (self.movement.current_a[self.start + sample] - self.movement.current.mean)
+        self.drive * (self.current_a[sample] - self.movement.current.mean)
     }
 
     /// Travelled part of the whole, which is proportional to the angle of the motor.
     fn done(&self, sample: usize) -> f64 {
-        self.movement.progress_mm(self.start + sample) / self.movement.travel_mm
+        self.movement.sign * (self.position_mm[sample] - self.movement.position.mean) / self.movement.travel_mm
     }
 
     /// Root mean square residuals of the armature's equation with magnets and with a series motor \[s\].
     fn residuals(&self) -> Option<[f64; 2]> {
         let interval_s = self.movement.interval_s;
         let moves = MOVES_SHARE.max(MOVES_SD * self.movement.position.sd / self.movement.travel_mm);
-        let every = (self.len / ROWS).max(1);
+        let every = (self.len() / ROWS).max(1);
         // Sums of the products of charge, current, 1, angle, ∫i dθ and time; only i <= j.
         let (mut sums, mut charge, mut turned, mut rows) = ([[0.0; 6]; 6], 0.0, 0.0, 0.0);
         let mut last = [self.current(0), self.done(0)];
         let mut has_moved = false;
-        for k in 1..=self.len {
+        for k in 1..=self.len() {
             let now = [self.current(k), self.done(k)];
             let between = f64::midpoint(last[0], now[0]);
             charge += between * interval_s;
@@ -149,14 +150,14 @@ impl Way<'_> {
     fn inrush_of_standstill(&self) -> Option<f64> {
         let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
         let place = |from: usize, to: usize| mean((from..to).map(|k| self.done(k)));
-        let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len);
+        let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len());
         let (mut inrush, mut sum) = (0.0_f64, 0.0);
-        for k in 0..=self.len {
+        for k in 0..=self.len() {
             sum += self.current(k) - if k < ripple { 0.0 } else { self.current(k - ripple) };
             inrush = inrush.max(sum / ripple as f64);
         }
-        let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
-        let length = (self.len - from) / BLOCKS;
+        let from = samples_in(SKIPPED_SHARE * self.len() as f64, 1.0);
+        let length = (self.len() - from) / BLOCKS;
         let quarter = (length / 4).max(1);
         if length <= quarter {
             return None;

@@ -80,9 +80,7 @@ pub enum Rejection {
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
          unit ({field})", brief(rounded(*.value)), field = .channel.field()
     )]
-    #[serde(rename = "implausible_value")]
-    #[strum(serialize = "implausible_value")]
-    Implausible {
+    ImplausibleValue {
         /// Which channel.
         channel: Channel,
         /// Time of this sample from the start of the trace \[s\].
@@ -363,9 +361,7 @@ pub enum Rejection {
     },
     /// A setting is out of its range.
     #[error("the setting {problem}")]
-    #[serde(rename = "bad_settings")]
-    #[strum(serialize = "bad_settings")]
-    Settings {
+    BadSettings {
         /// The setting, its value and its range.
         problem: String,
     },
@@ -421,7 +417,7 @@ impl Rejection {
     pub fn faulty_channel(&self) -> Option<Channel> {
         match self {
             Self::NotFinite { channel, .. }
-            | Self::Implausible { channel, .. }
+            | Self::ImplausibleValue { channel, .. }
             | Self::Clipped { channel, .. }
             | Self::Stuck { channel, .. }
             | Self::Noisy { channel, .. } => Some(*channel),
@@ -446,7 +442,7 @@ mod tests {
 
     #[test]
     fn measured_values_in_a_reason_have_six_digits() {
-        let value = Rejection::Implausible { channel: Channel::Current, at_s: 0.1, value: 188_776.123_456_7 };
+        let value = Rejection::ImplausibleValue { channel: Channel::Current, at_s: 0.1, value: 188_776.123_456_7 };
         assert!(value.to_string().contains("at 0.100 s is 188776, "), "{value}");
         let slow = Rejection::TooSlow { duration_s: 60.0, longest_s: 30.0, rate_hz: 1.0 / 0.03 };
         assert!(slow.to_string().ends_with("check sample_rate_hz, 33.3333 Hz"), "{slow}");

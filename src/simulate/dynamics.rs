@@ -65,7 +65,7 @@ pub(super) struct Step {
     /// Effect of 1 N in the toe drive: on the toe, and against the screw.
     pub drive: State,
     /// Effect of a unit force on each mode.
-    modal: [State; MAX_MODES],
+    pub modal: [State; MAX_MODES],
 }
 
 impl Step {
@@ -115,14 +115,10 @@ impl Step {
         }
         next
     }
-
-    /// Effect of 1 N on the rails at a place where the modes have these deflections.
-    pub(super) fn shaped(&self, shape: &[f64; MAX_MODES]) -> State {
-        shaped(&self.modal, shape)
-    }
 }
 
-fn shaped(modal: &[State; MAX_MODES], shape: &[f64; MAX_MODES]) -> State {
+/// Effect of 1 N on the rails at a place where the modes have these deflections; `modal` is that of [`Step`].
+pub(super) fn shaped(modal: &[State; MAX_MODES], shape: &[f64; MAX_MODES]) -> State {
     let mut effect = [0.0; STATES];
     for (column, weight) in modal.iter().zip(shape) {
         add_scaled(&mut effect, column, *weight);

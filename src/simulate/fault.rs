@@ -132,7 +132,7 @@ impl Parameters {
     /// When a parameter is out of its range.
     pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
-        let loads = self.loads(&self.rails.modes());
+        let loads = self.loads();
         let mut worn = self.clone();
         worn.add_friction(condition.friction, &loads);
         worn.torque_constant *= condition.kt;

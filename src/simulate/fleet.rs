@@ -179,25 +179,6 @@ impl SimulatedThrow {
     }
 }
 
-/// A first-order autoregressive process of unit variance.
-#[derive(Debug, Clone, Copy)]
-struct Autoregression {
-    correlation: f64,
-    value: f64,
-}
-
-impl Autoregression {
-    fn new(correlation: f64, rng: &mut ChaCha12Rng) -> Self {
-        Self { correlation, value: normal(rng) }
-    }
-
-    fn next(&mut self, rng: &mut ChaCha12Rng) -> f64 {
-        let value = self.value;
-        self.value = self.correlation * value + (1.0 - self.correlation.powi(2)).sqrt() * normal(rng);
-        value
-    }
-}
-
 /// A machine of a fleet, with its own random number generator.
 #[derive(Debug, Clone)]
 pub struct SimulatedMachine {
@@ -208,8 +189,8 @@ pub struct SimulatedMachine {
     /// The faults, each with the sum of the steps of its random walk so far.
     faults: Vec<(Fault, f64)>,
     incidents: Vec<Incident>,
-    /// Scatter of torque per ampere, friction, stiffness and supply voltage.
-    deviations: [Autoregression; 4],
+    /// Deviations of torque per ampere, friction, stiffness and supply voltage in the next throw \[standard deviations\].
+    deviations: [f64; 4],
     throw_index: u64,
     rng: ChaCha12Rng,
 }
@@ -277,7 +258,13 @@ impl SimulatedMachine {
     fn scatter(&mut self) -> [f64; 4] {
         let sizes =
             [self.scatter.kt_pct, self.scatter.friction_pct, self.scatter.stiffness_pct, self.scatter.supply_pct];
-        std::array::from_fn(|at| (sizes[at] / 100.0 * self.deviations[at].next(&mut self.rng)).exp())
+        let correlation = self.scatter.correlation;
+        std::array::from_fn(|at| {
+            let deviation = &mut self.deviations[at];
+            let factor = (sizes[at] / 100.0 * *deviation).exp();
+            *deviation = correlation * *deviation + (1.0 - correlation.powi(2)).sqrt() * normal(&mut self.rng);
+            factor
+        })
     }
 }
 
@@ -373,7 +360,7 @@ impl FleetSettings {
         parameters.back_emf_constant *= kt;
         parameters.scale_friction(friction);
         parameters.rails.bending_stiffness_n_m2 *= stiffness;
-        let deviations = std::array::from_fn(|_| Autoregression::new(self.scatter.correlation, &mut rng));
+        let deviations = std::array::from_fn(|_| normal(&mut rng));
         Ok(SimulatedMachine {
             parameters,
             sensors: self.sensors.clone(),

@@ -6,7 +6,7 @@
 //! complementarity problem. Projected Gauss-Seidel iteration solves it, from the forces of the previous step. Nearly
 //! always all contacts slide: then these forces already satisfy the law, and nothing is solved.
 
-use super::dynamics::{MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled, speed};
+use super::dynamics::{MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled, shaped, speed};
 use super::machine::Parameters;
 use super::rails::{Chair, MAX_MODES, Modes};
 
@@ -36,7 +36,7 @@ impl Site {
         match self {
             Self::Motor => step.motor,
             Self::Screw => step.screw,
-            Self::Chair(shape) => step.shaped(shape),
+            Self::Chair(shape) => shaped(&step.modal, shape),
         }
     }
 }
@@ -63,29 +63,16 @@ pub(super) struct Response {
 
 /// Dry friction of a machine, with the forces of the last step.
 #[derive(Debug, Clone)]
-pub(super) struct Friction {
+pub(super) struct Friction<'a> {
+    parameters: &'a Parameters,
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
-    /// `None` without extra friction at low speed.
-    stribeck: Option<Stribeck>,
     /// Effect of the present forces on the state; NaN when it must be computed again.
     effect: State,
-    /// Torque of the closed brake \[N m on the screw\].
-    brake: f64,
 }
 
-/// Extra friction at low speed, which falls with the square of the speed in the exponent (Stribeck).
-#[derive(Debug, Clone, Copy)]
-struct Stribeck {
-    /// Extra friction at standstill, as ratio to sliding friction.
-    excess: f64,
-    /// Toe speed at which it has fallen to 1/e.
-    toe_speed_m_s: f64,
-    metres_per_radian: f64,
-}
-
-impl Friction {
-    pub(super) fn new(parameters: &Parameters, modes: &Modes) -> Self {
+impl<'a> Friction<'a> {
+    pub(super) fn new(parameters: &'a Parameters, modes: &Modes) -> Self {
         let contact = |site, sliding| Contact { site, sliding, limit: sliding, force: 0.0 };
         let mut contacts = vec![
             contact(Site::Motor, parameters.motor_dry_nm * parameters.gear_ratio),
@@ -96,13 +83,12 @@ impl Friction {
                 |chair: &Chair| contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n);
             contacts.extend(modes.chairs.iter().map(slide));
         }
-        let stribeck = (parameters.breakaway_ratio > 1.0).then(|| Stribeck {
-            excess: parameters.breakaway_ratio - 1.0,
-            toe_speed_m_s: parameters.stribeck_speed_m_s,
-            metres_per_radian: parameters.metres_per_radian(),
-        });
-        let brake = parameters.brake_nm * parameters.gear_ratio;
-        Self { contacts, stribeck, effect: [0.0; STATES], brake }
+        Self { parameters, contacts, effect: [0.0; STATES] }
+    }
+
+    /// Torque of the closed brake \[N m on the screw\].
+    fn brake(&self) -> f64 {
+        self.parameters.brake_nm * self.parameters.gear_ratio
     }
 
     pub(super) fn response(&self, step: &Step) -> Response {
@@ -114,8 +100,9 @@ impl Friction {
 
     /// Adds the torque of the brake to the friction of the motor.
     pub(super) fn close_brake(&mut self) {
+        let brake = self.brake();
         let motor = &mut self.contacts[0];
-        motor.limit = motor.sliding + self.brake;
+        motor.limit = motor.sliding + brake;
         // The force may be above the new limit because of break-away friction, but the iteration must start within the
         // limits.
         motor.force = motor.force.clamp(-motor.limit, motor.limit);
@@ -125,8 +112,8 @@ impl Friction {
     /// Adds this step's friction to `next`, the state that the step would reach without friction. `state` is the state
     /// at the start of the step, from which the break-away friction follows.
     pub(super) fn apply(&mut self, state: &State, next: &mut State, response: &Response, motor_on: bool) {
-        if let Some(stribeck) = self.stribeck {
-            self.update_limits(state, stribeck, motor_on);
+        if self.parameters.breakaway_ratio > 1.0 {
+            self.update_limits(state, motor_on);
         }
         if self.effect[0].is_nan() {
             self.refresh(response);
@@ -154,16 +141,18 @@ impl Friction {
         }
     }
 
-    /// Computes the limit of each contact from its speed. A sliding contact gets the new limit as its force.
-    fn update_limits(&mut self, state: &State, stribeck: Stribeck, motor_on: bool) {
-        let brake = if motor_on { 0.0 } else { self.brake };
+    /// Computes the limit of each contact from its speed: the excess over sliding friction falls with the square of the
+    /// speed in the exponent (Stribeck). A sliding contact gets the new limit as its force.
+    fn update_limits(&mut self, state: &State, motor_on: bool) {
+        let Parameters { breakaway_ratio, stribeck_speed_m_s, .. } = *self.parameters;
+        let (brake, metres_per_radian) =
+            (if motor_on { 0.0 } else { self.brake() }, self.parameters.metres_per_radian());
         for (at, contact) in self.contacts.iter_mut().enumerate() {
             let speed = contact.site.velocity(state).abs();
-            let toe_speed =
-                if matches!(contact.site, Site::Chair(_)) { speed } else { speed * stribeck.metres_per_radian };
-            let relative = toe_speed / stribeck.toe_speed_m_s;
+            let toe_speed = if matches!(contact.site, Site::Chair(_)) { speed } else { speed * metres_per_radian };
+            let relative = toe_speed / stribeck_speed_m_s;
             // Far above the Stribeck speed, as in most of a throw, the excess is negligible.
-            let excess = if relative < 5.0 { stribeck.excess * (-relative * relative).exp() } else { 0.0 };
+            let excess = if relative < 5.0 { (breakaway_ratio - 1.0) * (-relative * relative).exp() } else { 0.0 };
             let limit = contact.sliding * (1.0 + excess) + if at == 0 { brake } else { 0.0 };
             if limit.to_bits() != contact.limit.to_bits() {
                 let slides = contact.force.abs() >= contact.limit;

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use super::rails::{Modes, Rails};
+use super::rails::Rails;
 use super::supply::Waveform;
 use crate::throw::{
     OutOfRange,
@@ -152,10 +152,10 @@ impl Parameters {
         self.lead_mm / 1000.0 / TAU
     }
 
-    pub(super) fn loads(&self, modes: &Modes) -> Loads {
+    pub(super) fn loads(&self) -> Loads {
         let n2 = self.gear_ratio.powi(2);
         let p = self.metres_per_radian();
-        let toe = modes.quasi_static(self.rails.damping_ratio);
+        let toe = self.rails.modes().quasi_static(self.rails.damping_ratio);
         Loads {
             inertia: (self.rotor_inertia_kg_m2 + self.load_inertia_kg_m2) * n2
                 + self.screw_inertia_kg_m2
@@ -197,8 +197,7 @@ impl Parameters {
     /// When a parameter is out of its range.
     pub fn coefficients(&self) -> Result<Coefficients, OutOfRange> {
         self.check()?;
-        let modes = self.rails.modes();
-        let loads = self.loads(&modes);
+        let loads = self.loads();
         let dry = loads.drive_dry + loads.chair_dry_per_mu * self.rails.slide_friction;
         let speed = self.running_speed(loads.viscous, dry);
         let a1_viscous = loads.viscous / loads.inertia;

@@ -1,5 +1,6 @@
-//! The simulated point machine, and simulated fleets. This room shares only the throw type with the monitor, so that
-//! the monitor is never tested against its own model.
+//! The simulated point machine, and simulated fleets. It shares only the throw type with the monitor, so that
+//! the monitor is never tested against its own model. The numbers of equations are those of the paper that `estimate`
+//! names.
 //!
 //! | file | what it holds |
 //! |---|---|

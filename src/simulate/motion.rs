@@ -99,7 +99,7 @@ struct Machine<'a> {
     steps: [Option<(Step, Response)>; 4],
     modes: &'a Modes,
     drive: Drive,
-    friction: Friction,
+    friction: Friction<'a>,
     state: State,
     /// Toe position in `state` \[m from neutral\].
     toe_m: f64,

@@ -152,3 +152,35 @@ fn a_stall_at_the_end_of_the_stroke_neither_hides_nor_changes_a_fault() {
         assert_changes(direction, coefficients, 3.0, &faults);
     }
 }
+
+/// The charge feature of a motor that runs for 3 s, with an inrush of 30 A that rises in 6 ms and decays in 0.1 s.
+fn charge_as(rate_hz: f64, phase: f64, running_a: f64) -> Option<f64> {
+    let current: Vec<f64> = (0..=10_000)
+        .map(|k| (f64::from(k) + phase) / rate_hz - 0.4)
+        .take_while(|t| *t < 4.0)
+        .map(|t| match t {
+            t if (0.0..3.0).contains(&t) => {
+                running_a + 30.0 * (-t / 0.1).exp() - (running_a + 30.0) * (-t / 0.006).exp()
+            }
+            _ => 0.0,
+        })
+        .collect();
+    identify(current, Direction::NormalToReverse, rate_hz, f64::NAN, None).features.charge_as
+}
+
+#[test]
+fn a_charge_that_depends_on_the_moments_of_the_samples_is_unknown() {
+    let of_phases =
+        |rate_hz: f64, running_a: f64| [0.0, 0.2, 0.4, 0.6, 0.8].map(|phase| charge_as(rate_hz, phase, running_a));
+    for running_a in [1.5, 12.0] {
+        let truth = 3.0 * running_a + 30.0 * 0.1 - (running_a + 30.0) * 0.006;
+        let fine = of_phases(1000.0, running_a);
+        assert!(fine.iter().all(|charge| (charge.unwrap() / truth - 1.0).abs() < 0.02), "{truth}: {fine:?}");
+        let slow = of_phases(25.0, running_a);
+        let is_right = |charge: &Option<f64>| charge.is_none_or(|charge| (charge / truth - 1.0).abs() < 0.1);
+        assert!(
+            slow.iter().all(is_right) && slow.iter().any(Option::is_some) == (running_a > 2.0),
+            "{truth}: {slow:?}"
+        );
+    }
+}

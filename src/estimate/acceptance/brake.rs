@@ -38,7 +38,7 @@ const CORRELATED: f64 = 15.0;
 #[derive(Debug, Default)]
 pub(crate) struct Buffers {
     /// The movement without a brake for b0 = 1, see [`free_movement`].
-    free: Vec<f64>,
+    pub(crate) free: Vec<f64>,
     /// For each sample k the sums of 1, k, k², f, k f, f², y, k y and f y over the samples after it, with f from `free`
     /// and the output y.
     after: Vec<[f64; 9]>,

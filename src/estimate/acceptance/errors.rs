@@ -1,14 +1,13 @@
 //! Errors of an estimate that the sensors do not cause.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::estimate::{
     load::{DRY_SHARE, Load, STEPS},
-    matrix::times,
     ratios,
     sriv::{
         Solution, Workspace,
-        covariance::{add, backwards},
+        covariance::backwards,
         filter::{Discrete, Hold, dot},
     },
     trace::window::Window,
@@ -24,11 +23,11 @@ pub(super) fn of_load(window: &Window, solution: &Solution<2, 1, 3>, workspace: 
     let load = Load::of(window, ratios::start(window)?)?;
     let (z, stride) = (&workspace.instruments, workspace.stride);
     let filter = Discrete::new(&solution.denominator, stride as f64 * window.interval_s)?;
-    let mut effects = [[0.0; 3]; STEPS];
+    let mut effects = [Vector3::zeros(); STEPS];
     backwards(z, &filter, Hold::First, &[solution.parameters[0], 0.0], |k, w| {
-        add(&mut effects[load.step_of(k * stride)], w, stride as f64 / window.interval_s);
+        effects[load.step_of(k * stride)] += w * (stride as f64 / window.interval_s);
     });
-    load.covariance(|step| times(&solution.inverse, &effects[step]).into())
+    load.covariance(|step| solution.inverse * effects[step])
 }
 
 /// Errors of (b0, a1, a0) that are equal in every throw: those from dry friction, for one standard deviation of its
@@ -50,7 +49,7 @@ pub(super) fn systematic(window: &Window, solution: &Solution<2, 1, 3>, workspac
     let dry = |k: usize| if k >= window.foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 };
     let Some(filter) = Discrete::<2>::new(&solution.denominator, window.interval_s) else { return [[0.0; 3]; 2] };
     let row = filter.readout(Hold::Zero).state[0];
-    let (mut states, mut sums) = ([[0.0; 2]; 2], [[0.0; 3]; 2]);
+    let (mut states, mut sums) = ([[0.0; 2]; 2], [Vector3::zeros(); 2]);
     let mut kept = z.iter();
     let mut until_kept = stride / 2;
     for k in 0..last {
@@ -58,7 +57,7 @@ pub(super) fn systematic(window: &Window, solution: &Solution<2, 1, 3>, workspac
             until_kept = stride;
             if let Some(z) = kept.next() {
                 for (sum, state) in sums.iter_mut().zip(&states) {
-                    add(sum, z, stride as f64 * dot(&row, state));
+                    *sum += Vector3::from(*z) * (stride as f64 * dot(&row, state));
                 }
             }
         }
@@ -66,5 +65,5 @@ pub(super) fn systematic(window: &Window, solution: &Solution<2, 1, 3>, workspac
         filter.advance(&mut states[0], dry(k));
         filter.advance(&mut states[1], b0 * window.rest_a * window.input_scale().map_or(1.0, |scale| scale[k]));
     }
-    sums.map(|sum| times(&solution.inverse, &sum))
+    sums.map(|sum| (solution.inverse * sum).into())
 }

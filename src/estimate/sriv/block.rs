@@ -8,17 +8,20 @@ pub(super) const BLOCK: usize = 64;
 /// The values of a signal, or of one state of a filter, in a block.
 pub(crate) type Samples = [f64; BLOCK];
 
-/// Signals of a block, the states of their filters, and the values computed from these states. Where the filter of the
-/// auxiliary model is the same as that of the signals, the `model_…_states` are not used.
+/// The states of one filter for the inputs and for `y_eq` in a block.
+#[derive(Clone, Copy)]
+pub(super) struct BankSamples<const N: usize, const S: usize> {
+    pub(super) inputs: [[Samples; N]; S],
+    pub(super) shift: [Samples; N],
+}
+
+/// Signals of a block, the states of their filters, and the values computed from these states.
 pub(crate) struct Block<const N: usize, const S: usize, const P: usize> {
     pub(crate) inputs: [Samples; S],
     pub(crate) output: Samples,
     pub(crate) equilibrium: Samples,
-    /// States of the filters of the inputs and of `y_eq`, and of the same signals in the auxiliary model.
-    pub(super) input_states: [[Samples; N]; S],
-    pub(super) model_input_states: [[Samples; N]; S],
-    pub(super) shift_states: [Samples; N],
-    pub(super) model_shift_states: [Samples; N],
+    /// States of the filter of the signals, and of that of the auxiliary model (not used if it is the same).
+    pub(super) banks: [BankSamples<N, S>; 2],
     /// The regressor before its conversion to derivatives: the numerator columns, and the N states of the filter of y.
     pub(crate) phi: [Samples; P],
     /// States of the filter of the auxiliary output x̂.
@@ -36,10 +39,7 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
             inputs: [none; S],
             output: none,
             equilibrium: none,
-            input_states: [states; S],
-            model_input_states: [states; S],
-            shift_states: states,
-            model_shift_states: states,
+            banks: [BankSamples { inputs: [states; S], shift: states }; 2],
             phi: [none; P],
             auxiliary: states,
             shift: none,

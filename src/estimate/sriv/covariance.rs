@@ -24,12 +24,13 @@
 //! (Σw)(Σw)' to the bracket, with the rows w of W. (If the noise is below half a step of the converter, the mean is no
 //! better than one sample, so the variance of the rounding error is added to theirs.)
 
+use nalgebra::{SMatrix, SVector};
+
 use super::{
     Solution,
     filter::{Discrete, Hold},
     problem::{Problem, Signal, Sriv, Workspace},
 };
-use crate::estimate::matrix::sandwich;
 
 /// Variances of the white noise on the signals of a problem.
 #[derive(Debug, Clone, Copy)]
@@ -57,41 +58,38 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let (z, stride) = (&workspace.instruments, workspace.stride);
         // Each stored instrument represents `stride` instruments.
         let represented = stride as f64;
-        let mut middle = [[0.0; P]; P];
-        let mut sum = [0.0; P];
-        let mut take = |v: &[f64; P]| {
-            add_square(&mut middle, v, represented * noise.output);
-            add(&mut sum, v, represented);
+        let (mut middle, mut sum) = (SMatrix::<f64, P, P>::zeros(), SVector::zeros());
+        let mut take = |v: SVector<f64, P>| {
+            middle += v * (represented * noise.output) * v.transpose();
+            sum += v * represented;
         };
         match excess(solution).zip(Discrete::new(&solution.denominator, represented * problem.interval_s)) {
-            None => z.iter().for_each(take),
+            None => z.iter().for_each(|z| take((*z).into())),
             Some((excess, filter)) => {
-                backwards(z, &filter, Hold::First, &excess, |k, v| take(&std::array::from_fn(|i| z[k][i] + v[i])));
+                backwards(z, &filter, Hold::First, &excess, |k, v| take(SVector::from(z[k]) + v));
             }
         }
-        add_square(&mut middle, &sum, noise.offsets[1]);
+        middle += sum * noise.offsets[1] * sum.transpose();
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
             let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
             let Some(filter) = Discrete::new(&solution.denominator, represented * problem.interval_s) else { continue };
             let numerator = self.numerator(&solution.parameters, s);
             let scale = noise.scale.filter(|_| s == 0);
-            let mut sum = [0.0; P];
+            let mut sum = SVector::<f64, P>::zeros();
             backwards(z, &filter, hold, &numerator, |k, w| {
                 let [mean, square] = scale.map_or([1.0; 2], |scale| moments(&scale[k * stride..], stride));
-                add_square(&mut middle, w, variance * represented * square);
-                add(&mut sum, w, represented * mean);
+                middle += w * (variance * represented * square) * w.transpose();
+                sum += w * (represented * mean);
             });
             if s == 0 {
                 // The error of an offset is common to all samples of the trace.
-                add_square(&mut middle, &sum, noise.offsets[0]);
+                middle += sum * noise.offsets[0] * sum.transpose();
             }
         }
-        for i in 0..P {
-            for j in 0..i {
-                middle[i][j] = middle[j][i];
-            }
-        }
-        sandwich(&solution.inverse, &middle)
+        middle.fill_lower_triangle_with_upper_triangle();
+        let covariance = solution.inverse * middle * solution.inverse.transpose();
+        // An array of columns, as rows.
+        covariance.transpose().into()
     }
 }
 
@@ -110,35 +108,18 @@ fn moments(values: &[f64], count: usize) -> [f64; 2] {
     [values.iter().sum::<f64>() * share, values.iter().map(|v| v * v).sum::<f64>() * share]
 }
 
-/// Adds `weight` v v' to the upper triangle.
-#[inline]
-fn add_square<const P: usize>(sum: &mut [[f64; P]; P], v: &[f64; P], weight: f64) {
-    for i in 0..P {
-        for j in i..P {
-            sum[i][j] += weight * v[i] * v[j];
-        }
-    }
-}
-
-#[inline]
-pub(crate) fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
-    for (sum, v) in sum.iter_mut().zip(v) {
-        *sum += weight * v;
-    }
-}
-
 /// Filters the rows of `z` from the last to the first by B/A; calls `take` with each index and filtered row.
 pub(crate) fn backwards<const N: usize, const P: usize>(
     z: &[[f64; P]],
     filter: &Discrete<N>,
     hold: Hold,
     numerator: &[f64; N],
-    mut take: impl FnMut(usize, &[f64; P]),
+    mut take: impl FnMut(usize, SVector<f64, P>),
 ) {
     let (row, through) = filter.readout(hold).combined(numerator);
     let mut states = [[0.0; N]; P];
     for (k, z) in z.iter().enumerate().rev() {
-        let mut w = [0.0; P];
+        let mut w = SVector::zeros();
         for j in 0..P {
             w[j] = through * z[j];
             for i in 0..N {
@@ -146,6 +127,6 @@ pub(crate) fn backwards<const N: usize, const P: usize>(
             }
             filter.advance(&mut states[j], z[j]);
         }
-        take(k, &w);
+        take(k, w);
     }
 }

@@ -30,13 +30,13 @@
 //! Ψ, Γ0 and Γ1 come from Taylor series with scaling and squaring, in time multiplied by the root radius ρ of A: then
 //! powers of a fast pole do not dominate. The companion matrix in this time is that of `a_i` / ρ^i.
 
-use serde::{Deserialize, Serialize};
+use nalgebra::{SMatrix, SVector};
 
 use super::polynomial::{normalised, root_radius};
-use crate::estimate::matrix::{invert, product, times};
+use crate::estimate::matrix::invert;
 
 /// The values of a signal between two samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Hold {
     /// Constant until the next sample: for a held input (zero-order hold).
     Zero,
@@ -63,14 +63,14 @@ pub(crate) struct Readout<const N: usize> {
     /// D.
     pub(crate) through: [f64; N],
     /// K⁻¹.
-    inverse: [[f64; N]; N],
+    inverse: SMatrix<f64, N, N>,
 }
 
 /// Ψ = Φ - 1, the step response Γ0 and the ramp response h Γ1 over one interval, in normalised time.
 struct Interval<const N: usize> {
-    psi: [[f64; N]; N],
-    step: [f64; N],
-    ramp: [f64; N],
+    psi: SMatrix<f64, N, N>,
+    step: SVector<f64, N>,
+    ramp: SVector<f64, N>,
 }
 
 impl<const N: usize> Discrete<N> {
@@ -79,20 +79,18 @@ impl<const N: usize> Discrete<N> {
     pub(crate) fn new(a: &[f64; N], h: f64) -> Option<Self> {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
-        let mut powers = [1.0; N];
+        let mut powers = SVector::repeat(1.0);
         for i in 1..N {
             powers[i] = powers[i - 1] * rho;
         }
-        let top = powers[N - 1] * rho;
-        let scales = powers.map(|power| power / top);
+        let scales = powers / (powers[N - 1] * rho);
         let alpha = characteristic(&interval.psi);
         let mut feedback: [f64; N] = std::array::from_fn(|i| alpha[N - 1 - i]);
         feedback[N - 1] = 1.0 - alpha[0];
-        let none = [0.0; N];
-        let through = interval.ramp.map(|ramp| ramp / (rho * h));
-        let gamma = std::array::from_fn(|i| dot(&interval.psi[i], &through) + interval.step[i]);
-        let held = Readout::new(&interval.psi, &alpha, &interval.step, &none, &scales)?;
-        let linear = Readout::new(&interval.psi, &alpha, &gamma, &through, &scales)?;
+        let through = interval.ramp / (rho * h);
+        let gamma = interval.psi * through + interval.step;
+        let held = Readout::new(&interval.psi, &alpha, interval.step, SVector::zeros(), &scales)?;
+        let linear = Readout::new(&interval.psi, &alpha, gamma, through, &scales)?;
         Some(Self { feedback, held, linear })
     }
 
@@ -136,23 +134,20 @@ impl<const N: usize> Readout<N> {
     /// K and D from values in normalised time; `scales` converts each derivative to seconds. `None` if K has no
     /// inverse.
     fn new(
-        psi: &[[f64; N]; N],
+        psi: &SMatrix<f64, N, N>,
         alpha: &[f64; N],
-        gamma: &[f64; N],
-        through: &[f64; N],
-        scales: &[f64; N],
+        gamma: SVector<f64, N>,
+        through: SVector<f64, N>,
+        scales: &SVector<f64, N>,
     ) -> Option<Self> {
-        let mut column = *gamma;
-        let mut state = [[0.0; N]; N];
+        let mut column = gamma;
+        let mut state = SMatrix::<f64, N, N>::zeros();
         for j in (0..N).rev() {
-            for i in 0..N {
-                state[i][j] = column[i] * scales[i];
-            }
-            let next = times(psi, &column);
-            column = std::array::from_fn(|i| next[i] + alpha[N - 1 - j] * gamma[i]);
+            state.set_column(j, &column.component_mul(scales));
+            column = psi * column + gamma * alpha[N - 1 - j];
         }
-        let through = std::array::from_fn(|i| through[i] * scales[i]);
-        Some(Self { state, through, inverse: invert(&state)?.inverse })
+        let (inverse, _) = invert(&state)?;
+        Some(Self { state: state.transpose().into(), through: through.component_mul(scales).into(), inverse })
     }
 
     /// The derivative of x of this order (0 for x itself), from the state and the sample `v`.
@@ -171,23 +166,19 @@ impl<const N: usize> Readout<N> {
 
     /// The state in which x and its derivatives are `z` at the sample `v0`.
     pub(crate) fn start(&self, z: &[f64; N], v0: f64) -> [f64; N] {
-        times(&self.inverse, &std::array::from_fn(|i| z[i] - self.through[i] * v0))
+        (self.inverse * SVector::from_fn(|i, _| z[i] - self.through[i] * v0)).into()
     }
 }
 
 /// `α_1` … `α_N` of det(λ - Ψ) = λ^N + `α_1` λ^(N-1) + … (Faddeev, Leverrier).
-fn characteristic<const N: usize>(psi: &[[f64; N]; N]) -> [f64; N] {
+fn characteristic<const N: usize>(psi: &SMatrix<f64, N, N>) -> [f64; N] {
     let mut alpha = [0.0; N];
     let mut power = *psi;
     for k in 0..N {
         if k > 0 {
-            let mut shifted = power;
-            for i in 0..N {
-                shifted[i][i] += alpha[k - 1];
-            }
-            power = product(psi, &shifted);
+            power = psi * (power + SMatrix::from_diagonal_element(alpha[k - 1]));
         }
-        alpha[k] = -(0..N).map(|i| power[i][i]).sum::<f64>() / (k + 1) as f64;
+        alpha[k] = -power.trace() / (k + 1) as f64;
     }
     alpha
 }
@@ -210,42 +201,34 @@ impl<const N: usize> Interval<N> {
     /// Taylor series of Ψ = Σ Fᵏhᵏ/k! (from k = 1), of the step response Σ Fᵏe hᵏ⁺¹/(k+1)!, and of the ramp response
     /// Σ Fᵏe hᵏ⁺²/(k+2)! (both from k = 0). After 16 terms less than 1e-24 is missing at h|F| = 0.25.
     fn taylor(a: &[f64; N], h: f64) -> Self {
-        let mut psi = [[0.0; N]; N];
-        for j in 0..N {
-            let mut term: [f64; N] = std::array::from_fn(|i| f64::from(u8::from(i == j)));
-            for k in 1..=16 {
-                term = companion(a, &term).map(|x| x * h / f64::from(k));
-                for i in 0..N {
-                    psi[i][j] += term[i];
-                }
-            }
-        }
-        let (mut step, mut ramp) = ([0.0; N], [0.0; N]);
-        let mut term = [0.0; N];
-        term[N - 1] = h;
+        let companion = SMatrix::<f64, N, N>::from_fn(|i, j| match i + 1 {
+            next if next == N => -a[N - 1 - j],
+            next => f64::from(u8::from(j == next)),
+        });
+        let (mut psi, mut term) = (SMatrix::zeros(), SMatrix::identity());
         for k in 1..=16 {
-            for i in 0..N {
-                step[i] += term[i];
-                ramp[i] += term[i] * h / f64::from(k + 1);
-            }
-            term = companion(a, &term).map(|x| x * h / f64::from(k + 1));
+            term = companion * term * h / f64::from(k);
+            psi += term;
+        }
+        let (mut step, mut ramp) = (SVector::zeros(), SVector::zeros());
+        let mut term = SVector::from_fn(|i, _| if i + 1 == N { h } else { 0.0 });
+        for k in 1..=16 {
+            step += term;
+            ramp += term * h / f64::from(k + 1);
+            term = companion * term * h / f64::from(k + 1);
         }
         Self { psi, step, ramp }
     }
 
     /// The values for twice the interval, of the present length `length`.
     fn doubled(&self, length: f64) -> Self {
-        let square = product(&self.psi, &self.psi);
-        let psi = std::array::from_fn(|i| std::array::from_fn(|j| 2.0 * self.psi[i][j] + square[i][j]));
-        let step = std::array::from_fn(|i| dot(&self.psi[i], &self.step) + 2.0 * self.step[i]);
-        let ramp = std::array::from_fn(|i| dot(&self.psi[i], &self.ramp) + 2.0 * self.ramp[i] + length * self.step[i]);
-        Self { psi, step, ramp }
+        let Self { psi, step, ramp } = self;
+        Self {
+            psi: psi * 2.0 + psi * psi,
+            step: psi * step + step * 2.0,
+            ramp: psi * ramp + ramp * 2.0 + step * length,
+        }
     }
-}
-
-/// The product F z with the companion matrix F of `a`.
-fn companion<const N: usize>(a: &[f64; N], z: &[f64; N]) -> [f64; N] {
-    std::array::from_fn(|i| if i + 1 < N { z[i + 1] } else { -(0..N).map(|j| a[N - 1 - j] * z[j]).sum::<f64>() })
 }
 
 #[inline]

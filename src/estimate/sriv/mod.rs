@@ -31,15 +31,14 @@ pub(super) mod problem;
 pub(super) mod refined;
 pub(super) mod sums;
 
+use nalgebra::SMatrix;
+
 use self::{
     pass::Auxiliary,
     polynomial::{is_stable, reflected},
     sums::{LANES, Sums},
 };
-use super::{
-    matrix::{Inverse, invert, times},
-    rejection::Rejection,
-};
+use super::{matrix::invert, rejection::Rejection};
 
 pub use problem::{Problem, Signal, Sriv, Workspace};
 
@@ -108,7 +107,7 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
     /// `R²_T` = 1 - var(y - x̂) / var(y): 1 for a perfect fit.
     pub fit: f64,
     /// (Σ z φ')⁻¹ of the last iteration.
-    pub(super) inverse: [[f64; P]; P],
+    pub(super) inverse: SMatrix<f64, P, P>,
     /// Denominator of the filter in the last iteration.
     pub(super) denominator: [f64; N],
 }
@@ -129,7 +128,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         }
 
         let mut denominator = lag(self.start_per_s);
-        let (mut parameters, mut inverse) = solve(self.pass(problem, &denominator, None, workspace), &denominator)?;
+        let (mut parameters, mut inverse, mut rcond) =
+            solve(self.pass(problem, &denominator, None, workspace), &denominator)?;
         let mut iterations = 0;
         let mut last_change = f64::INFINITY;
         let mut was_reflected = false;
@@ -142,7 +142,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             }
             let next;
             let auxiliary = Auxiliary { parameters: &parameters, denominator: None };
-            (next, inverse) = solve(self.pass(problem, &denominator, Some(auxiliary), workspace), &denominator)?;
+            (next, inverse, rcond) = solve(self.pass(problem, &denominator, Some(auxiliary), workspace), &denominator)?;
             iterations += 1;
             let change = distance(&next, &parameters);
             parameters = next;
@@ -157,26 +157,27 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             iterations,
             termination,
             reflected: was_reflected || !is_stable(&Self::denominator(&parameters)),
-            rcond: inverse.rcond,
+            rcond,
             fit: fit(problem.output, &workspace.model_output),
-            inverse: inverse.inverse,
+            inverse,
             denominator,
         })
     }
 }
 
-/// θ and the inverse of the normal matrix from the sums of a pass with the filter 1/C.
+/// θ, and the inverse of the normal matrix with its reciprocal condition number, from the sums of a pass with the filter
+/// 1/C.
 pub(super) fn solve<const N: usize, const P: usize>(
     sums: Option<Sums<P>>,
     c: &[f64; N],
-) -> Result<([f64; P], Inverse<P>), Failure> {
+) -> Result<([f64; P], SMatrix<f64, P, P>, f64), Failure> {
     let sums = sums.ok_or(Failure::Singular)?;
-    let inverse = invert(&sums.normal).ok_or(Failure::Singular)?;
-    let mut parameters = times(&inverse.inverse, &sums.right);
+    let (inverse, rcond) = invert(&sums.normal).ok_or(Failure::Singular)?;
+    let mut parameters: [f64; P] = (inverse * sums.right).into();
     for i in 0..N {
         parameters[P - N + i] += c[i];
     }
-    if parameters.iter().all(|p| p.is_finite()) { Ok((parameters, inverse)) } else { Err(Failure::Singular) }
+    if parameters.iter().all(|p| p.is_finite()) { Ok((parameters, inverse, rcond)) } else { Err(Failure::Singular) }
 }
 
 /// Relative change of the parameters, ‖next - before‖ / ‖next‖.

@@ -15,7 +15,7 @@
 //! one.
 
 use super::{
-    block::{BLOCK, Block, Samples},
+    block::{BLOCK, BankSamples, Block, Samples},
     filter::{Discrete, Hold},
     problem::{Problem, Signal, Sriv, Workspace},
     sums::{Raw, Sums, regressor},
@@ -33,37 +33,40 @@ pub(crate) struct Auxiliary<'a, const N: usize, const P: usize> {
     pub(super) denominator: Option<&'a [f64; N]>,
 }
 
-/// The filters of a pass. In each pair the second value belongs to the auxiliary model.
-struct Filters<'a, const N: usize, const S: usize, const P: usize> {
-    each: [&'a Discrete<N>; 2],
-    columns: [Columns<N, P>; 2],
-    /// Weights of the filtered equilibrium on the states of its filter.
-    shift_rows: [[f64; N]; 2],
+/// The filters of a pass.
+struct Filters<'a, const N: usize, const P: usize> {
+    /// The filter 1/C, and that with the denominator of the auxiliary model.
+    banks: [Bank<'a, N, P>; 2],
     /// Parameters of the auxiliary model.
     theta: &'a [f64; P],
     /// Last coefficient of the denominator of the auxiliary model.
     a_last: f64,
 }
 
-/// The numerator columns as sums over the states of the input filters and the inputs.
-struct Columns<const N: usize, const P: usize> {
-    /// Input of each column.
+/// One filter for the inputs and the equilibrium, with the weights that give its outputs.
+struct Bank<'a, const N: usize, const P: usize> {
+    filter: &'a Discrete<N>,
+    /// Input of each numerator column.
     input: [usize; P],
-    /// Weights on the states of its filter.
+    /// Weights of each numerator column on the states of its input's filter, and on the input itself.
     state: [[f64; N]; P],
-    /// Weight on the input itself.
     through: [f64; P],
+    /// Weights of the filtered equilibrium on the states of its filter.
+    shift: [f64; N],
 }
 
 /// States of all filters before a sample.
 #[derive(Clone, Copy)]
 struct States<const N: usize, const S: usize> {
-    inputs: [[f64; N]; S],
-    model_inputs: [[f64; N]; S],
+    banks: [BankStates<N, S>; 2],
     output: [f64; N],
     auxiliary: [f64; N],
+}
+
+#[derive(Clone, Copy)]
+struct BankStates<const N: usize, const S: usize> {
+    inputs: [[f64; N]; S],
     shift: [f64; N],
-    model_shift: [f64; N],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
@@ -107,7 +110,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let filter = Discrete::new(c, problem.interval_s * step as f64)?;
         let own_filter = if APART { Some(Discrete::new(a, problem.interval_s)?) } else { None };
         let model_filter = own_filter.as_ref().unwrap_or(&filter);
-        let filters = Filters::new(self, problem, [&filter, model_filter], theta, a[N - 1]);
+        let banks = [&filter, model_filter].map(|filter| Bank::new(self, problem, filter));
+        let filters = Filters { banks, theta, a_last: a[N - 1] };
         let linear = filter.readout(Hold::First);
         let mut kept = (stride / 2..).step_by(stride).zip(&mut workspace.instruments).peekable();
         let mut keep = |block: &Block<N, S, P>, to: usize| {
@@ -123,8 +127,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let [mut block, mut before] = blocks.each_mut();
         for from in (0..len).step_by(BLOCK * step) {
             let used = block.load(problem, from, step);
-            filters.run::<IV, APART, SHIFTED>(&mut states, block, before);
-            filters.read::<IV, APART, SHIFTED>(block, used);
+            filters.run::<IV, APART, SHIFTED, S>(&mut states, block, before);
+            filters.read::<IV, APART, SHIFTED, S>(block, used);
             if !IV {
                 raw.add::<IV, APART, SHIFTED, N, S>(block);
                 continue;
@@ -139,7 +143,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             std::mem::swap(&mut block, &mut before);
         }
         if IV {
-            filters.run::<IV, APART, SHIFTED>(&mut states, block, before);
+            filters.run::<IV, APART, SHIFTED, S>(&mut states, block, before);
             raw.add::<IV, APART, SHIFTED, N, S>(before);
             keep(before, len);
         }
@@ -151,96 +155,71 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
-    fn new(
-        sriv: &Sriv<N, S, P>,
-        problem: &Problem<S>,
-        filters: [&'a Discrete<N>; 2],
-        theta: &'a [f64; P],
-        a_last: f64,
-    ) -> Self {
-        let holds = problem.inputs.map(|input| input.hold());
-        let columns = filters.map(|filter| Columns::new(sriv, &holds, filter));
-        let shift_rows = filters.map(|filter| filter.readout(Hold::Zero).state[0]);
-        Self { each: filters, columns, shift_rows, theta, a_last }
-    }
-
+impl<const N: usize, const P: usize> Filters<'_, N, P> {
     /// The states of filters that are at rest at the first sample.
-    fn start(&self, problem: &Problem<S>) -> States<N, S> {
-        let first = problem.inputs.map(|input| match input {
-            Signal::Sampled(u, _) => u[0],
-            Signal::Constant => 1.0,
+    fn start<const S: usize>(&self, problem: &Problem<S>) -> States<N, S> {
+        let start = |filter: &Discrete<N>, hold: Hold, first: f64| filter.readout(hold).start(&[0.0; N], first);
+        let banks = self.banks.each_ref().map(|bank| BankStates {
+            inputs: problem.inputs.map(|input| match input {
+                Signal::Sampled(u, hold) => start(bank.filter, hold, u[0]),
+                Signal::Constant => start(bank.filter, Hold::Zero, 1.0),
+            }),
+            shift: [0.0; N],
         });
-        let start = |filter: &Discrete<N>| {
-            std::array::from_fn(|s| filter.readout(problem.inputs[s].hold()).start(&[0.0; N], first[s]))
-        };
-        let [inputs, model_inputs] = self.each.map(start);
-        let output = self.each[0].readout(Hold::First).start(&[0.0; N], problem.output[0]);
-        let none = [0.0; N];
-        States { inputs, model_inputs, output, auxiliary: none, shift: none, model_shift: none }
+        let output = start(self.banks[0].filter, Hold::First, problem.output[0]);
+        States { banks, output, auxiliary: [0.0; N] }
     }
 
     /// Filters the signals of `block`, and x̂ of the block `before` it. Inlined into its caller, the states would not
     /// stay in registers.
     #[inline(never)]
-    fn run<const IV: bool, const APART: bool, const SHIFTED: bool>(
+    fn run<const IV: bool, const APART: bool, const SHIFTED: bool, const S: usize>(
         &self,
         states: &mut States<N, S>,
         block: &mut Block<N, S, P>,
         before: &mut Block<N, S, P>,
     ) {
-        let [filter, model_filter] = self.each;
-        let Some(output_states) = block.phi.last_chunk_mut::<N>() else { return };
+        let [own, model] = &self.banks;
+        let Block { inputs, output, equilibrium, banks, phi, .. } = block;
+        let Some(output_states) = phi.last_chunk_mut::<N>() else { return };
         let mut now = *states;
         for k in 0..BLOCK {
-            for s in 0..S {
-                filter.store_and_advance(&mut now.inputs[s], block.inputs[s][k], &mut block.input_states[s], k);
-                if APART {
-                    model_filter.store_and_advance(
-                        &mut now.model_inputs[s],
-                        block.inputs[s][k],
-                        &mut block.model_input_states[s],
-                        k,
-                    );
-                }
+            own.store_and_advance::<SHIFTED, S>(&mut now.banks[0], inputs, equilibrium, &mut banks[0], k);
+            if APART {
+                model.store_and_advance::<SHIFTED, S>(&mut now.banks[1], inputs, equilibrium, &mut banks[1], k);
             }
-            filter.store_and_advance(&mut now.output, block.output[k], output_states, k);
-            if SHIFTED {
-                let shift = block.equilibrium[k];
-                filter.store_and_advance(&mut now.shift, shift, &mut block.shift_states, k);
-                if APART {
-                    model_filter.store_and_advance(&mut now.model_shift, shift, &mut block.model_shift_states, k);
-                }
-            }
+            own.filter.store_and_advance(&mut now.output, output[k], output_states, k);
             if IV {
-                filter.store_and_advance(&mut now.auxiliary, before.model[k], &mut before.auxiliary, k);
+                own.filter.store_and_advance(&mut now.auxiliary, before.model[k], &mut before.auxiliary, k);
             }
         }
         *states = now;
     }
 
     /// Computes the numerator columns, `y_eq,f` and x̂ of `used` samples from the states of the filters.
-    fn read<const IV: bool, const APART: bool, const SHIFTED: bool>(&self, block: &mut Block<N, S, P>, used: usize) {
-        let [columns, model_columns] = &self.columns;
+    fn read<const IV: bool, const APART: bool, const SHIFTED: bool, const S: usize>(
+        &self,
+        block: &mut Block<N, S, P>,
+        used: usize,
+    ) {
+        let [own, model] = &self.banks;
         for k in 0..BLOCK {
-            let values = columns.read::<S>(&block.input_states, &block.inputs, k);
+            let (mut values, mut shift) = own.read::<SHIFTED, S>(&block.banks[0], &block.inputs, k);
             for at in 0..P - N {
                 block.phi[at][k] = values[at];
             }
-            let shift = if SHIFTED { weighted(&self.shift_rows[0], &block.shift_states, k) } else { 0.0 };
             block.shift[k] = shift;
             block.model[k] = block.output[k];
             if IV {
-                let values =
-                    if APART { model_columns.read::<S>(&block.model_input_states, &block.inputs, k) } else { values };
+                if APART {
+                    (values, shift) = model.read::<SHIFTED, S>(&block.banks[1], &block.inputs, k);
+                }
                 let mut model = 0.0;
                 for at in 0..P - N {
                     model += self.theta[at] * values[at];
                 }
                 if SHIFTED {
-                    let model_shift =
-                        if APART { weighted(&self.shift_rows[1], &block.model_shift_states, k) } else { shift };
-                    model += self.a_last * model_shift;
+                    model += self.a_last * shift;
                 }
                 block.model[k] = model;
             }
@@ -252,28 +231,52 @@ impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
     }
 }
 
-impl<const N: usize, const P: usize> Columns<N, P> {
-    fn new<const S: usize>(sriv: &Sriv<N, S, P>, holds: &[Hold; S], filter: &Discrete<N>) -> Self {
-        let mut columns = Self { input: [0; P], state: [[0.0; N]; P], through: [0.0; P] };
+impl<'a, const N: usize, const P: usize> Bank<'a, N, P> {
+    fn new<const S: usize>(sriv: &Sriv<N, S, P>, problem: &Problem<S>, filter: &'a Discrete<N>) -> Self {
+        let shift = filter.readout(Hold::Zero).state[0];
+        let mut bank = Self { filter, input: [0; P], state: [[0.0; N]; P], through: [0.0; P], shift };
         for (at, (input, derivative)) in sriv.columns[..P - N].iter().enumerate() {
-            let readout = filter.readout(holds[*input]);
-            columns.input[at] = *input;
-            columns.state[at] = readout.state[*derivative];
-            columns.through[at] = readout.through[*derivative];
+            let readout = filter.readout(problem.inputs[*input].hold());
+            bank.input[at] = *input;
+            bank.state[at] = readout.state[*derivative];
+            bank.through[at] = readout.through[*derivative];
         }
-        columns
+        bank
     }
 
-    /// The numerator columns at sample `k`; the last N values are 0.
+    /// Stores the states before sample `k`, then advances them by it.
     #[inline]
-    fn read<const S: usize>(&self, states: &[[Samples; N]; S], inputs: &[Samples; S], k: usize) -> [f64; P] {
+    fn store_and_advance<const SHIFTED: bool, const S: usize>(
+        &self,
+        states: &mut BankStates<N, S>,
+        inputs: &[Samples; S],
+        equilibrium: &Samples,
+        stored: &mut BankSamples<N, S>,
+        k: usize,
+    ) {
+        for s in 0..S {
+            self.filter.store_and_advance(&mut states.inputs[s], inputs[s][k], &mut stored.inputs[s], k);
+        }
+        if SHIFTED {
+            self.filter.store_and_advance(&mut states.shift, equilibrium[k], &mut stored.shift, k);
+        }
+    }
+
+    /// The numerator columns at sample `k`, of which the last N values are 0, and `y_eq,f`.
+    #[inline]
+    fn read<const SHIFTED: bool, const S: usize>(
+        &self,
+        states: &BankSamples<N, S>,
+        inputs: &[Samples; S],
+        k: usize,
+    ) -> ([f64; P], f64) {
         let mut values = [0.0; P];
         for at in 0..P - N {
             // If every numerator is of order 0, column and input have the same number, known to the compiler.
             let input = if P - N == S { at } else { self.input[at] };
-            values[at] = self.through[at] * inputs[input][k] + weighted(&self.state[at], &states[input], k);
+            values[at] = self.through[at] * inputs[input][k] + weighted(&self.state[at], &states.inputs[input], k);
         }
-        values
+        (values, if SHIFTED { weighted(&self.shift, &states.shift, k) } else { 0.0 })
     }
 }
 

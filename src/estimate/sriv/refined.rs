@@ -20,6 +20,8 @@
 //! with the responses `g_z` of the instrument and `g_ε` = b0 `g_1` of the error to one sample of the current, `g_1`
 //! that of the filter 1/C. M⁻¹ β is subtracted from the estimate, M = Σ z φ'. (Young 2008; Garnier, Gilson, Young.)
 
+use nalgebra::Vector3;
+
 use super::{
     Failure, Solution, Termination,
     covariance::Noise,
@@ -30,7 +32,6 @@ use super::{
     problem::{Problem, Signal, Sriv, Workspace},
     solve,
 };
-use crate::estimate::matrix::times;
 
 impl Sriv<2, 1, 3> {
     /// Refines `solution`, which must be stable, for this noise of output and input. Its `fit` stays that of the model
@@ -63,20 +64,17 @@ impl Sriv<2, 1, 3> {
                 return Err(Failure::Singular);
             }
             let auxiliary = Auxiliary { parameters: &before, denominator: Some(&a) };
-            let (next, inverse) = solve(self.pass(problem, &c, Some(auxiliary), workspace), &c)?;
+            let next;
+            (next, refined.inverse, refined.rcond) = solve(self.pass(problem, &c, Some(auxiliary), workspace), &c)?;
             refined.iterations += 1;
             if distance(&next, &before) <= self.tolerance {
                 refined.termination = Termination::Converged;
             }
             (refined.parameters, refined.denominator) = (next, c);
-            (refined.rcond, refined.inverse) = (inverse.rcond, inverse.inverse);
         }
         let filter = Discrete::new(&refined.denominator, problem.interval_s).ok_or(Failure::Singular)?;
         let bias = noise_in_instrument(&refined.parameters, &filter, hold, problem, noise).ok_or(Failure::Singular)?;
-        let bias = times(&refined.inverse, &bias);
-        for (parameter, bias) in refined.parameters.iter_mut().zip(bias) {
-            *parameter -= bias;
-        }
+        refined.parameters = (Vector3::from(refined.parameters) - refined.inverse * Vector3::from(bias)).into();
         Ok(Some(refined))
     }
 }

@@ -1,5 +1,7 @@
 //! The sums of the normal equations over filter states and samples, and their conversion to derivatives.
 
+use nalgebra::{SMatrix, SVector};
+
 use super::{
     block::{BLOCK, Block, Samples},
     filter::Readout,
@@ -14,9 +16,9 @@ type Lanes = [f64; LANES];
 /// Both sides of the instrumental-variable equations, summed over the samples in one pass.
 pub(crate) struct Sums<const P: usize> {
     /// Σ z φ'.
-    pub(crate) normal: [[f64; P]; P],
+    pub(crate) normal: SMatrix<f64, P, P>,
     /// Σ z (y - `c_N` `y_eq,f`).
-    pub(crate) right: [f64; P],
+    pub(crate) right: SVector<f64, P>,
 }
 
 /// Sums of products before the conversion to derivatives. The rows are the instrument (numerator columns, states of
@@ -116,15 +118,10 @@ impl<const P: usize> Raw<P, f64> {
         let columns = |row: &Row<P, f64>| regressor(&row.columns, linear, row.output, row.shift);
         let right = |row: &Row<P, f64>| row.output - c_last * row.shift;
         let (rows, model, shift) = (self.rows.each_ref().map(columns), columns(&self.model), columns(&self.shift));
-        let mut normal = [[0.0; P]; P];
-        for j in 0..P {
-            let column = regressor(&rows.map(|row| row[j]), linear, model[j], shift[j]);
-            for i in 0..P {
-                normal[i][j] = column[i];
-            }
-        }
+        let column = |j: usize| regressor(&rows.map(|row| row[j]), linear, model[j], shift[j]);
+        let normal = std::array::from_fn(column).into();
         let right = regressor(&self.rows.each_ref().map(right), linear, right(&self.model), right(&self.shift));
-        Sums { normal, right }
+        Sums { normal, right: right.into() }
     }
 }
 

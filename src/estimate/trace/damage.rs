@@ -53,7 +53,7 @@ pub(crate) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
     }
     for (channel, values, largest) in channels {
         if let Some(at) = values.iter().position(|v| v.abs() > largest) {
-            return Err(Rejection::Implausible { channel, at_s: at as f64 * interval_s, value: values[at] });
+            return Err(Rejection::ImplausibleValue { channel, at_s: at as f64 * interval_s, value: values[at] });
         }
     }
     Ok(())
@@ -62,7 +62,7 @@ pub(crate) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
 /// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
 pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
     for sign in [1.0, -1.0] {
-        let limit = largest(current, |i| sign * i);
+        let limit = largest([current], |[i]| sign * i);
         let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
         if length < CLIPPED_SAMPLES || from == 0 {

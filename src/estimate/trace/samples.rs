@@ -32,22 +32,24 @@ impl Level {
 
 /// Largest distance of a value from the level; 0 without values.
 pub(crate) fn peak(values: &[f64], level: f64) -> f64 {
-    largest(values, |v| (v - level).abs()).max(0.0)
+    largest([values], |[v]| (v - level).abs()).max(0.0)
 }
 
-/// Largest of the function's results for all values; negative infinity without values. It is computed in independent
-/// lanes without a branch, for speed.
-pub(crate) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
+/// Largest of the function's results for all samples of signals with the same length; negative infinity without
+/// samples. It is computed in independent lanes without a branch, for speed.
+pub(crate) fn largest<const N: usize>(signals: [&[f64]; N], of: impl Fn([f64; N]) -> f64) -> f64 {
     const LANES: usize = 8;
     let mut most = [f64::NEG_INFINITY; LANES];
-    let (chunks, rest) = values.as_chunks::<LANES>();
-    for chunk in chunks {
+    let chunks = signals.map(|signal| signal.as_chunks::<LANES>());
+    for at in 0..chunks[0].0.len() {
+        let chunk = chunks.map(|(chunks, _)| &chunks[at]);
         for lane in 0..LANES {
-            let value = of(chunk[lane]);
+            let value = of(chunk.map(|samples| samples[lane]));
             most[lane] = if value > most[lane] { value } else { most[lane] };
         }
     }
-    most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(f64::NEG_INFINITY, f64::max)
+    let rest = (0..chunks[0].1.len()).map(|at| of(chunks.map(|(_, rest)| rest[at])));
+    most.into_iter().chain(rest).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// Whether all tests are true. It counts them, as a loop that may end early takes three times as long.
@@ -109,24 +111,10 @@ pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> 
 /// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
 /// it. 0 if all values are equal.
 pub(crate) fn quantum(values: &[f64]) -> f64 {
-    const LANES: usize = 4;
-    // Four lanes without a branch, as this runs over every sample several times in each throw.
-    let mut least = [f64::INFINITY; LANES];
-    let mut compare = |lane: usize, before: f64, after: f64| {
+    let neighbours = [&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default()];
+    let least = -largest(neighbours, |[before, after]| {
         let difference = (after - before).abs();
-        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
-        least[lane] = if difference < least[lane] { difference } else { least[lane] };
-    };
-    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
-    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
-    for (before, after) in before.iter().zip(after) {
-        for lane in 0..LANES {
-            compare(lane, before[lane], after[lane]);
-        }
-    }
-    for (before, after) in before_rest.iter().zip(after_rest) {
-        compare(0, *before, *after);
-    }
-    let least = least.into_iter().fold(f64::INFINITY, f64::min);
+        if difference > 0.0 { -difference } else { f64::NEG_INFINITY }
+    });
     if least.is_finite() { least } else { 0.0 }
 }
