@@ -142,10 +142,9 @@ impl Identifier {
             _ => {}
         }
         add_supply(&mut features, throw);
-        if undamaged && settings.motor == Motor::PermanentMagnet {
-            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
-        }
         if undamaged {
+            let motor = (settings.motor, settings.lead_mm);
+            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, motor);
             features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {

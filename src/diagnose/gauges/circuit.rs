@@ -92,9 +92,16 @@ pub(crate) struct Circuit {
     pub(crate) is_doubtful: bool,
     /// Whether the resistance is unknown. Then the level is the fall of the inrush, which is at most as large.
     pub(crate) of_inrush: bool,
+    /// Whether the back-EMF is known; that of a series-wound motor is not.
+    pub(crate) knows_back_emf: bool,
 }
 
 impl Circuit {
+    /// Whether the resistance has changed for certain, by heat or by a fault.
+    pub(crate) fn is_shown(&self) -> bool {
+        self.latest > 0.0 && self.level.value.abs() > CIRCUIT_SD * self.level.sd
+    }
+
     /// The change of the resistance if a sensor may explain a change of b0 (a logarithm): the fault of this sensor
     /// would change the resistance as much.
     pub(crate) fn beside(self, change: f64) -> Self {
@@ -182,13 +189,20 @@ impl Gauges {
         let (longer, longer_shown) = lost(WINDOWS[1])?;
         let latest = relative_size(shown, level, knows_weather);
         let size = latest.min(relative_size(longer_shown, longer, knows_weather));
-        Some(Circuit { level, size, latest, is_doubtful: false, of_inrush: true })
+        Some(Circuit { level, size, latest, is_doubtful: false, of_inrush: true, knows_back_emf: false })
+    }
+
+    /// Whether the last throws show the resistance of a series-wound motor, which has no constant of the back-EMF.
+    pub(crate) fn is_series_with_resistance(&self) -> bool {
+        let is_known = |gauge| self.level(gauge, WINDOWS[0]).is_some();
+        is_known(Gauge::Resistance) && !is_known(Gauge::BackEmf)
     }
 
     fn circuit_of_resistance(&self, knows_weather: bool) -> Option<Circuit> {
         let (level, longer) = (self.level(Gauge::Resistance, WINDOWS[0])?, self.level(Gauge::Resistance, WINDOWS[1])?);
-        let is_motor =
-            self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
+        // A series-wound motor has no constant of the back-EMF. Its flux does not change: it has no magnets.
+        let back_emf = self.level(Gauge::BackEmf, WINDOWS[0]);
+        let is_motor = back_emf.is_some_and(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| relative_size(level.value.abs(), level, knows_weather);
         let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
         let size = latest.min(size_of(longer));
@@ -197,9 +211,9 @@ impl Gauges {
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
         let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
         let by_air = if longer.value > 0.0 { to } else { -from };
-        let is_inrush_as_before = volts.zip(inrush).is_some_and(|(volts, inrush)| {
-            let lower = (volts.value - inrush.value) * longer.value.signum();
-            lower - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
+        let lost_inrush = volts.zip(inrush).map(|(volts, inrush)| volts.value - inrush.value);
+        let is_inrush_as_before = lost_inrush.zip(inrush).is_some_and(|(lost, inrush)| {
+            lost * longer.value.signum() - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
         });
         // With an elastic drive, the motor moves differently from the toe, whose position is measured.
         let by_elasticity =
@@ -207,7 +221,15 @@ impl Gauges {
         let is_elastic = by_elasticity > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
         let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
-        is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false })
+        // The saturation of the iron makes the change of a series-wound motor look larger. The fall of the inrush is the
+        // least possible change.
+        let least = if back_emf.is_none() { lost_inrush.filter(|lost| *lost < level.value) } else { None };
+        let level = least.map_or(level, |least| Level {
+            value: f64::midpoint(least.max(0.0), level.value),
+            sd: level.sd.hypot(0.25 * (level.value - least.max(0.0))),
+        });
+        let knows_back_emf = back_emf.is_some();
+        is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false, knows_back_emf })
     }
 
     /// Whether a resistance with this level has fallen in one direction only. A bad contact may raise it in one

@@ -20,7 +20,11 @@ use super::{
 };
 use crate::{
     diagnose::{
-        alarm::{rule::Rule, rule_result, step::Step},
+        alarm::{
+            rule::Rule,
+            rule_result::{self, RuleResult},
+            step::Step,
+        },
         drift::{explain::percent, latest_throw::LatestThrow, origin::Origin},
         operation::{
             site::{self, Common},
@@ -190,6 +194,10 @@ impl MachineMonitor {
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
+        // How much a known resistance slows a series-wound motor is unknown, so its alarm explains the features.
+        let is_of_circuit = step.alarms.rule(Cause::Supply) == Some(Rule::Circuit);
+        let is_explained = is_of_circuit && self.instruments.gauges.is_series_with_resistance();
+        let found = if is_explained { RuleResult::Nothing } else { found };
         found.apply(Rule::Features, step);
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
