@@ -36,7 +36,7 @@ use super::{
 use crate::diagnose::{
     alarm::{rule::Rule, rule_result::count_over, step::Step},
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
-    gauges::{Circuit, Gauge, Gauges, Level, Offset},
+    gauges::{Circuit, Gauge, Gauges, Level, Offset, ShownBy},
     settings::Settings,
     text,
 };
@@ -388,12 +388,12 @@ impl Instruments {
             (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
         });
         let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|circuit| {
-            let Circuit { level, of_inrush, knows_back_emf, .. } = circuit;
+            let Circuit { level, shown_by, .. } = circuit;
             let lower = Level { value: -level.value, ..level };
-            let event = if of_inrush {
-                event(lower, text::inrush(step.name, &lower))
-            } else {
-                event(level, text::circuit(step.name, &level, knows_back_emf))
+            let event = match shown_by {
+                ShownBy::Inrush => event(lower, text::inrush(step.name, &lower)),
+                ShownBy::Resistance => event(level, text::circuit(step.name, &level, true)),
+                ShownBy::SeriesResistance => event(level, text::circuit(step.name, &level, false)),
             };
             (self.circuit, Rule::Circuit, event)
         });

@@ -12,7 +12,7 @@ mod normal;
 mod offset;
 pub(super) mod start;
 
-pub(super) use circuit::{AtStart, BackEmf, Circuit};
+pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges, Level};
 pub(super) use normal::sd_of_mean;
