@@ -229,8 +229,9 @@ impl Evaluated {
         let sensor = scale * covariance * scale;
         // For ratios, the variance of the common scale is an arbitrary large number, so the ratios to b0 are checked.
         let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
-        let repeats = if observation.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
-        let most = repeats * WORST_SD * WORST_SD;
+        // Most of the error of ratios is a misfit that is equal in every throw of the machine, and cancels in a
+        // comparison; the part that differs shows as scatter.
+        let most = if observation.ratios_only { Estimate::LONGEST_WINDOW } else { WORST_SD * WORST_SD };
         let usable = sensor.iter().all(|v| v.is_finite())
             && sensor.diagonal().iter().all(|v| *v >= 0.0)
             && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < most);

@@ -38,7 +38,8 @@ pub struct Features {
     pub end_position_mm: Option<f64>,
     /// Mean supply voltage in the message \[V\].
     pub supply_v: Option<f64>,
-    /// Resistance of armature and leads \[ohm\], from the inrush; needs `supply_v`, and the position or the stroke.
+    /// Resistance of armature and leads \[ohm\], from the inrush; needs `supply_v`, and the position or the stroke. For
+    /// a series-wound motor whose iron saturates it is too small, and only its changes are used.
     pub resistance_ohm: Option<f64>,
     /// Back-EMF constant K at the screw \[V s/rad\]: (V - R i) / ω in steady state, with supply voltage V, resistance R
     /// and screw speed ω; needs `supply_v`, and the position or the stroke.

@@ -128,9 +128,8 @@ impl Identifier {
         }
         add_supply(&mut features, throw);
         if undamaged && movement.sign != 0.0 && interval_s * armature::LEAST_RATE_HZ <= 1.0 {
-            if settings.motor == Motor::PermanentMagnet {
-                armature::add_constants(&mut features, throw.possible_supply_v(), &movement, settings.lead_mm);
-            }
+            let motor = (settings.motor, settings.lead_mm);
+            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, motor);
             features.motor = motor_kind::shown(&movement);
         }
         if let Ok(estimate) = &outcome {

@@ -114,6 +114,14 @@ impl Course {
         Some(Self { last, offset_variance })
     }
 
+    /// The course of a drift that has this course or the other one, both equally probable.
+    pub(crate) fn or_as(mut self, other: Self) -> Self {
+        self.last.extend(other.last);
+        self.last.iter_mut().for_each(|(weight, _)| *weight *= 0.5);
+        self.offset_variance = self.offset_variance.max(other.offset_variance);
+        self
+    }
+
     /// Present size of the drift as part of the normal value, and its standard deviation.
     pub(crate) fn now(&self) -> (f64, f64) {
         let mean: f64 = self.last.iter().map(|(weight, stage)| weight * stage.level(0.0).0).sum();

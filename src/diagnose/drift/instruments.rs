@@ -30,7 +30,7 @@ use super::{
 use crate::diagnose::{
     AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
     alarm::{Rule, Step, count_over},
-    gauges::{Circuit, Gauge, Gauges, Offset},
+    gauges::{Circuit, Gauge, Gauges, Offset, ShownBy},
     statistics::{Level, WINDOWS, percent, streak},
     text,
 };
@@ -200,7 +200,8 @@ impl Instruments {
         // With a smaller inrush, dry friction takes a larger part of the torque: at most the ratio of the running
         // current to the inrush current.
         let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
-        let is_changed = circuit.latest > 1.0 && !circuit.is_doubtful;
+        // Heat changes the motion as a bad contact does, so a change that heat explains counts as well.
+        let is_changed = circuit.is_shown() && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
     }
 
@@ -282,8 +283,10 @@ impl Instruments {
         let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
         let levels = DISTINGUISHING
             .map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
-        // With a supply voltage, the back-EMF replaces the duration, as the duration has the scatter of the supply.
-        if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
+        // With a supply voltage, the back-EMF replaces the duration, as the duration has the scatter of the supply. The
+        // resistance of a series-wound motor, which has no back-EMF here, is too uncertain for the gain of a sensor.
+        let [travel, back_emf, ohms, duration] = levels;
+        if back_emf.is_some() { [travel, back_emf, ohms, None] } else { [travel, None, None, duration] }
     }
 
     /// Updates the alarm about a sensor after a throw with this drift.
@@ -370,12 +373,13 @@ impl Instruments {
             let level = Level { value: -lost.value, ..lost };
             (self.supply, Rule::Usual, event(level, text::supply(step.name, level.pct())))
         });
-        let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|Circuit { level, of_inrush, .. }| {
+        let of_circuit = circuit.filter(|_| self.circuit.named >= delay).map(|circuit| {
+            let Circuit { level, shown_by, .. } = circuit;
             let lower = Level { value: -level.value, ..level };
-            let event = if of_inrush {
-                event(lower, text::inrush(step.name, &lower))
-            } else {
-                event(level, text::circuit(step.name, &level))
+            let event = match shown_by {
+                ShownBy::Inrush => event(lower, text::inrush(step.name, &lower)),
+                ShownBy::Resistance => event(level, text::circuit(step.name, &level, true)),
+                ShownBy::SeriesResistance => event(level, text::circuit(step.name, &level, false)),
             };
             (self.circuit, Rule::Circuit, event)
         });

@@ -87,11 +87,29 @@ pub(crate) struct Circuit {
     pub(crate) latest: f64,
     /// Whether something else may have changed instead: motor, play or position sensor.
     pub(crate) is_doubtful: bool,
-    /// Whether the resistance is unknown. Then the level is the fall of the inrush, which is at most as large.
-    pub(crate) of_inrush: bool,
+    /// The gauge that shows the change.
+    pub(crate) shown_by: ShownBy,
+    /// Size in standard deviations of the gauge.
+    sigmas: f64,
+}
+
+/// The gauge that shows a changed resistance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ShownBy {
+    /// The resistance, beside a back-EMF that has not changed.
+    Resistance,
+    /// The resistance of a series-wound motor, whose back-EMF is unknown, beside the inrush.
+    SeriesResistance,
+    /// The inrush, as the resistance is unknown. Then the level is the fall of the inrush, which is at most as large.
+    Inrush,
 }
 
 impl Circuit {
+    /// Whether the resistance has changed for certain, by heat or by a fault.
+    pub(crate) fn is_shown(&self) -> bool {
+        self.latest > 0.0 && self.sigmas > CIRCUIT_SD
+    }
+
     /// The change of the resistance if a sensor may explain a change of b0 (a logarithm): the fault of this sensor
     /// would change the resistance as much.
     pub(crate) fn beside(self, change: f64) -> Self {
@@ -179,13 +197,21 @@ impl Gauges {
         let (longer, longer_shown) = lost(WINDOWS[1])?;
         let latest = relative_size(shown, level, knows_weather);
         let size = latest.min(relative_size(longer_shown, longer, knows_weather));
-        Some(Circuit { level, size, latest, is_doubtful: false, of_inrush: true })
+        let sigmas = level.value.abs() / level.sd;
+        Some(Circuit { level, size, latest, is_doubtful: false, shown_by: ShownBy::Inrush, sigmas })
+    }
+
+    /// Whether the last throws show the resistance of a series-wound motor, which has no constant of the back-EMF.
+    pub(crate) fn is_series_with_resistance(&self) -> bool {
+        let is_known = |gauge| self.level(gauge, WINDOWS[0]).is_some();
+        is_known(Gauge::Resistance) && !is_known(Gauge::BackEmf)
     }
 
     fn circuit_of_resistance(&self, knows_weather: bool) -> Option<Circuit> {
         let (level, longer) = (self.level(Gauge::Resistance, WINDOWS[0])?, self.level(Gauge::Resistance, WINDOWS[1])?);
-        let is_motor =
-            self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
+        // A series-wound motor has no constant of the back-EMF. Its flux does not change: it has no magnets.
+        let back_emf = self.level(Gauge::BackEmf, WINDOWS[0]);
+        let is_motor = back_emf.is_some_and(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| relative_size(level.value.abs(), level, knows_weather);
         let latest = if self.voltage_error().is_some() { 0.0 } else { size_of(level) };
         let size = latest.min(size_of(longer));
@@ -194,8 +220,11 @@ impl Gauges {
         let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
         let [from, to] = if knows_weather { self.winding_of_air(WINDOWS[1]) } else { [0.0; 2] };
         let by_air = if longer.value > 0.0 { to } else { -from };
-        let is_inrush_as_before = volts.zip(inrush).is_some_and(|(volts, inrush)| {
-            let lower = (volts.value - inrush.value) * longer.value.signum();
+        let lost_inrush = volts.zip(inrush).map(|(volts, inrush)| volts.value - inrush.value);
+        let is_inrush_as_before = lost_inrush.zip(inrush).is_some_and(|(lost, inrush)| {
+            // The published voltage may be wrong, and no back-EMF shows it: then the inrush itself must have changed.
+            let lost = if back_emf.is_some() { [lost; 2] } else { [lost, -inrush.value] };
+            let lower = lost.map(|lost| lost * longer.value.signum()).into_iter().fold(f64::INFINITY, f64::min);
             lower - by_air < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
         });
         // With an elastic drive, the motor moves differently from the toe, whose position is measured.
@@ -204,7 +233,13 @@ impl Gauges {
         let is_elastic = by_elasticity > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
         let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
-        is_measured.then_some(Circuit { level, size, latest, is_doubtful, of_inrush: false })
+        let sigmas = level.value.abs() / level.sd;
+        let (level, shown_by) = if back_emf.is_some() {
+            (level, ShownBy::Resistance)
+        } else {
+            (between(lost_inrush.unwrap_or(level.value), level), ShownBy::SeriesResistance)
+        };
+        is_measured.then_some(Circuit { level, size, latest, is_doubtful, shown_by, sigmas })
     }
 
     /// Whether a resistance with this level has fallen in one direction only. A bad contact may raise it in one
@@ -215,6 +250,15 @@ impl Gauges {
         // The mean of a direction without departures is NaN, which is not greater.
         level.value < 0.0 && by_side(&departures).iter().any(|own| mean(own) > ALIKE * level.value)
     }
+}
+
+/// The change of the resistance of a series-wound motor: from the fall of the inrush, the least possible change, to the
+/// change `level` that saturation of the iron makes too large. The standard deviation is that of an even distribution.
+fn between(lost_inrush: f64, level: Level) -> Level {
+    let least = lost_inrush * level.value.signum();
+    let (least, most) = (least.clamp(0.0, level.value.abs()), level.value.abs());
+    let value = level.value.signum() * f64::midpoint(least, most);
+    Level { value, sd: level.sd.hypot((most - least) / 12.0_f64.sqrt()) }
 }
 
 /// Size of an error of the voltage relative to the least reported error.

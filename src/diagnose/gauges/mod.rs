@@ -12,7 +12,7 @@ mod normal;
 mod offset;
 mod start;
 
-pub(super) use circuit::{AtStart, BackEmf, Circuit};
+pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use features::{FeatureWatch, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges};

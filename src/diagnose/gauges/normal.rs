@@ -82,7 +82,8 @@ impl Normal {
         let of_inrush = || Some(centre(Gauge::Running)? - centre(Gauge::Inrush)?);
         let share = of_resistance().or_else(of_inrush).map_or(0.0, f32::exp).min(LARGEST_SHARE);
         change(Gauge::Volts).map_or(Supplied::default(), |volts| {
-            let ohms = change(Gauge::Resistance).unwrap_or_default();
+            // Without K, as for a series-wound motor, the speed at another resistance is unknown.
+            let ohms = change(Gauge::BackEmf).and_then(|_| change(Gauge::Resistance)).unwrap_or_default();
             let speed = ((volts.exp() - share * ohms.exp()) / (1.0 - share)).max(LEAST_SPEED);
             Supplied { slower: -speed.ln(), inrush: volts - ohms }
         })

@@ -9,7 +9,7 @@ use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
         Cause, Common, Observation, Settings, Verdict,
-        alarm::{Rule, Step, rule_result},
+        alarm::{Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, LatestThrow, Origin},
         gauges::Offset,
@@ -181,6 +181,10 @@ impl MachineMonitor {
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
+        // How much a known resistance slows a series-wound motor is unknown, so its alarm explains the features.
+        let is_of_circuit = step.alarms.rule(Cause::Supply) == Some(Rule::Circuit);
+        let is_explained = is_of_circuit && self.instruments.gauges.is_series_with_resistance();
+        let found = if is_explained { RuleResult::Nothing } else { found };
         found.apply(Rule::Features, step);
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position

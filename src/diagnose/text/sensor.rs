@@ -78,8 +78,14 @@ pub(crate) fn supply(name: &str, change_pct: f64) -> String {
     )
 }
 
-/// Text about a changed resistance between supply and motor.
-pub(crate) fn circuit(name: &str, level: &Level) -> String {
+/// Text about a changed resistance between supply and motor. `knows_back_emf`: the back-EMF is known, which that of a
+/// series-wound motor is not.
+pub(crate) fn circuit(name: &str, level: &Level, knows_back_emf: bool) -> String {
+    let beside = match (knows_back_emf, level.value > 0.0) {
+        (true, _) => "the motor's back-EMF has not changed",
+        (false, true) => "its inrush has fallen",
+        (false, false) => "its inrush has risen",
+    };
     let (way, what) = if level.value > 0.0 {
         ("up", "A bad contact, worn brushes or a damaged cable do this. Check terminals, brushes, contactor and cable.")
     } else {
@@ -91,7 +97,7 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
     };
     format!(
         "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat \
-         explains, and the motor's back-EMF has not changed. {what}",
+         explains, and {beside}. {what}",
         level.pct().abs(),
         level.half_width_pct()
     )
