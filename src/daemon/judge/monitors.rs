@@ -97,7 +97,7 @@ impl Monitors {
 
     /// Whether the logger of a machine has declared a liveliness token, even if the token is gone now.
     pub(crate) fn is_announced(&self, machine: &MachineId) -> bool {
-        self.of_machines.get(machine).is_some_and(MachineMonitor::is_announced)
+        self.of_machines.get(machine).is_some_and(|monitor| monitor.is_announced())
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
