@@ -235,7 +235,9 @@ impl ReceiveLoop {
             match self.intake.store.spool_all(&self.unstored).await {
                 Ok(spooled) => {
                     self.unstored.clear();
-                    spooled.into_iter().for_each(|spooled| self.count(spooled));
+                    for spooled in spooled {
+                        self.count(spooled);
+                    }
                 }
                 Err(error) => {
                     self.intake.status.heartbeats.beat(TaskName::Receive);
