@@ -27,8 +27,8 @@ const GOOD: &str = "points/v1/good/1/throw";
 const EVERY: usize = 100;
 /// Messages between two queries of the daemon's status, fewer than its queue holds.
 const ROUND: usize = 2_000;
-/// Limit of the memory. The limits of the daemon are 128 MiB in the queue, 64 MiB on the way to the database and 256
-/// MiB for the longest traces; the messages of this test reach none of them.
+/// Limit of the memory. The limits of the daemon are 128 MiB in the queue and 256 MiB for the longest traces; the
+/// messages of this test reach none of them.
 const MEMORY_MIB: f64 = 400.0;
 /// Configured limit of the quarantine \[messages\].
 const QUARANTINE: u64 = 500;
