@@ -15,7 +15,6 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
-use operator::DAEMON_SECTIONS;
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
@@ -260,6 +259,10 @@ fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigErro
     }
     Ok(Machines { default: config.machine_defaults.clone(), overrides })
 }
+
+/// Sections that only the configuration file of a daemon has.
+const DAEMON_SECTIONS: [&str; 9] =
+    ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web", "webhook"];
 
 /// Checks the names of the sections, for a command that reads only some of them.
 ///

@@ -4,14 +4,11 @@
 use toml::{Table, Value};
 
 use super::{
-    Config, ConfigError, Document, section,
+    Config, ConfigError, DAEMON_SECTIONS, Document, section,
     zenoh::{self as sessions, find},
 };
 use crate::throw::MachineId;
 
-/// Sections that only the configuration file of a daemon has.
-pub(super) const DAEMON_SECTIONS: [&str; 9] =
-    ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web", "webhook"];
 /// Sections that only the file of `pointsim` has; its `[zenoh]` section is that of a client.
 const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
 /// Keys of a daemon's TLS section that are valid for its clients too.
