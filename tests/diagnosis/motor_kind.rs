@@ -65,6 +65,21 @@ fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
     }
 }
 
+/// The causes of the alarms of a series-wound machine that performs `throws`, except those about its duration.
+fn causes_of_series(throws: impl Iterator<Item = simulate::SimulatedThrow>) -> Vec<Cause> {
+    let settings = estimate::Settings { motor: Motor::Series, ..estimate::Settings::default() };
+    let mut identifier = Identifier::default();
+    let mut monitor = MachineMonitor::new("21B");
+    let mut causes = Vec::new();
+    for (throw, at) in throws.zip(1..) {
+        let throw = throw.into_throw("a", Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * at));
+        let found = Observation::of(&throw, &identifier.identify(&throw, &settings));
+        causes.extend(monitor.observe(&found, &Settings::default()).events.into_iter().map(|event| event.cause));
+    }
+    causes.retain(|cause| *cause != Cause::SlowThrow);
+    causes
+}
+
 /// Voltage, speed and inrush of a series motor change together as those of one with magnets.
 #[test]
 fn a_lower_supply_voltage_of_a_series_motor_is_named() {
@@ -73,18 +88,30 @@ fn a_lower_supply_voltage_of_a_series_motor_is_named() {
     let incidents = vec![weak(0), weak(1), weak(2)];
     let machine = simulate::Parameters::series();
     let fleet = FleetSettings { machines: 4, machine, incidents, ..FleetSettings::default() };
-    let settings = estimate::Settings { motor: Motor::Series, ..estimate::Settings::default() };
-    let mut identifier = Identifier::default();
     for (at, mut machine) in Fleet::new(&fleet, 78).unwrap().into_machines().into_iter().enumerate() {
-        let mut monitor = MachineMonitor::new("21B");
-        let mut causes = Vec::new();
-        for throw in 1..=120 {
-            let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
-            let throw = machine.next_throw().unwrap().into_throw("a", started_at);
-            let found = Observation::of(&throw, &identifier.identify(&throw, &settings));
-            causes.extend(monitor.observe(&found, &Settings::default()).events.into_iter().map(|event| event.cause));
-        }
-        causes.retain(|cause| *cause != Cause::SlowThrow);
+        let causes = causes_of_series((0..120).map(|_| machine.next_throw().unwrap()));
+        assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
+    }
+}
+
+/// The resistance of a series motor scatters by a tenth from throw to throw. Twice the resistance lowers the inrush by a
+/// fifth only.
+#[test]
+fn a_bad_contact_of_a_series_motor_is_named() {
+    let machines = |resistance: f64| {
+        let mut machine = simulate::Parameters::series();
+        machine.resistance_ohm *= resistance;
+        let fleet = FleetSettings { machines: 4, machine, ..FleetSettings::default() };
+        Fleet::new(&fleet, 78).unwrap().into_machines()
+    };
+    for (at, (mut sound, mut bad)) in machines(1.0).into_iter().zip(machines(2.0)).enumerate() {
+        let bad_from = if at < 3 { 80 } else { usize::MAX };
+        // Both machines perform every throw, so that they keep the same weather and scatter.
+        let throws = (0..140).map(|throw| {
+            let (sound, bad) = (sound.next_throw().unwrap(), bad.next_throw().unwrap());
+            if throw < bad_from { sound } else { bad }
+        });
+        let causes = causes_of_series(throws);
         assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
     }
 }

@@ -231,7 +231,10 @@ impl Gauges {
         let by_elasticity =
             self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
         let is_elastic = by_elasticity > ALIKE * level.value.abs();
-        let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
+        // The scatter of a series-wound motor's resistance is near this limit. A change beyond it, with the fall of the
+        // inrush, is measured well enough.
+        let most = if back_emf.is_none() { CIRCUIT_UNCERTAINTY.max(level.value.abs()) } else { CIRCUIT_UNCERTAINTY };
+        let is_measured = CIRCUIT_SD * level.sd < most;
         let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
         let sigmas = level.value.abs() / level.sd;
         let (level, shown_by) = if back_emf.is_some() {
