@@ -106,7 +106,13 @@ impl Store {
     /// When the throws could not be stored; the same call may be repeated.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Result<Vec<Spooled>, StoreError> {
         let spools = compress(throws.to_vec()).await?;
-        self.writer.write(Spools(spools)).await
+        let spooled = self.writer.write(Spools(spools)).await?;
+        for ((_, throw, _), spooled) in throws.iter().zip(&spooled) {
+            if let Spooled::New(row) = spooled {
+                self.reader.recent.keep(*row, throw);
+            }
+        }
+        Ok(spooled)
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.

@@ -8,7 +8,7 @@
 //! | `files` | the files of a database: opening, check, salvage, free space |
 //! | `writer` | the writing task, and each kind of write |
 //! | `reader` | the read-only connections, and the queries of the pages and commands |
-//! | `rows`, `codec` | the stored types, and the compression of traces |
+//! | `rows`, `codec`, `recent` | the stored types, the compression of traces, and the newest throws in memory |
 
 mod codec;
 mod database;
@@ -16,6 +16,7 @@ mod error;
 mod files;
 mod rate_limit;
 mod reader;
+mod recent;
 mod rows;
 mod settings;
 pub mod statements;

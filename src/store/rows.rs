@@ -74,8 +74,19 @@ pub struct StoredThrow {
     pub renumbered: bool,
 }
 
+/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats an earlier
+/// one, and whether it is judged at another position than the position of its boot.
+#[derive(Debug, serde::Deserialize)]
+pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
+
 /// Suffix of the separate `boot_id` for throws whose number was already stored. A logger may use this suffix too.
 pub(super) const RENUMBERED: &str = "~again";
+
+/// Whether a throw was stored in a separate boot because its number was already stored. `moved`: the throw is judged at
+/// another position than the position of its boot.
+fn is_renumbered(id: &ThrowRef, moved: bool) -> bool {
+    moved && id.boot_id.ends_with(RENUMBERED)
+}
 
 /// A stored monitor.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -186,6 +197,24 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
     Ok(codec::trace(row.try_get("sample_rate_hz")?, samples, &current, &position, crc32.unwrap_or_default()))
 }
 
+impl StoredThrow {
+    /// A throw from memory, with the columns that were computed when it was stored.
+    pub(super) fn from_memory(row: PendingRow, throw: Throw) -> sqlx::Result<Self> {
+        let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats, moved) = row;
+        let id = ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
+        Ok(Self {
+            row: ThrowRow(row),
+            machine: MachineId::new(&site, &machine).map_err(decode_error)?,
+            renumbered: is_renumbered(&id, moved != 0),
+            id: id.clone(),
+            started_at: throw.started_at,
+            received_at: timestamp(received_at_us),
+            repeats: repeats != 0,
+            throw: Ok(Throw { id, ..throw }),
+        })
+    }
+}
+
 impl FromRow<'_, SqliteRow> for StoredThrow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         let (id, started_at) = (ThrowRef::from_row(row)?, time(row, "started_at_us")?);
@@ -204,7 +233,7 @@ impl FromRow<'_, SqliteRow> for StoredThrow {
         Ok(Self {
             row: ThrowRow(row.try_get("throw_row")?),
             machine: MachineId::from_row(row)?,
-            renumbered: row.try_get("moved")? && id.boot_id.ends_with(RENUMBERED),
+            renumbered: is_renumbered(&id, row.try_get("moved")?),
             id,
             started_at,
             received_at: time(row, "received_at_us")?,

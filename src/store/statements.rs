@@ -345,7 +345,10 @@ statements! {
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
         ORDER BY boot_position, throw_no LIMIT ?2 + 0)) \
-        SELECT json_group_array(throw_row ORDER BY machine_row, boot_position, throw_no) FROM throw \
+        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL, \
+        boot_position IS NOT boot.position) \
+        ORDER BY throw.machine_row, boot_position, throw_no) \
+        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
     THROWS = concat!("SELECT ", throw_rows!(), " \

@@ -21,6 +21,7 @@ use tokio_util::sync::CancellationToken;
 use super::{
     error::{StoreError, is_corrupt},
     files::open,
+    recent::RecentThrows,
 };
 use crate::{throw::MachineId, wire::Alarm};
 
@@ -41,6 +42,7 @@ pub struct Reader {
     broken: CancellationToken,
     /// Cancelled when the store closes: external queries end.
     closing: CancellationToken,
+    pub(super) recent: RecentThrows,
 }
 
 /// Separate connections, so that many external queries cannot delay the pipeline.
@@ -78,6 +80,7 @@ impl Reader {
             pools: Arc::new(RwLock::new(pools)),
             broken: CancellationToken::new(),
             closing: CancellationToken::new(),
+            recent: RecentThrows::default(),
         })
     }
 

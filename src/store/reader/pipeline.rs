@@ -9,7 +9,7 @@ use super::Reader;
 use crate::{
     store::{
         error::StoreError,
-        rows::{Gap, OutboxRow, StoredMonitor, StoredThrow, ThrowRow, from_json, timestamp},
+        rows::{Gap, OutboxRow, PendingRow, StoredMonitor, StoredThrow, ThrowRow, from_json, timestamp},
         statements as sql,
         writer::cursor::{self, Cursor},
     },
@@ -38,7 +38,7 @@ impl Reader {
             let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
             let query = sqlx::query(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine);
             let chosen = self.limited(query.fetch_one(&self.pool())).await?;
-            chosen.try_get(0).and_then(from_json::<Vec<i64>>).map_err(StoreError::read)
+            chosen.try_get(0).and_then(from_json::<Vec<PendingRow>>).map_err(StoreError::read)
         };
         let mut rows = turn(after).await?;
         if rows.is_empty() && after.is_some() {
@@ -47,9 +47,14 @@ impl Reader {
         let mut is_full = rows.len() >= limit as usize;
         let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
         for row in rows {
-            // Retention may have just deleted the throw.
-            let Some(stored) = self.rows(sqlx::query_as(sql::STORED_THROW).bind(row)).await?.pop() else { continue };
-            let stored: StoredThrow = stored;
+            let stored = match self.recent.take(ThrowRow(row.0)) {
+                Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
+                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop() {
+                    Some(stored) => stored,
+                    // Retention has just deleted the throw.
+                    None => continue,
+                },
+            };
             samples += stored.throw.as_ref().map_or(0, |throw| throw.trace.len());
             throws.push(stored);
             if samples >= BATCH_SAMPLES {
