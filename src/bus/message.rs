@@ -5,6 +5,8 @@ use zenoh::{
     sample::{Sample, SampleKind},
 };
 
+use crate::wire::QUARANTINED_BYTES;
+
 /// A received message, live or from a backlog.
 #[derive(Debug)]
 pub(crate) struct Message {
@@ -19,12 +21,10 @@ pub(crate) struct Message {
     pub is_delete: bool,
 }
 
-/// Bytes kept of a payload above the size limit: enough to recognise format and sender in the quarantine.
-const KEPT_OF_LARGER: usize = 1024;
-
-/// Number of bytes that are kept of a payload of `bytes`, with the limit `max_bytes`.
+/// Number of bytes that are kept of a payload of `bytes`, with the limit `max_bytes`: the quarantine needs only the start
+/// of a larger one.
 pub(super) fn kept(bytes: usize, max_bytes: usize) -> usize {
-    if bytes > max_bytes { KEPT_OF_LARGER } else { bytes }
+    if bytes > max_bytes { QUARANTINED_BYTES } else { bytes }
 }
 
 impl Message {

@@ -8,7 +8,7 @@ use std::{
     path::Path,
 };
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -152,14 +152,9 @@ pub(super) fn width() -> u16 {
 /// Refuses an output file whose extension names a format that the command does not write.
 pub(super) fn of_format(path: &Path, formats: [&str; 2]) -> Result<(), Failure> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-    match extension.filter(|extension| !formats.contains(&extension.as_str())) {
-        None => Ok(()),
-        Some(other) => {
-            let problem =
-                format!("--out {}: cannot write {other}, only {} or {}", path.display(), formats[0], formats[1]);
-            Err(Failure::new(Exit::Usage, anyhow::anyhow!(problem)))
-        }
-    }
+    let Some(other) = extension.filter(|extension| !formats.contains(&extension.as_str())) else { return Ok(()) };
+    let [one, another] = formats;
+    Err(anyhow!("--out {}: cannot write {other}, only {one} or {another}", path.display())).or_exit(Exit::Usage)
 }
 
 /// Creates an output file before the long work of a command, so that an error shows at once. An existing file keeps its

@@ -34,7 +34,7 @@ use super::{
     supervision::{
         lock::DatabaseLock,
         peers::Peers,
-        status::{Status, StatusReport, StatusSources},
+        status::{NAMED, Status, StatusReport, StatusSources},
         tasks::Tasks,
         watchdog,
     },
@@ -49,9 +49,6 @@ use crate::{
 
 /// Capacity of the channel of judged throws to observers. A slow observer misses the oldest throws.
 const JUDGED_CAPACITY: usize = 4_096;
-
-/// Largest number of machines outside `subscribe.key` that the status names.
-const NAMED: usize = 20;
 
 /// Name that [`Daemon::ended`] returns for the writer of the database.
 pub const DATABASE: &str = "the database";

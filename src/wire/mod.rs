@@ -12,6 +12,9 @@ mod query;
 mod text;
 mod throw;
 
+/// Number of bytes kept of a message that is no valid throw, from its start: enough to recognise format and sender.
+pub const QUARANTINED_BYTES: usize = 1024;
+
 pub use alarm::{Alarm, alarm_id, kind_of, without_subject};
 pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{CommandTarget, Reply, decode_command};

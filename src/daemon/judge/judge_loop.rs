@@ -22,7 +22,11 @@ use crate::{
         clock,
         config::Config,
         receive::presence::Loggers,
-        supervision::{heartbeat::TaskName, peers::Peers, status::Status},
+        supervision::{
+            heartbeat::TaskName,
+            peers::Peers,
+            status::{NAMED, Status},
+        },
     },
     diagnose::{Away, Command, Irregularity, MachineMonitor, Missing},
     store::{ALL_MACHINES, Judgement, Outcome, Store, StoreError, seldom},
@@ -34,8 +38,6 @@ use crate::{
 const CHANGES: usize = 64;
 /// Largest number of gaps in one query. All gaps of a machine should be in one result, as they are reported together.
 const GAPS: u32 = 10_000;
-/// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message.
-const NAMED: usize = 20;
 /// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
 /// token stays in the list.
 const REFUSED_FOR: Duration = Duration::from_hours(1);

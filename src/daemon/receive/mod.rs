@@ -359,8 +359,8 @@ mod tests {
         let message = |key: &str| Message {
             key: key.to_owned(),
             content_type: String::new(),
-            payload: vec![7; 2_048],
-            bytes: 2_048,
+            payload: vec![7; 2 * wire::QUARANTINED_BYTES],
+            bytes: 2 * wire::QUARANTINED_BYTES,
             is_delete: false,
         };
         let decoded = ["good", "poison", "good"].map(|key| {

@@ -20,6 +20,9 @@ use crate::{
 const INVALID_IN_A_ROW: u32 = 5;
 /// Largest number of unknown machines whose invalid messages are counted.
 const UNKNOWN: usize = 64;
+/// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message,
+/// machines outside `subscribe.key`.
+pub(crate) const NAMED: usize = 20;
 
 /// Counters and states that all loops share.
 #[derive(Debug, Default)]

@@ -7,11 +7,9 @@ use super::{spool::count, write::Write};
 use crate::{
     store::statements as sql,
     throw::{MachineId, Throw, ThrowRef},
-    wire::{Encoding, Kind, encode_throw, machine_key},
+    wire::{Encoding, Kind, QUARANTINED_BYTES, encode_throw, machine_key},
 };
 
-/// Number of bytes stored of a message, from its start: enough to recognise format and sender.
-const QUARANTINED_BYTES: usize = 1024;
 /// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
 const MAX_STORED: usize = 256;
 /// Largest stored length of the key and of the reason \[characters\].
@@ -28,7 +26,7 @@ pub struct QuarantinedMessage {
     pub bytes: usize,
     /// Boot and number of the throw, if both can be read from the message.
     pub id: Option<Box<ThrowRef>>,
-    /// The start of the message, of which the first 1,024 bytes are stored.
+    /// The start of the message, of which the first [`QUARANTINED_BYTES`] are stored.
     pub beginning: Vec<u8>,
     /// Time of reception.
     pub at: Timestamp,
