@@ -2,7 +2,7 @@
 //!
 //! The evidence compares two models of a coefficient's logarithm. The first has a level for each direction and, if it
 //! is known, the effect of the temperature. The second has a slope in addition. A slope must also explain the throws
-//! better than a step does. The evidence is that of [`crate::diagnose::statistics::regression`].
+//! better than a step does. The evidence is that of [`Series`].
 
 use nalgebra::Vector3;
 

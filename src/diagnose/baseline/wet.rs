@@ -4,7 +4,7 @@
 //! increase its scatter, and a larger scatter hides wear. So the effect of each spell that begins and ends within these
 //! throws is subtracted. The evidence compares two models of the logarithm of the friction. The first has a level for
 //! each direction, the effect of the temperature and a slope. The second has wet spells in addition. The evidence is
-//! that of [`crate::diagnose::statistics::regression`], in which slow random changes do not look like spells.
+//! that of [`Series`], in which slow random changes do not look like spells.
 
 use std::ops::{Range, RangeInclusive};
 
