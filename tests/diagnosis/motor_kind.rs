@@ -17,7 +17,7 @@ fn caveats(machine: &simulate::Parameters, motor: Motor) -> Vec<Option<String>> 
     let machines = Fleet::new(&fleet, 77).unwrap().into_machines().into_iter();
     let caveat = |mut machine: simulate::SimulatedMachine| {
         let mut monitor = MachineMonitor::new("21B");
-        monitor.configured(Parameters::of(&settings), Timestamp::UNIX_EPOCH, &Settings::default());
+        monitor.configured(Parameters::of(&settings), Timestamp::UNIX_EPOCH);
         for throw in 1..=26 {
             let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
             let throw = machine.next_throw().unwrap().into_throw("a", at);

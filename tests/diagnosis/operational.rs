@@ -1,6 +1,6 @@
 //! Alarms for throws that fail, become slow, have no estimate, or never arrive.
 
-use jiff::SignedDuration;
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{
@@ -8,7 +8,7 @@ use pointsd::{
         Parameters, SensorChannel, Settings, Severity,
     },
     estimate,
-    throw::{Direction, utc},
+    throw::{Direction, ThrowRef, utc},
 };
 
 use crate::{
@@ -351,8 +351,7 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
     let before = estimate::Settings::default();
     let after = estimate::Settings { neutral_mm: 57.3, ..estimate::Settings::default() };
     let at = machine.throw(Vector3::zeros()).started_at;
-    let mut configured =
-        |settings: &estimate::Settings| machine.monitor.configured(Parameters::of(settings), at, &Settings::default());
+    let mut configured = |settings: &estimate::Settings| machine.monitor.configured(Parameters::of(settings), at);
     assert_eq!(configured(&before), None);
     assert_eq!(configured(&before), None);
     let (command, _) = configured(&after).unwrap();
@@ -372,16 +371,10 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
 
     let mut machine = self::machine();
     let dated = [1, 2, 3].map(|_| {
-        machine.monitor.date(
-            &last.throw,
-            jiff::Timestamp::UNIX_EPOCH,
-            Some(last.started_at),
-            false,
-            &Settings::default(),
-        )
+        machine.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(last.started_at), false, &Settings::default())
     });
-    assert!(dated.iter().all(|(at, _)| *at == last.started_at) && dated[1].1.is_none());
-    let event = dated[2].1.as_ref().unwrap();
+    assert!(dated.iter().all(|dated| dated.at == last.started_at) && dated[1].event.is_none());
+    let event = dated[2].event.as_ref().unwrap();
     assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Clock)));
     assert!(event.text.contains("1970-01-01"), "{}", event.text);
 
@@ -390,6 +383,78 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
         machine.monitor.caveats().len()
     };
     assert_eq!([named(4, true), named(1, true), named(1, false)], [0, 1, 0]);
+}
+
+/// Which throws count as made before a new baseline at 0 s. `before` and `after` are the throws that arrive before and
+/// after it: their start and reception \[s\].
+fn outdated(before: &[(f64, f64)], after: &[(f64, f64)]) -> Vec<bool> {
+    let at =
+        |seconds: f64| "2026-03-01T12:00:00Z".parse::<Timestamp>().unwrap() + SignedDuration::from_secs_f64(seconds);
+    let mut monitor = MachineMonitor::new("21");
+    let mut throw_no = 0;
+    let mut dates = |monitor: &mut MachineMonitor, throws: &[(f64, f64)]| -> Vec<bool> {
+        let of_throw = |&(started, received): &(f64, f64)| {
+            throw_no += 1;
+            let throw = ThrowRef { boot_id: "a".to_owned(), throw_no };
+            let settings = Settings::default();
+            let dated = monitor.date(&throw, at(started), Some(at(received)), false, &settings);
+            monitor.observe(&Observation { is_outdated: dated.is_outdated, ..Observation::default() }, &settings);
+            dated.is_outdated
+        };
+        throws.iter().map(of_throw).collect()
+    };
+    dates(&mut monitor, before);
+    let command = Command::Rebaseline { by: "A. Person".to_owned(), why: "new motor".to_owned() };
+    monitor.command(&command, at(0.0), &Settings::default()).unwrap();
+    dates(&mut monitor, after)
+}
+
+/// A logger whose link is cut sends throws from before a repair after it.
+#[test]
+fn throws_that_were_made_before_a_new_baseline_and_arrive_later_do_not_count() {
+    const HOUR: f64 = 3600.0;
+    let live = |from: i32, to: i32, slow: f64| -> Vec<(f64, f64)> {
+        (from..to)
+            .map(|hour| HOUR * f64::from(hour))
+            .map(|at| (at - slow, at + 7.0 + at.rem_euclid(3.0) / 10.0))
+            .collect()
+    };
+    let late = |slow: f64| -> Vec<(f64, f64)> {
+        (0..6).map(|throw| (HOUR * f64::from(throw - 5) - 60.0 - slow, 900.0 + f64::from(throw) / 50.0)).collect()
+    };
+    // The clock of the second logger is five hours behind, that of the third one ahead.
+    for slow in [0.0, 5.0 * HOUR, -2.0 * HOUR] {
+        assert_eq!(outdated(&live(-20, -5, slow), &late(slow)), [true; 6], "{slow}");
+        assert_eq!(outdated(&live(-20, -5, slow), &live(1, 7, slow)), [false; 6], "{slow}");
+    }
+    assert_eq!(outdated(&live(-20, -5, 0.0), &[(-HOUR, -1.0)]), [true], "received before, and judged after");
+    assert_eq!(outdated(&[], &late(0.0)), [false; 6], "the clock of the logger is unknown");
+    let fast = |from: i32, to: i32| -> Vec<(f64, f64)> {
+        (from..to).map(|throw| (HOUR * f64::from(throw) - 1e7, 1.5 * f64::from(throw))).collect()
+    };
+    assert_eq!(outdated(&fast(-20, 0), &fast(1, 7)), [false; 6], "a simulation in fast motion, dated in the past");
+    let stopped = [true, false, false, false, false, false];
+    assert_eq!(outdated(&live(-20, -5, 0.0), &live(1, 7, 9.0 * HOUR)), stopped, "the clock stood still in the repair");
+}
+
+/// While its clock was years ahead, a cabinet applied a command. Then no throw would count for years.
+#[test]
+fn a_new_baseline_in_the_future_does_not_make_throws_outdated() {
+    let settings = Settings::default();
+    let mut machine = machine();
+    let now = machine.throw(Vector3::zeros()).started_at;
+    let command =
+        Command::MaintenanceStart { until: now + SignedDuration::from_hours(9_000), by: "A".into(), why: "B".into() };
+    let ahead = now + SignedDuration::from_hours(8_900);
+    machine.monitor.command(&command, ahead, &settings).unwrap();
+    machine.monitor.command(&Command::MaintenanceEnd { by: "A".into() }, ahead, &settings).unwrap();
+    let dated = |monitor: &mut MachineMonitor, throw_no| {
+        let throw = ThrowRef { boot_id: "a".to_owned(), throw_no };
+        monitor.date(&throw, now, Some(now), false, &settings).is_outdated
+    };
+    assert!(dated(&mut machine.monitor, 1));
+    machine.monitor.tick(now, &settings);
+    assert!(!dated(&mut machine.monitor, 2));
 }
 
 /// After the loss of a snapshot nothing else would end the alarm, and its fault may still exist.

@@ -17,7 +17,7 @@ use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
 use crate::{
     http::{ALIVE, KEY, WEB, address, get},
-    rig::{PATIENCE, Rig, Sender, matched, stub},
+    rig::{PATIENCE, Rig, Sender, matched, stub, throws},
 };
 
 /// Declares the backlog of a logger with these messages, oldest first.
@@ -146,4 +146,41 @@ async fn a_message_that_is_no_throw_is_in_quarantine_once() {
     assert_eq!(rig.sql("SELECT reason FROM quarantined_messages").len(), 1);
     let status = daemon.status();
     assert_eq!(status["quarantined"], 1, "{status}");
+}
+
+/// While the link is cut, the motor is replaced. Its throws from before would be a baseline of the worn machine.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
+    let (rig, daemon) = Rig::running();
+    let logger = daemon.logger(KEY).await;
+    let recorded = throws("boot", 30);
+    let now = jiff::Timestamp::now;
+    let mut sent = 0;
+    // Two throws are enough, unless this computer is busy at the moment of one.
+    while rig.sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"at_once\":\"%'").is_empty() {
+        logger.send([Throw { started_at: now(), ..recorded[sent].clone() }]).await;
+        sent += 1;
+        rig.judged(sent).await;
+        assert!(sent < 20, "no two throws of the same age");
+        tokio::time::sleep(Duration::from_millis(1_500)).await;
+    }
+    logger.close().await;
+    daemon.says(0, &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"]);
+
+    let session = daemon.client().await;
+    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw).to_vec());
+    let made_at = now() - jiff::SignedDuration::from_hours(1);
+    let late = recorded[sent..sent + 4].iter().map(|throw| of_throw(&Throw { started_at: made_at, ..throw.clone() }));
+    keep(&session, KEY, late.collect()).await;
+    let current = Throw { started_at: now(), ..recorded[sent + 4].clone() };
+    Sender::of(&session, KEY).await.send([current]).await;
+    let mut history = rig.judged(sent + 5).await;
+    history.sort_by_key(|health| health.throw.throw_no);
+    let (late, current) = history[sent..].split_at(4);
+    for health in late {
+        let detail = health.detail.as_deref().unwrap_or_default();
+        assert!(detail.contains("does not count") && health.coefficients.is_some(), "{health:?}");
+        assert_eq!(health.baseline.map(|(throws, _)| throws), Some(0), "{health:?}");
+    }
+    assert_eq!((current[0].detail.as_deref(), current[0].baseline.map(|(throws, _)| throws)), (None, Some(1)));
 }

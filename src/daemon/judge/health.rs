@@ -16,6 +16,9 @@ pub(super) const TWO_LOGGERS: &str = "two_loggers";
 /// `quality` of a throw that made the estimator or the diagnosis panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
+/// `detail` of a throw that does not count, as it is older than the machine's new baseline or its maintenance.
+pub(super) const OUTDATED: &str = "made before the new baseline or the end of the maintenance: it does not count";
+
 /// The observation of a throw for its monitor; without an identification it has only the fields of the message.
 pub(super) fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {
     let unread = || Observation::without_trace(stored.id.clone(), stored.started_at);

@@ -9,7 +9,7 @@ use std::{
 use jiff::Timestamp;
 
 use super::{
-    health::{TWO_LOGGERS, health, observation, repeated},
+    health::{OUTDATED, TWO_LOGGERS, health, observation, repeated},
     logger_clocks::LoggerClocks,
 };
 use crate::{
@@ -95,9 +95,9 @@ impl Monitors {
         self.of_machines.contains_key(machine)
     }
 
-    /// Whether the logger of a machine has declared a liveliness token, even if the token is gone now.
-    pub(crate) fn is_announced(&self, machine: &MachineId) -> bool {
-        self.of_machines.get(machine).is_some_and(|monitor| monitor.is_announced())
+    /// Whether the logger of a machine is gone, and may send throws later whose age will be unknown.
+    pub(crate) fn may_send_undated(&self, machine: &MachineId) -> bool {
+        self.of_machines.get(machine).is_some_and(|monitor| monitor.is_announced() && !monitor.dates_a_backlog())
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
@@ -153,25 +153,24 @@ impl Monitors {
         let received_at = self.trusted_reception(stored);
         let is_behind = self.clocks.is_last_behind();
         let monitor = self.monitor(&stored.machine);
-        let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, is_behind, settings);
+        let dated = monitor.date(&stored.id, stored.started_at, received_at, is_behind, settings);
         // The store puts throws with a repeated number into a boot of their own, which is no boot of the logger.
         let boot_at = received_at.filter(|_| !stored.renumbered);
         let (two_loggers, new_baseline, logger_events) =
-            monitor.boot(&stored.id, stored.started_at, boot_at, dated_at, settings);
+            monitor.boot(&stored.id, stored.started_at, boot_at, dated.at, settings);
         let withheld = two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
         let identification = identification.filter(|_| withheld.is_none());
         let mut observation = observation(stored, identification.as_ref());
-        observation.started_at = dated_at;
+        (observation.started_at, observation.is_outdated) = (dated.at, dated.is_outdated);
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let (configured, configuration_events) =
-            monitor.configured(parameters, observation.started_at, settings).unzip();
+        let (configured, configuration_events) = monitor.configured(parameters, observation.started_at).unzip();
         let command = configured.or(new_baseline);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
-        verdict.events.extend(clock);
+        verdict.events.extend(dated.event);
         let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
         let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
         for irregularity in repeated_trace.into_iter().chain(repeated_number) {
@@ -188,7 +187,10 @@ impl Monitors {
             (Some(direction), None) => monitor.baseline(direction),
             _ => None,
         };
-        let health = health(stored, identification.as_ref(), withheld, &verdict, baseline.as_ref(), since_baseline);
+        let mut health = health(stored, identification.as_ref(), withheld, &verdict, baseline.as_ref(), since_baseline);
+        if observation.is_outdated {
+            health.detail.get_or_insert_with(|| OUTDATED.to_owned());
+        }
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 

@@ -13,6 +13,17 @@ use crate::{
     throw::ThrowRef,
 };
 
+/// The time of a throw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dated {
+    /// Time of the throw for the diagnosis: the time of reception while the logger's clock is wrong.
+    pub at: Timestamp,
+    /// [`Observation::is_outdated`](crate::diagnose::Observation::is_outdated).
+    pub is_outdated: bool,
+    /// The raised or cleared alarm about the clock.
+    pub event: Option<AlarmEvent>,
+}
+
 impl MachineMonitor {
     /// Applies the liveliness of the logger, `there`: whether its token exists. A logger that never declared a token
     /// raises no alarm. Call it before each [`Self::tick`].
@@ -35,8 +46,7 @@ impl MachineMonitor {
         self.step(at, None, settings, |operation, step| operation.on_gap(missing, step))
     }
 
-    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the
-    /// diagnosis, which is the time of reception while the clock is wrong, and the event of a raised or cleared alarm.
+    /// Checks the clock of the logger at a throw, before its observation.
     ///
     /// Without `received_at` the clock of this computer is not trusted, and the logger's clock is wrong only if its
     /// time is impossible. `is_behind`: a comparison with other loggers shows that this clock is behind.
@@ -47,14 +57,21 @@ impl MachineMonitor {
         received_at: Option<Timestamp>,
         is_behind: bool,
         settings: &Settings,
-    ) -> (Timestamp, Option<AlarmEvent>) {
+    ) -> Dated {
         let is_wrong = self.clock.is_wrong(throw, started_at, received_at, is_behind);
         let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
         if self.maintenance.is_none() {
             let Self { alarms, name, clock, .. } = self;
             clock.judge(started_at, &mut Step { alarms, name, at: to_micros(at), throw: Some(throw), settings });
         }
-        (at, self.alarms.take_events().pop())
+        let is_outdated = |since| self.clock.is_before(since, started_at, received_at);
+        let is_outdated = self.in_service_since.is_some_and(is_outdated);
+        Dated { at, is_outdated, event: self.alarms.take_events().pop() }
+    }
+
+    /// Whether throws that the logger makes before a new baseline, and sends after it, will be recognised.
+    pub fn dates_a_backlog(&self) -> bool {
+        self.clock.dates_a_backlog()
     }
 
     /// Applies an irregularity of the logger; `throw` is the throw that shows it, `None` if no throw does.

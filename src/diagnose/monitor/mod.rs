@@ -44,6 +44,8 @@ pub struct MachineMonitor {
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
+    /// Time of the last new baseline by an operator, or of the last end of maintenance.
+    in_service_since: Option<Timestamp>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
     has_position: bool,
     /// Parameters of the last identified throw.
@@ -128,6 +130,8 @@ impl MachineMonitor {
         if ends.is_some_and(|until| until <= now) {
             self.end_maintenance(Actor::default(), now);
         }
+        // A later time shows that the clock was set back. Otherwise no throw would count until it is reached.
+        self.in_service_since = self.in_service_since.filter(|since| *since <= now);
         // Silence counts only after a first throw.
         let in_service = self.maintenance.is_none() && self.order > 0;
         self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
@@ -193,17 +197,13 @@ impl MachineMonitor {
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
     /// compared, so a change starts a new baseline; returns the command that does this, with its events.
-    pub fn configured(
-        &mut self,
-        parameters: Parameters,
-        now: Timestamp,
-        settings: &Settings,
-    ) -> Option<(Command, Vec<AlarmEvent>)> {
+    pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<(Command, Vec<AlarmEvent>)> {
         let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
         let why = format!("the configuration of the machine changed: {changed}");
-        let command = Command::Rebaseline { by: "pointsd".to_owned(), why };
-        let events = self.command(&command, now, settings).ok()?;
-        Some((command, events))
+        let by = "pointsd".to_owned();
+        self.boots = Boots::default();
+        self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, to_micros(now));
+        Some((Command::Rebaseline { by, why }, self.alarms.take_events()))
     }
 
     /// Applies an operator's command.
@@ -225,6 +225,7 @@ impl MachineMonitor {
             Command::Unshelve { cause, .. } => self.alarms.unshelve(*cause, actor, now)?,
             Command::Rebaseline { by, why } => {
                 self.boots = Boots::default();
+                self.in_service_since = Some(now);
                 self.rebaseline(by, why, actor, now);
             }
             Command::Retire { by, why } => {
@@ -278,6 +279,7 @@ impl MachineMonitor {
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) {
         self.maintenance = None;
+        self.in_service_since = Some(now);
         self.alarms.set_out_of_service(false, actor, now);
         self.forget_recent(now);
         self.operation.reset();

@@ -31,6 +31,9 @@ impl MachineMonitor {
     /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
+        if observation.is_outdated {
+            return self.verdict(observation, settings);
+        }
         let features = &observation.features;
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
         // The position is wrong, so neither the estimate nor the direction is known.
@@ -63,8 +66,7 @@ impl MachineMonitor {
             self.drift.share(&shared, settings);
             throw.log = (Vector3::from(throw.log) - shared).into();
         }
-        let mut verdict =
-            Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
+        let mut baselines_taken = Vec::new();
         if self.maintenance.is_none() {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
@@ -74,21 +76,25 @@ impl MachineMonitor {
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
             self.operation.on_channel(unusable, step);
             let taken = self.observe_in_service(observation, evaluated.as_ref(), step);
-            verdict.baselines_taken = taken.into_iter().map(|record| self.neutral.as_estimated(record)).collect();
+            baselines_taken = taken.into_iter().map(|record| self.neutral.as_estimated(record)).collect();
         }
         (self.name, self.alarms) = (name, alarms);
-        verdict.events = self.alarms.take_events();
-        verdict.baseline = observation.direction.and_then(|direction| {
+        let change_pct = residual.map(|residual| residual.map(percent).into());
+        let events = self.alarms.take_events();
+        Verdict { change_pct, baselines_taken, events, ..self.verdict(observation, settings) }
+    }
+
+    /// The verdict on a throw without effect: the present of the machine.
+    fn verdict(&self, observation: &Observation, settings: &Settings) -> Verdict {
+        let baseline = observation.direction.and_then(|direction| {
             if !observation.features_only {
                 return Some(self.baseline_progress(direction, settings));
             }
             // A machine that has only a current sensor learns its features.
             (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
         });
-        verdict.present = self.present();
-        verdict.blind = self.blind;
-        verdict.has_trend = self.tracks.trend().is_some();
-        verdict
+        let has_trend = self.tracks.trend().is_some();
+        Verdict { present: self.present(), blind: self.blind, has_trend, baseline, ..Verdict::default() }
     }
 
     /// Learns from the first throws whether the neutral position differs from the configured one. If it does, the

@@ -5,6 +5,9 @@
 //! only a jump of the clock is wrong, and every throw after it until the clock agrees again with the time of reception.
 //! A jump back counts only within a boot, as a boot with older dates may be an earlier one from the backlog. Other
 //! loggers show whether the clock of a restarted logger is behind.
+//!
+//! A throw can arrive after a repair and be made before it. Its time shows this if the logger published throws at once
+//! before: their age at reception is then the difference of the two clocks.
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -25,6 +28,12 @@ const DAY: SignedDuration = SignedDuration::from_hours(24);
 /// Consecutive throws with a wrong clock that raise the alarm: most clocks are set soon after a start.
 const IN_A_ROW: u32 = 3;
 
+/// Least time between two receptions whose ages are compared.
+const APART: SignedDuration = SignedDuration::from_secs(1);
+/// Two throws were published at once if the change of their ages, multiplied by this factor, is at most the time
+/// between their receptions. The ages of throws of a backlog and of a simulation in fast motion change more.
+const STEADY: i32 = 10;
+
 /// State of the clock of a logger.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct LoggerClock {
@@ -34,6 +43,8 @@ pub(crate) struct LoggerClock {
     wrong: u32,
     /// Consecutive throws with a right clock.
     right: u32,
+    /// The age of a throw that is published at once; `None` if no throw was shown to be.
+    at_once: Option<SignedDuration>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -41,6 +52,19 @@ struct Stamp {
     throw: ThrowRef,
     started_at: Timestamp,
     received_at: Timestamp,
+}
+
+impl Stamp {
+    fn age(&self) -> SignedDuration {
+        self.received_at.duration_since(self.started_at)
+    }
+
+    /// The larger age of this throw and the one before, if their ages show that each was published at once.
+    fn published_at_once(&self, before: &Self) -> Option<SignedDuration> {
+        let apart = self.received_at.duration_since(before.received_at);
+        let is_steady = (self.age() - before.age()).abs() * STEADY <= apart;
+        (apart >= APART && is_steady).then(|| self.age().max(before.age()))
+    }
 }
 
 impl LoggerClock {
@@ -65,9 +89,22 @@ impl LoggerClock {
         (self.wrong, self.right) =
             if is_wrong { (self.wrong.saturating_add(1), 0) } else { (0, self.right.saturating_add(1)) };
         if let Some(received_at) = received_at.filter(|_| !is_wrong) {
-            self.last = Some(Box::new(Stamp { throw: throw.clone(), started_at, received_at }));
+            let new = Stamp { throw: throw.clone(), started_at, received_at };
+            self.at_once = self.last.as_ref().and_then(|last| new.published_at_once(last)).or(self.at_once);
+            self.last = Some(Box::new(new));
         }
         is_wrong
+    }
+
+    /// Whether it can be known when the throws of a backlog were made.
+    pub(crate) fn dates_a_backlog(&self) -> bool {
+        self.at_once.is_some()
+    }
+
+    /// Whether a throw was certainly made before a time of this computer. Call it after [`Self::is_wrong`].
+    pub(crate) fn is_before(&self, time: Timestamp, started_at: Timestamp, received_at: Option<Timestamp>) -> bool {
+        let was_late = |age: SignedDuration| self.wrong == 0 && time.duration_since(started_at) > age;
+        received_at.is_some_and(|received_at| received_at < time || self.at_once.is_some_and(was_late))
     }
 
     /// Whether the clock jumped by more than a day since the last throw, away from the time of reception.
@@ -84,7 +121,7 @@ impl LoggerClock {
 
     /// Whether a throw received `age` after its time is about as old as the last one with a right clock.
     fn agrees_again(&self, age: SignedDuration) -> bool {
-        let before = self.last.as_ref().map(|last| last.received_at.duration_since(last.started_at));
+        let before = self.last.as_ref().map(|last| last.age());
         age >= -DAY && before.is_none_or(|before| age <= DAY + before.max(SignedDuration::ZERO))
     }
 
