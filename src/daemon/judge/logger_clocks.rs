@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
 
-use crate::throw::MachineId;
+use crate::{diagnose::are_steady, throw::MachineId};
 
 /// Largest number of compared loggers.
 const LOGGERS: usize = 32;
@@ -18,9 +18,6 @@ const LOGGERS: usize = 32;
 const DAY: SignedDuration = SignedDuration::from_hours(24);
 /// Least time between two receptions whose ages are compared: throws of a backlog arrive faster.
 const APART: SignedDuration = SignedDuration::from_mins(1);
-/// Two throws were published at once if the change of their ages, multiplied by this factor, is at most the time
-/// between their receptions. The ages of simulated machines, which run faster than real time, change more.
-const STEADY: i32 = 10;
 /// Largest difference of the ages of loggers that count as behind by the same time.
 const SAME: SignedDuration = SignedDuration::from_hours(1);
 
@@ -57,7 +54,7 @@ impl LoggerClocks {
                 if apart.abs() < APART {
                     Logger { is_ahead, ..before }
                 } else {
-                    let is_steady = (age - before.age).abs() * STEADY <= apart;
+                    let is_steady = are_steady([before.age, age], apart);
                     Logger { behind: (is_steady && age >= DAY).then_some(age), ..new }
                 }
             }

@@ -30,10 +30,6 @@ const IN_A_ROW: u32 = 3;
 
 /// Least time between two receptions whose ages are compared.
 const APART: SignedDuration = SignedDuration::from_secs(1);
-/// Two throws were published at once if the change of their ages, multiplied by this factor, is at most the time
-/// between their receptions. The ages of throws of a backlog and of a simulation in fast motion change more.
-const STEADY: i32 = 10;
-
 /// State of the clock of a logger.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct LoggerClock {
@@ -62,9 +58,14 @@ impl Stamp {
     /// The larger age of this throw and the one before, if their ages show that each was published at once.
     fn published_at_once(&self, before: &Self) -> Option<SignedDuration> {
         let apart = self.received_at.duration_since(before.received_at);
-        let is_steady = (self.age() - before.age()).abs() * STEADY <= apart;
-        (apart >= APART && is_steady).then(|| self.age().max(before.age()))
+        (apart >= APART && are_steady([before.age(), self.age()], apart)).then(|| self.age().max(before.age()))
     }
+}
+
+/// Whether the ages of two throws show that each was published at once. Their receptions are `apart`. The ages of throws
+/// of a backlog, and of a simulation in fast motion, change by more than a tenth of this time.
+pub(crate) fn are_steady([before, after]: [SignedDuration; 2], apart: SignedDuration) -> bool {
+    (after - before).abs() * 10 <= apart
 }
 
 impl LoggerClock {
