@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Attribution, Claim, Condition, Course, Drift, Explanation, History, Intermittent, Known, LEVELS_FOLLOW,
-    LatestThrow, LimitForecast, Naming, Origin, PLAIN_LEAKS, Transition, Window, explained, fit,
+    LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Transition, Window, explained, fit,
     friction_of_sound_motor,
 };
 use crate::{
@@ -289,7 +289,7 @@ impl DriftAlarms {
         let LatestThrow { drift, settings, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
-        let evidence = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
+        let evidence = drift.attribution.map_or(MotorEvidence::NONE, |attribution| attribution.evidence);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, Window, direction_of, fit, fit_beside, single};
+use super::{Explanation, Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, direction_of, fit, fit_beside, single};
 use crate::diagnose::{
     Cause, RunnerUp, Settings,
     baseline::{Baseline, usual_friction_over_spring},
@@ -78,6 +78,8 @@ pub(crate) struct Known<'a> {
     pub(crate) gauges: Option<&'a Gauges>,
     /// The baselines of both directions.
     pub(crate) baselines: [Option<&'a Baseline>; 2],
+    /// Whether the motor is series-wound, so that its iron may saturate.
+    pub(crate) is_series: bool,
 }
 
 impl Known<'_> {
@@ -155,12 +157,32 @@ pub(crate) enum Rival {
     Together(Cause, Cause),
 }
 
-/// Evidence of the gauges that decides whether the motor has changed.
+/// Evidence about the motor beside the coefficients.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MotorEvidence {
-    back_emf: BackEmf,
-    /// Friction over the force of the spring at the end of the stroke, from the baselines.
-    friction_over_spring: f64,
+    /// The change of the back-EMF, if it decides whether the motor has changed.
+    back_emf: Option<BackEmf>,
+    /// The leaks that are possible with this motor and evidence.
+    leaks: Leaks,
+}
+
+impl MotorEvidence {
+    /// Without evidence.
+    pub(crate) const NONE: Self = Self { back_emf: None, leaks: PLAIN_LEAKS };
+
+    fn new(back_emf: Option<BackEmf>, known: &Known) -> Self {
+        let leaks = match back_emf {
+            Some(_) => LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines)),
+            None if known.is_series => LEAKS_OF_SERIES,
+            None => PLAIN_LEAKS,
+        };
+        Self { back_emf, leaks }
+    }
+
+    /// Whether saturated iron may hide in the drift: the motor is series-wound, and its back-EMF is unknown.
+    fn may_saturate(&self) -> bool {
+        self.leaks == LEAKS_OF_SERIES
+    }
 }
 
 /// A drift with its cause, and the figures for and against it.
@@ -181,8 +203,8 @@ pub(crate) struct Attribution {
     pub(crate) relevance: f64,
     /// Lead of a single named cause over all explanations without it, as twice the logarithm of the odds.
     pub(crate) lead: f64,
-    /// Evidence of the gauges, if it decides whether the motor changed.
-    pub(super) decides: Option<MotorEvidence>,
+    /// Evidence about the motor.
+    pub(super) evidence: MotorEvidence,
     /// Change of the back-EMF, if a gauge shows it and not only a shorter duration.
     back_emf: Option<Level>,
 }
@@ -211,10 +233,9 @@ impl Attribution {
     pub(crate) fn of(case: &Case) -> Self {
         let Case { window, of_one_throw, known, settings } = *case;
         let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
-        let decides = shown.filter(|shown| known.is_decided_by(shown, window, settings)).map(|back_emf| {
-            MotorEvidence { back_emf, friction_over_spring: usual_friction_over_spring(known.baselines) }
-        });
-        let all = Explanations::of(window, &known.causes, decides, settings);
+        let decides = shown.filter(|shown| known.is_decided_by(shown, window, settings));
+        let evidence = MotorEvidence::new(decides, known);
+        let all = Explanations::of(window, &known.causes, evidence, settings);
         let [best, next, ..] = &all.singles;
         let [a, b] = all.pairs[0].parts;
         let correlation = Correlation::of(of_one_throw, &window.mean);
@@ -228,7 +249,7 @@ impl Attribution {
             of_ratios: !window.shows(Cause::Inertia),
             relevance: all.any.relevance(settings),
             lead: 0.0,
-            decides,
+            evidence,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
@@ -260,13 +281,15 @@ impl Attribution {
         // sufficient alone.
         let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
         let matters = |pair: &&Fit<2>| {
-            let only_shown = self.decides.is_some() && is_sufficient_alone(pair);
+            let only_shown = self.is_decided() && is_sufficient_alone(pair);
             pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
         };
         let best_without = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(best_without)?;
-        let of_far_end = self.decides.is_some() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
-        if pair.score >= best.score + CLOSE || of_far_end {
+        let of_far_end = self.is_decided() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
+        // Any pair explains two ratios exactly, so beside saturation it must be better than a single cause.
+        let lead = if self.of_ratios && self.evidence.may_saturate() { 0.0 } else { CLOSE };
+        if pair.score >= best.score + lead || of_far_end {
             return None;
         }
         let rival = if is_sufficient_alone(pair) {
@@ -313,8 +336,9 @@ impl Attribution {
         let Case { window, known, settings, .. } = *case;
         let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let level = known.level?;
+        let alone = Known { is_series: known.is_series, ..Known::default() };
         let named = |mean, covariance| {
-            Self::of(&Case { window: &Window { mean, covariance, ..*window }, known: &Known::default(), ..*case })
+            Self::of(&Case { window: &Window { mean, covariance, ..*window }, known: &alone, ..*case })
         };
         // The level is less uncertain than the window, and has the same baseline, so twice the covariance is an upper
         // bound.
@@ -394,9 +418,14 @@ impl Attribution {
         [(a, b), (b, a)].into_iter().find(|(one, _)| one.cause == cause).map(|(_, other)| other.cause)
     }
 
+    /// Whether the back-EMF decides whether the motor has changed.
+    fn is_decided(&self) -> bool {
+        self.evidence.back_emf.is_some()
+    }
+
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
-        self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
+        self.is_decided() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
     }
 
     /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
@@ -405,7 +434,7 @@ impl Attribution {
     pub(crate) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
-        let BackEmf { at_start, .. } = self.decides.filter(|_| is_of_friction && self.has_sound_motor())?.back_emf;
+        let BackEmf { at_start, .. } = self.evidence.back_emf.filter(|_| is_of_friction && self.has_sound_motor())?;
         if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
             return Some(Cause::Kt);
         }
@@ -424,7 +453,7 @@ impl Attribution {
     /// Whether the back-EMF shows that the motor changed, even if the size of the change is uncertain beside another
     /// part.
     pub(super) fn has_changed_motor(&self) -> bool {
-        let level = self.decides.and_then(|evidence| evidence.back_emf.of_motor());
+        let level = self.evidence.back_emf.and_then(BackEmf::of_motor);
         self.includes(Cause::Kt) && level.is_some_and(|level| level.value.abs() > CHANGED_SD * level.sd)
     }
 
@@ -442,7 +471,7 @@ impl Attribution {
 }
 
 impl Explanations {
-    fn of(window: &Window, open: &[Cause], evidence: Option<MotorEvidence>, settings: &Settings) -> Self {
+    fn of(window: &Window, open: &[Cause], evidence: MotorEvidence, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         Self {
@@ -468,13 +497,12 @@ impl Explanations {
 pub(crate) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
-    evidence: Option<MotorEvidence>,
+    evidence: MotorEvidence,
     settings: &Settings,
 ) -> Fit<K> {
     let Window { mean, covariance, .. } = window;
-    let Some(MotorEvidence { back_emf, friction_over_spring }) = evidence else {
-        return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
-    };
+    let MotorEvidence { back_emf, leaks } = evidence;
+    let Some(back_emf) = back_emf else { return fit(leaks, causes, mean, covariance, settings) };
     let BackEmf { level, of_duration, at_start } = back_emf;
     let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
     // In complete coefficients, b0 contains the acceleration at the start already: it must not count twice.
@@ -486,7 +514,6 @@ pub(crate) fn explained<const K: usize>(
         let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
         of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
     };
-    let leaks = LEAKS_BESIDE_GAUGES.beside_spring(friction_over_spring);
     let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
     let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
     if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
@@ -536,7 +563,7 @@ fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
     open: &[Cause],
-    evidence: Option<MotorEvidence>,
+    evidence: MotorEvidence,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
@@ -557,7 +584,7 @@ fn ranked<const N: usize, const K: usize>(
 
 /// The single cause that explains the drift of `window` best, without gauges.
 pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
-    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, &[], None, settings);
+    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, &[], MotorEvidence::NONE, settings);
     best.parts[0]
 }
 

@@ -17,7 +17,7 @@ mod window;
 use nalgebra::{Matrix3, Vector3};
 
 pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
-pub(super) use cause::{Attribution, CLOSE, DECISIVE, Known, Naming, Rival};
+pub(super) use cause::{Attribution, CLOSE, DECISIVE, Known, MotorEvidence, Naming, Rival};
 pub(super) use condition::{Beginning, Condition, Ending};
 pub use course::LimitForecast;
 pub(super) use course::{Course, Point};
@@ -34,7 +34,7 @@ use self::{
     cause::{Case, best_single, explained, may_show_weaker_motor},
     condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
     explain::{
-        Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
+        Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
         single,
     },
 };

@@ -11,14 +11,14 @@ use crate::{
         Cause, Common, Observation, Settings, Verdict,
         alarm::{Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
-        drift::{Drift, LatestThrow, Origin},
+        drift::{Drift, Known, LatestThrow, Origin},
         gauges::Offset,
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
         statistics::percent,
         track::Tracks,
     },
-    estimate::Features,
+    estimate::{Features, Motor},
     throw::POSSIBLE_SUPPLY_V,
 };
 
@@ -206,7 +206,8 @@ impl MachineMonitor {
         let departure = self.tracks.departure(throw);
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let drift = residual.map(|residual| {
-            let known = self.drift.known(step.alarms, &self.instruments.gauges);
+            let is_series = self.parameters.is_some_and(|parameters| parameters.motor == Motor::Series);
+            let known = Known { is_series, ..self.drift.known(step.alarms, &self.instruments.gauges) };
             let heavy_tails = self.drift.intermittent.has_heavy_tails();
             let mut drift = self.tracks.drift(throw.direction, heavy_tails, &known, settings);
             drift.origin = self.instruments.origin(&drift, settings);
