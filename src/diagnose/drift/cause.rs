@@ -11,7 +11,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Explanation, Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, direction_of, fit, fit_beside, single};
+use super::{
+    Explanation, Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, direction_of, fit, fit_beside,
+    single,
+};
 use crate::diagnose::{
     Cause, RunnerUp, Settings,
     baseline::{Baseline, usual_friction_over_spring},
@@ -172,7 +175,10 @@ impl MotorEvidence {
 
     fn new(back_emf: Option<BackEmf>, known: &Known) -> Self {
         let leaks = match back_emf {
-            Some(_) => LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines)),
+            Some(back_emf) => {
+                let leaks = LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines));
+                if back_emf.is_wound_up { leaks.of_wound_up_drive() } else { leaks }
+            }
             None if known.is_series => LEAKS_OF_SERIES,
             None => PLAIN_LEAKS,
         };
@@ -493,7 +499,7 @@ impl Explanations {
 /// Explains the drift of `window` by `causes`. A change of the motor must also explain that of the back-EMF; if only a
 /// shorter duration shows the back-EMF, less friction can explain it as well. A motor may also lose torque alone, for
 /// example by its commutation, and keep its back-EMF and speed. Together with a rise of friction this is not tried, as
-/// dry friction looks the same.
+/// dry friction looks the same; nor on a drive that dry friction winds up.
 pub(crate) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
@@ -503,11 +509,11 @@ pub(crate) fn explained<const K: usize>(
     let Window { mean, covariance, .. } = window;
     let MotorEvidence { back_emf, leaks } = evidence;
     let Some(back_emf) = back_emf else { return fit(leaks, causes, mean, covariance, settings) };
-    let BackEmf { level, of_duration, at_start } = back_emf;
+    let BackEmf { level, of_duration, at_start, is_wound_up } = back_emf;
     let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
     // In complete coefficients, b0 contains the acceleration at the start already: it must not count twice.
     let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
-    let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, fit));
+    let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, is_wound_up, fit));
     // Dry friction leaks into the coefficients. The size of a change of the motor depends on the assumed leaks. The
     // back-EMF shows this size too, so its misfit counts in the odds of the leaks.
     let beside = |fit: &Fit<K>| {
@@ -516,7 +522,8 @@ pub(crate) fn explained<const K: usize>(
     };
     let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
     let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
-    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
+    let may_lose_torque = !is_shorter_by_friction && !is_wound_up;
+    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && may_lose_torque {
         let mut alone = fit(leaks.at_equal_speed(), causes, mean, covariance, settings);
         alone.score +=
             of_start(&alone) + misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
@@ -547,12 +554,12 @@ pub(super) fn may_show_weaker_motor(window: &Window, back_emf: Option<&BackEmf>)
 }
 
 /// Misfit of the acceleration per ampere at the start. A weaker motor lowers this acceleration by about its own change,
-/// friction by much less.
-fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, fit: &Fit<K>) -> f64 {
+/// friction by much less, unless it winds up the drive.
+fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, is_wound_up: bool, fit: &Fit<K>) -> f64 {
     let (motor, friction) = (fit.size_of(Cause::Kt), fit.size_of(Cause::Friction));
     let shown = if is_prompt { MOTOR_AT_START } else { MOTOR_AFTER_BRAKE };
     let [a, b] = [shown.start * motor, shown.end * motor];
-    let of_friction = -FRICTION_AT_START * friction;
+    let of_friction = -(if is_wound_up { 1.0 } else { FRICTION_AT_START }) * friction;
     let (least, most) = (a.min(b) + of_friction.min(0.0), a.max(b) + of_friction.max(0.0));
     level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
 }

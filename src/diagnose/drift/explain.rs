@@ -15,6 +15,8 @@
 //! a machine is unknown, so the results for several g are averaged. On machines with little inertia, dry friction takes
 //! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4.
 //!
+//! On a soft drive that dry friction winds up, this part h is 0.5 to 1.
+//!
 //! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
 //! to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
@@ -55,6 +57,15 @@ const OF_FRICTION: &[Leak] = &[
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], of_spring: false },
     Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], of_spring: true },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
+];
+/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves.
+const OF_FRICTION_WOUND_UP: &[Leak] = &[
+    OF_FRICTION[0],
+    OF_FRICTION[1],
+    OF_FRICTION[2],
+    OF_FRICTION[3],
+    OF_FRICTION[4],
+    Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], of_spring: false },
 ];
 /// [`OF_FRICTION`] on a machine with a series-wound motor, whose back-EMF is unknown: the plain leaks, and saturation.
 const OF_FRICTION_OF_SERIES: &[Leak] = &[
@@ -148,6 +159,11 @@ impl Leaks {
     /// The leaks on a machine with this ratio of the friction to the force of the spring.
     pub(super) fn beside_spring(self, friction_over_spring: f64) -> Self {
         Self { friction_over_spring, ..self }
+    }
+
+    /// The leaks on a machine whose drive is wound up before the toe moves.
+    pub(super) fn of_wound_up_drive(self) -> Self {
+        Self { friction: OF_FRICTION_WOUND_UP, ..self }
     }
 }
 

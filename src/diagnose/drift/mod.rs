@@ -34,8 +34,8 @@ use self::{
     cause::{Case, best_single, explained, may_show_weaker_motor},
     condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
     explain::{
-        Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
-        single,
+        Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside,
+        friction_of_sound_motor, single,
     },
 };
 use super::{

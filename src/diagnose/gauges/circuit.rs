@@ -47,6 +47,8 @@ pub(crate) struct BackEmf {
     pub(crate) of_duration: bool,
     /// Change of the acceleration at the start; `None` if it is unknown.
     pub(crate) at_start: Option<AtStart>,
+    /// Whether dry friction winds up the drive before the toe moves.
+    pub(crate) is_wound_up: bool,
 }
 
 /// Change of the acceleration per ampere at the start.
@@ -56,6 +58,9 @@ pub(crate) struct AtStart {
     /// Whether the toe of the healthy machine moves with the current, so that no brake hides a change of the motor.
     pub(crate) is_prompt: bool,
 }
+
+/// Least delay of the start by a drive that is wound up \[ms\]: play, a brake and a late position delay it by less.
+const WOUND_UP_MS: f64 = 10.0;
 
 impl BackEmf {
     /// Whether the gauges exclude a weaker motor: neither the back-EMF nor the acceleration at the start has decreased.
@@ -157,7 +162,15 @@ impl Gauges {
         let at_start = self.scattered_level(Gauge::StartGain, throws);
         let is_prompt = self.normals(Gauge::StartDelay).any(|delay_ms| delay_ms < PROMPT_MS);
         let at_start = at_start.map(|level| AtStart { level, is_prompt });
-        Some(BackEmf { level, of_duration: shown.is_none(), at_start })
+        Some(BackEmf { level, of_duration: shown.is_none(), at_start, is_wound_up: self.is_wound_up(throws) })
+    }
+
+    /// Whether the toe starts later than a weaker motor explains: dry friction at the toe winds up an elastic drive
+    /// before the toe moves. The time of the start goes with the square root of the acceleration, so a motor that kept
+    /// a quarter of its torque delays it by its normal delay again.
+    fn is_wound_up(&self, throws: usize) -> bool {
+        let later = self.scattered_level(Gauge::StartDelay, throws);
+        later.is_some_and(|later| later.value - CIRCUIT_SD * later.sd > self.normal_delay_ms().max(WOUND_UP_MS))
     }
 
     /// Range of the change of the inrush, as logarithms, by the change of the resistance of the winding with the
