@@ -13,9 +13,8 @@
 //! three coefficients by a common factor too. So its direction is (g, 1 + g, g), with g = 0 for viscous friction, 0.1
 //! to 0.3 with a stiff toe drive (more for larger rises), and 0.67 with a soft toe drive. A fall hardly leaks. The g of
 //! a machine is unknown, so the results for several g are averaged. On machines with little inertia, dry friction takes
-//! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4.
-//!
-//! On a soft drive that dry friction winds up, this part h is 0.5 to 1.
+//! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Behind a
+//! soft drive that friction winds up, h is 0.5 to 1.
 //!
 //! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
@@ -26,8 +25,8 @@
 //! More friction draws more current. In a series-wound motor this current saturates the iron, so the torque grows less
 //! than with its square, as the model has it. The start, which has the largest current, gives b0, so a1 and a0 of the
 //! running machine seem larger by a common factor: (0, 1 + s, s). For a torque that grows with the power n of the
-//! current, s is (2 - n)/n times the part of the load that is friction: from 0 without saturation to 0.7. The ratio a1/a0
-//! has no such error.
+//! current, s is (2 - n)/n times the part of the load that is friction: from 0 without saturation to 0.7. The ratio
+//! a1/a0 has no such error.
 //!
 //! A motor with weaker magnets turns faster. Dry friction has the same torque at every speed, so in a model with
 //! viscous friction the dry part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1
