@@ -564,8 +564,8 @@ fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, is_wou
     level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
 }
 
-/// The explanations with their bonus for the causes `open`, which have an alarm; the best first. An explanation by a cause that the window does not show is the
-/// last.
+/// The explanations with their bonus for the causes `open`, which have an alarm; the best first. An explanation by a
+/// cause that the window does not show is the last.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,

@@ -13,8 +13,8 @@
 //! three coefficients by a common factor too. So its direction is (g, 1 + g, g), with g = 0 for viscous friction, 0.1
 //! to 0.3 with a stiff toe drive (more for larger rises), and 0.67 with a soft toe drive. A fall hardly leaks. The g of
 //! a machine is unknown, so the results for several g are averaged. On machines with little inertia, dry friction takes
-//! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Behind a
-//! soft drive that friction winds up, h is 0.5 to 1.
+//! its part of the torque when the machine starts, as if b0 were smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4, and
+//! from 0.5 to 1 behind a soft drive that friction winds up.
 //!
 //! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
