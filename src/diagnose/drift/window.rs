@@ -14,10 +14,9 @@ use crate::{
     diagnose::{
         Cause,
         baseline::{Baseline, covariance_of_effect},
-        observation::Evaluated,
         statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3},
     },
-    estimate::{Estimate, Grade},
+    estimate::Estimate,
 };
 
 /// Largest part of the limit of T that a single innovation may contribute to a window of three throws: two throws show
@@ -65,9 +64,6 @@ pub(crate) struct RecentThrow {
     /// Whether only the ratios of the coefficients are known: residual and covariance have an arbitrary common scale.
     #[serde(rename = "s", default, skip_serializing_if = "std::ops::Not::not")]
     ratios_only: bool,
-    /// Whether the ratios come from a complete estimate. Its errors differ from those of an estimate of ratios.
-    #[serde(rename = "w", default, skip_serializing_if = "std::ops::Not::not")]
-    of_complete: bool,
 }
 
 impl RecentThrow {
@@ -77,17 +73,7 @@ impl RecentThrow {
     )]
     pub(crate) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3, ratios_only: bool) -> Self {
         let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order: order as u32, residual, sensor, distance_k: distance_k as f32, ratios_only, of_complete: false }
-    }
-
-    /// The throw with ratios that may come from a complete estimate.
-    pub(crate) fn with_ratios_of(self, grade: Grade) -> Self {
-        Self { of_complete: self.ratios_only && grade == Grade::Good, ..self }
-    }
-
-    /// Whether its errors are those of a throw of this grade, so that the two can be compared one by one.
-    pub(crate) fn is_like(&self, throw: &Evaluated) -> bool {
-        self.ratios_only == throw.ratios_only && self.of_complete == (throw.ratios_only && throw.grade == Grade::Good)
+        Self { order: order as u32, residual, sensor, distance_k: distance_k as f32, ratios_only }
     }
 
     /// Whether the throw shows the common scale of the coefficients, and so the inertia.
@@ -121,8 +107,7 @@ impl RecentThrow {
     pub(crate) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature.effect(distance);
-        let of_complete = self.of_complete;
-        *self = Self { of_complete, ..Self::new(self.order.into(), raw, distance, self.sensor, self.ratios_only) };
+        *self = Self::new(self.order.into(), raw, distance, self.sensor, self.ratios_only);
     }
 }
 

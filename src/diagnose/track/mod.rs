@@ -180,7 +180,6 @@ impl Tracks {
         let scale =
             known.map_or(0.0, |known| baseline.scatter.of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
         let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
-        let recent = recent.with_ratios_of(throw.grade);
         let oldest = track.recent.push(recent);
         if let Some(oldest) = oldest.filter(|throw| track.of_ratios || throw.has_scale()) {
             let (raw, distance) = oldest.raw();
@@ -202,8 +201,7 @@ impl Tracks {
         let track = &self.sides[at];
         let baseline = track.baseline.as_ref().filter(|_| track.of_ratios || !throw.ratios_only)?;
         let residual = baseline.compensated(baseline.residual(&throw.log, throw.temperature_c));
-        // Complete estimates and those of ratios differ by more than the scatter: a mixture looks like departures.
-        let compared = track.recent.iter().rev().filter(|before| before.is_like(throw));
+        let compared = track.recent.iter().rev().filter(|throw| track.of_ratios || throw.has_scale());
         let before: Vec<Vector3<f64>> =
             compared.take(*BEFORE.end()).map(|throw| baseline.compensated(throw.raw())).collect();
         let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
