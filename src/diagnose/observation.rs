@@ -21,9 +21,6 @@ pub struct Observation {
     /// Time of reception; `None` in a simulation. A throw that was received before the loss of its logger is no sign of
     /// life, even if it is judged after the loss.
     pub received_at: Option<Timestamp>,
-    /// Whether the throw was made before the last new baseline or the last end of maintenance. It then shows nothing
-    /// about the machine as it is now.
-    pub is_outdated: bool,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
     /// Whether the measured movement contradicts the direction that the logger names; `None` if it was not measured.

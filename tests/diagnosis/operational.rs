@@ -398,7 +398,6 @@ fn outdated(before: &[(f64, f64)], after: &[(f64, f64)]) -> Vec<bool> {
             let throw = ThrowRef { boot_id: "a".to_owned(), throw_no };
             let settings = Settings::default();
             let dated = monitor.date(&throw, at(started), Some(at(received)), false, &settings);
-            monitor.observe(&Observation { is_outdated: dated.is_outdated, ..Observation::default() }, &settings);
             dated.is_outdated
         };
         throws.iter().map(of_throw).collect()

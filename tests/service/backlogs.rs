@@ -168,7 +168,7 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
     daemon.says(0, &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"]);
 
     let session = daemon.client().await;
-    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw).to_vec());
+    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));
     let made_at = now() - jiff::SignedDuration::from_hours(1);
     let late = recorded[sent..sent + 4].iter().map(|throw| of_throw(&Throw { started_at: made_at, ..throw.clone() }));
     keep(&session, KEY, late.collect()).await;

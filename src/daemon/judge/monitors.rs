@@ -161,7 +161,7 @@ impl Monitors {
         let withheld = two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
         let identification = identification.filter(|_| withheld.is_none());
         let mut observation = observation(stored, identification.as_ref());
-        (observation.started_at, observation.is_outdated) = (dated.at, dated.is_outdated);
+        observation.started_at = dated.at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
         let (configured, configuration_events) = monitor.configured(parameters, observation.started_at).unzip();
@@ -169,7 +169,11 @@ impl Monitors {
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
-        let mut verdict = monitor.observe_beside(&observation, &common, settings);
+        let mut verdict = if dated.is_outdated {
+            monitor.observe_outdated(&observation, settings)
+        } else {
+            monitor.observe_beside(&observation, &common, settings)
+        };
         verdict.events.extend(dated.event);
         let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
         let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
@@ -188,7 +192,7 @@ impl Monitors {
             _ => None,
         };
         let mut health = health(stored, identification.as_ref(), withheld, &verdict, baseline.as_ref(), since_baseline);
-        if observation.is_outdated {
+        if dated.is_outdated {
             health.detail.get_or_insert_with(|| OUTDATED.to_owned());
         }
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }

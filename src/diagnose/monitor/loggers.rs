@@ -18,7 +18,7 @@ use crate::{
 pub struct Dated {
     /// Time of the throw for the diagnosis: the time of reception while the logger's clock is wrong.
     pub at: Timestamp,
-    /// [`Observation::is_outdated`](crate::diagnose::Observation::is_outdated).
+    /// Whether the throw is one for [`MachineMonitor::observe_outdated`].
     pub is_outdated: bool,
     /// The raised or cleared alarm about the clock.
     pub event: Option<AlarmEvent>,

@@ -28,12 +28,16 @@ impl MachineMonitor {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
+    /// Takes note of a throw that was made before the last new baseline or the last end of maintenance. It shows nothing
+    /// about the machine as it is now.
+    pub fn observe_outdated(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
+        self.order += 1;
+        self.verdict(observation, settings)
+    }
+
     /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
-        if observation.is_outdated {
-            return self.verdict(observation, settings);
-        }
         let features = &observation.features;
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
         // The position is wrong, so neither the estimate nor the direction is known.
