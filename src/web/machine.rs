@@ -76,6 +76,8 @@ struct Page {
     alarms: Vec<AlarmLine>,
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
+    /// The last throw of each direction.
+    latest: Vec<Health>,
     /// The throws in the charts.
     both: Directions,
     baselines: Vec<BaselineRecord>,
@@ -192,9 +194,11 @@ async fn read(
         (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
     ];
     let baselines = reader.baselines_of(machine, BASELINES).await?;
+    // Not the last row of a chart: the clock of the logger may have been ahead for a time.
+    let latest = reader.latest_health(&machine.into()).await?;
     let of_baseline = [
-        throws_of_baseline(reader, machine, &both[0], &baselines).await?,
-        throws_of_baseline(reader, machine, &both[1], &baselines).await?,
+        throws_of_baseline(reader, machine, Direction::NormalToReverse, &latest, &baselines).await?,
+        throws_of_baseline(reader, machine, Direction::ReverseToNormal, &latest, &baselines).await?,
     ];
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
@@ -223,6 +227,7 @@ async fn read(
         file_style: None,
         volatile: format!("As of {}.", utc(&clock::now())),
         machine: machine.clone(),
+        latest,
         both,
         baselines,
     }))
@@ -267,17 +272,18 @@ async fn rows(
 async fn throws_of_baseline(
     reader: &Reader,
     machine: &MachineId,
-    (direction, rows): &(Direction, Vec<Health>),
+    direction: Direction,
+    latest: &[Health],
     baselines: &[BaselineRecord],
 ) -> Result<Vec<Health>, StoreError> {
-    let of_direction = baselines.iter().filter(|baseline| baseline.direction == *direction);
+    let of_direction = baselines.iter().filter(|baseline| baseline.direction == direction);
     let Some(baseline) = of_direction.max_by_key(|baseline| baseline.taken_at) else { return Ok(Vec::new()) };
-    let so_far = rows.last().and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
+    let so_far = last_in(latest, direction).and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
     if so_far < baseline.throws as u64 {
         return Ok(Vec::new());
     }
     let throws = u32::try_from(baseline.throws).unwrap_or(u32::MAX);
-    reader.throws_in(machine, *direction, ThrowSelection::Until(baseline.taken_at, throws)).await
+    reader.throws_in(machine, direction, ThrowSelection::Until(baseline.taken_at, throws)).await
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
@@ -285,11 +291,15 @@ fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
     (state == MachineState::Maintenance).then(|| window.map_or_else(|| "in maintenance".to_owned(), page::window))
 }
 
+fn last_in(latest: &[Health], direction: Direction) -> Option<&Health> {
+    latest.iter().find(|throw| throw.direction == Some(direction))
+}
+
 /// The last throw of each direction: baseline, changes, and scatter of the machine.
-fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow> {
-    let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
-        let last = rows.last();
-        let scatter = trend::scatter_pct(baselines, *direction);
+fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow> {
+    let last_throw = |direction: Direction| {
+        let last = last_in(latest, direction);
+        let scatter = trend::scatter_pct(baselines, direction);
         let change = last.and_then(Health::present_change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
@@ -301,13 +311,13 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
             None => "none yet".to_owned(),
         };
         LastThrow {
-            direction: *direction,
+            direction,
             baseline,
             changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
             without: last.map(without).unwrap_or_default(),
         }
     };
-    both.iter().map(last_throw).collect()
+    Direction::BOTH.into_iter().map(last_throw).collect()
 }
 
 /// Text for a throw without changes of the coefficients: the changes of the ratios, or the reason.
