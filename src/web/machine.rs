@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity, is_possible_date},
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
     wire::{Alarm, Health},
@@ -80,6 +80,8 @@ struct Page {
     latest: Vec<Health>,
     /// The throws in the charts.
     both: Directions,
+    /// Number of throws left out of the charts because of their dates.
+    misdated: usize,
     baselines: Vec<BaselineRecord>,
     trends: Vec<Picture>,
     features: Vec<Picture>,
@@ -189,10 +191,11 @@ async fn read(
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Ok(None);
     }
-    let both = [
+    let mut both = [
         (Direction::NormalToReverse, rows(reader, machine, Direction::NormalToReverse, span).await?),
         (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
     ];
+    let misdated = leave_out_misdated(&mut both);
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     // Not the last row of a chart: the clock of the logger may have been ahead for a time.
     let latest = reader.latest_health(&machine.into()).await?;
@@ -229,6 +232,7 @@ async fn read(
         machine: machine.clone(),
         latest,
         both,
+        misdated,
         baselines,
     }))
 }
@@ -266,6 +270,19 @@ async fn rows(
     // The rows are in the order of arrival. Throws from a backlog arrive after newer ones.
     rows.sort_by_key(|row| row.started_at);
     Ok(rows)
+}
+
+/// Leaves out throws with impossible dates, and returns their number: one throw of 1970, from a logger that has not set
+/// its clock yet, would press all others into a line. If no date is possible, all throws stay.
+fn leave_out_misdated(both: &mut Directions) -> usize {
+    let now = clock::now();
+    let is_possible = |row: &Health| is_possible_date(row.started_at, now);
+    let count = |both: &Directions| both.iter().map(|(_, rows)| rows.len()).sum::<usize>();
+    let before = count(both);
+    if both.iter().flat_map(|(_, rows)| rows).any(is_possible) {
+        both.iter_mut().for_each(|(_, rows)| rows.retain(is_possible));
+    }
+    before - count(both)
 }
 
 /// The throws of the present baseline of a direction; empty if there is none, or a new one is still being learned.
@@ -389,6 +406,13 @@ fn drawn(directions: &Directions) -> String {
         utc(&last),
         counted(there, "throw")
     )
+}
+
+/// Sentence about throws that are left out of the charts because of their dates.
+fn left_out(misdated: usize) -> String {
+    let are = if misdated == 1 { "is" } else { "are" };
+    let throws = counted(misdated, "throw");
+    if misdated == 0 { String::new() } else { format!("{throws} dated before 2001 or a day ahead {are} left out.") }
 }
 
 fn drawn_throws(directions: &Directions) -> String {

@@ -414,7 +414,7 @@ async fn the_demo_names_its_dashboard() {
     until_page(address, "/", "baseline").await;
 }
 
-/// Such a throw stays the newest by its date for years.
+/// Such a throw stays the newest by its date for years, and would press all others in the charts into a line.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_throw_dated_years_ahead_is_not_the_last_one_of_its_direction() {
     let (rig, daemon) = Rig::running_with(WEB);
@@ -424,6 +424,7 @@ async fn a_throw_dated_years_ahead_is_not_the_last_one_of_its_direction() {
     rig.judged(5).await;
     let page = get(&address(&daemon), "/machines/north/21B").body;
     assert!(page.contains("3 of 50 throws"), "{page}");
+    assert!(page.contains("drawn are 2 throws normal to reverse and 2 back. 1 throw dated before 2001"), "{page}");
 }
 
 /// Alarms of the daemon itself carry its name, which stays in the database when the daemon gets another name.
