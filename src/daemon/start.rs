@@ -1,9 +1,6 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::{
-    collections::HashSet,
-    sync::Arc,
-};
+use std::{collections::HashSet, sync::Arc};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
