@@ -280,7 +280,9 @@ fn leave_out_misdated(both: &mut Directions) -> usize {
     let count = |both: &Directions| both.iter().map(|(_, rows)| rows.len()).sum::<usize>();
     let before = count(both);
     if both.iter().flat_map(|(_, rows)| rows).any(is_possible) {
-        both.iter_mut().for_each(|(_, rows)| rows.retain(is_possible));
+        for (_, rows) in both.iter_mut() {
+            rows.retain(is_possible);
+        }
     }
     before - count(both)
 }
