@@ -297,7 +297,11 @@ fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
 }
 
 fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Throw, Failure> {
-    let recording = recording::read(file)?;
+    let unreadable = || format!("cannot read {}", file.display());
+    // Read once: the content of a pipe is gone then.
+    let content = recording::bytes(file).with_context(unreadable).or_exit(Exit::NoInput)?;
+    let recording =
+        recording::from_content(&content).with_context(|| file.display().to_string()).or_exit(Exit::Data)?;
     let line = if arguments.started_at.is_none() { exports.line(file).or_exit(Exit::Data)? } else { None };
     if let Some(line) = line {
         return Ok(Throw {
@@ -310,8 +314,6 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
             anti_alias_hz: line.anti_alias_hz,
         });
     }
-    let unreadable = || format!("cannot read {}", file.display());
-    let content = fs::read(file).with_context(unreadable).or_exit(Exit::NoInput)?;
     let started_at = if let Some(first) = arguments.started_at {
         let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
         first.checked_add(later).or_exit(Exit::Usage)?

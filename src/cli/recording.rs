@@ -52,10 +52,12 @@ struct Columns {
 /// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = bytes(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
-    parse(without_byte_order_mark(&bytes))
-        .and_then(Columns::evenly)
-        .with_context(|| path.display().to_string())
-        .or_exit(Exit::Data)
+    from_content(&bytes).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+}
+
+/// The recorded throw in the content of a file.
+pub(super) fn from_content(bytes: &[u8]) -> anyhow::Result<Recording> {
+    parse(without_byte_order_mark(bytes)).and_then(Columns::evenly)
 }
 
 /// The content of a file, or of standard input for `-`.

@@ -1,9 +1,6 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::{
-    collections::{BTreeSet, HashSet},
-    sync::Arc,
-};
+use std::{collections::HashSet, sync::Arc};
 
 use parking_lot::Mutex;
 use sd_notify::NotifyState;
@@ -42,7 +39,7 @@ use super::{
 };
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
-    store::{self, Found, Opened, Selector, Store},
+    store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
@@ -326,13 +323,8 @@ impl Starting {
         let machines = self.store.reader().machines().await?;
         let monitor = self.config.monitor.clone();
         let sends = |machine: &MachineId| monitor.reserves(machine).is_none();
-        let left_out = |machine: &&MachineId| sends(machine) && !subscribe.serves(machine);
-        if machines.iter().any(|machine| left_out(&machine)) {
-            // Without a throw it is no machine, but an earlier name of this daemon.
-            let latest = self.store.reader().latest_health(&Selector::default()).await?;
-            let left_out: BTreeSet<_> = latest.iter().map(|health| &health.machine).filter(left_out).collect();
-            self.status.edit().not_served = left_out.into_iter().take(NAMED).map(ToString::to_string).collect();
-        }
+        let left_out = machines.iter().filter(|machine| sends(machine) && !subscribe.serves(machine));
+        self.status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),

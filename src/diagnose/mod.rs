@@ -37,7 +37,7 @@ pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Se
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Missing, Observation, Parameters};
 pub use operation::Common;
-pub(crate) use operation::are_steady;
+pub(crate) use operation::{are_steady, is_possible_date};
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
 pub use statistics::Correlation;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

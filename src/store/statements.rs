@@ -211,15 +211,17 @@ macro_rules! all_machines {
 /// Machine name of the alarms about all machines of a site.
 pub(crate) const ALL_MACHINES: &str = all_machines!();
 
-/// Whether an operator retired the machine of a row: then it has no monitor until its next throw is judged. Needs a
-/// LEFT JOIN of the row with `monitor`.
-macro_rules! is_retired {
+/// Whether a row is no machine of the fleet now: an operator retired the machine, which has no monitor until its next
+/// throw is judged; or the row is an earlier name of the daemon, with alarms and without a throw. Needs a LEFT JOIN of the
+/// row with `monitor`.
+macro_rules! is_absent {
     () => {
-        "(monitor.machine_row IS NULL AND EXISTS (SELECT 1 FROM command \
-          WHERE command.machine_row = machine.machine_row AND command.command = 'retire'))"
+        "(monitor.machine_row IS NULL AND (EXISTS (SELECT 1 FROM command \
+          WHERE command.machine_row = machine.machine_row AND command.command = 'retire') \
+          OR NOT EXISTS (SELECT 1 FROM throw WHERE throw.machine_row = machine.machine_row)))"
     };
 }
-pub(super) use is_retired;
+pub(super) use is_absent;
 
 /// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself (?4/?5) and
 /// [`ALL_MACHINES`]. A machine is silent if it is not monitored and has no open alarm about its condition.
@@ -238,7 +240,7 @@ macro_rules! matching {
             AND machine <> '",
             all_machines!(),
             "' AND NOT (site = ?4 AND machine = ?5) AND NOT ",
-            is_retired!(),
+            is_absent!(),
             ")"
         )
     };
@@ -377,7 +379,7 @@ statements! {
         WHERE (site, machine) > (?1, ?2) ORDER BY site, machine LIMIT ?3";
     MACHINES = concat!("SELECT site, machine FROM machine \
         LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row \
-        WHERE NOT ", is_retired!(), " ORDER BY site, machine");
+        WHERE NOT ", is_absent!(), " ORDER BY site, machine");
 
     // Alarms.
     ADD_ALARM = "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state) \

@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity, is_possible_date},
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
     wire::{Alarm, Health},
@@ -76,8 +76,12 @@ struct Page {
     alarms: Vec<AlarmLine>,
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
+    /// The last throw of each direction.
+    latest: Vec<Health>,
     /// The throws in the charts.
     both: Directions,
+    /// Number of throws left out of the charts because of their dates.
+    misdated: usize,
     baselines: Vec<BaselineRecord>,
     trends: Vec<Picture>,
     features: Vec<Picture>,
@@ -187,14 +191,17 @@ async fn read(
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Ok(None);
     }
-    let both = [
+    let mut both = [
         (Direction::NormalToReverse, rows(reader, machine, Direction::NormalToReverse, span).await?),
         (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
     ];
+    let misdated = leave_out_misdated(&mut both);
     let baselines = reader.baselines_of(machine, BASELINES).await?;
+    // Not the last row of a chart: the clock of the logger may have been ahead for a time.
+    let latest = reader.latest_health(&machine.into()).await?;
     let of_baseline = [
-        throws_of_baseline(reader, machine, &both[0], &baselines).await?,
-        throws_of_baseline(reader, machine, &both[1], &baselines).await?,
+        throws_of_baseline(reader, machine, Direction::NormalToReverse, &latest, &baselines).await?,
+        throws_of_baseline(reader, machine, Direction::ReverseToNormal, &latest, &baselines).await?,
     ];
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
@@ -223,7 +230,9 @@ async fn read(
         file_style: None,
         volatile: format!("As of {}.", utc(&clock::now())),
         machine: machine.clone(),
+        latest,
         both,
+        misdated,
         baselines,
     }))
 }
@@ -263,21 +272,37 @@ async fn rows(
     Ok(rows)
 }
 
+/// Leaves out throws with impossible dates, and returns their number: one throw of 1970, from a logger that has not set
+/// its clock yet, would press all others into a line. If no date is possible, all throws stay.
+fn leave_out_misdated(both: &mut Directions) -> usize {
+    let now = clock::now();
+    let is_possible = |row: &Health| is_possible_date(row.started_at, now);
+    let count = |both: &Directions| both.iter().map(|(_, rows)| rows.len()).sum::<usize>();
+    let before = count(both);
+    if both.iter().flat_map(|(_, rows)| rows).any(is_possible) {
+        for (_, rows) in both.iter_mut() {
+            rows.retain(is_possible);
+        }
+    }
+    before - count(both)
+}
+
 /// The throws of the present baseline of a direction; empty if there is none, or a new one is still being learned.
 async fn throws_of_baseline(
     reader: &Reader,
     machine: &MachineId,
-    (direction, rows): &(Direction, Vec<Health>),
+    direction: Direction,
+    latest: &[Health],
     baselines: &[BaselineRecord],
 ) -> Result<Vec<Health>, StoreError> {
-    let of_direction = baselines.iter().filter(|baseline| baseline.direction == *direction);
+    let of_direction = baselines.iter().filter(|baseline| baseline.direction == direction);
     let Some(baseline) = of_direction.max_by_key(|baseline| baseline.taken_at) else { return Ok(Vec::new()) };
-    let so_far = rows.last().and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
+    let so_far = last_in(latest, direction).and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
     if so_far < baseline.throws as u64 {
         return Ok(Vec::new());
     }
     let throws = u32::try_from(baseline.throws).unwrap_or(u32::MAX);
-    reader.throws_in(machine, *direction, ThrowSelection::Until(baseline.taken_at, throws)).await
+    reader.throws_in(machine, direction, ThrowSelection::Until(baseline.taken_at, throws)).await
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
@@ -285,11 +310,15 @@ fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
     (state == MachineState::Maintenance).then(|| window.map_or_else(|| "in maintenance".to_owned(), page::window))
 }
 
+fn last_in(latest: &[Health], direction: Direction) -> Option<&Health> {
+    latest.iter().find(|throw| throw.direction == Some(direction))
+}
+
 /// The last throw of each direction: baseline, changes, and scatter of the machine.
-fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow> {
-    let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
-        let last = rows.last();
-        let scatter = trend::scatter_pct(baselines, *direction);
+fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow> {
+    let last_throw = |direction: Direction| {
+        let last = last_in(latest, direction);
+        let scatter = trend::scatter_pct(baselines, direction);
         let change = last.and_then(Health::present_change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
@@ -301,13 +330,13 @@ fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow
             None => "none yet".to_owned(),
         };
         LastThrow {
-            direction: *direction,
+            direction,
             baseline,
             changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
             without: last.map(without).unwrap_or_default(),
         }
     };
-    both.iter().map(last_throw).collect()
+    Direction::BOTH.into_iter().map(last_throw).collect()
 }
 
 /// Text for a throw without changes of the coefficients: the changes of the ratios, or the reason.
@@ -379,6 +408,13 @@ fn drawn(directions: &Directions) -> String {
         utc(&last),
         counted(there, "throw")
     )
+}
+
+/// Sentence about throws that are left out of the charts because of their dates.
+fn left_out(misdated: usize) -> String {
+    let are = if misdated == 1 { "is" } else { "are" };
+    let throws = counted(misdated, "throw");
+    if misdated == 0 { String::new() } else { format!("{throws} dated before 2001 or a day ahead {are} left out.") }
 }
 
 fn drawn_throws(directions: &Directions) -> String {

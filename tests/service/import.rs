@@ -1,10 +1,10 @@
 //! Import of recorded throws in JSON, as from a foreign logger, into the database without a daemon.
 
-use std::{fs, path::Path};
+use std::{fs, io::Write as _, path::Path, process::Stdio};
 
 use pointsd::wire::{Encoding, encode_throw};
 
-use crate::rig::{Rig, ends, pointsd, run_with_closed_pipe, stub, throws};
+use crate::rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, stub, throws};
 
 /// Runs `pointsd import`; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
@@ -44,6 +44,21 @@ fn a_closed_pipe_does_not_end_an_import() {
     let output = run_with_closed_pipe(command.arg(rig.config()).args(&files));
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 3);
+}
+
+/// As in `pointsd import --machine north/21B <(zcat throw.csv.gz)`: a pipe can be read only once.
+#[test]
+fn a_recording_from_a_pipe_is_that_of_its_file() {
+    let rig = Rig::new();
+    let file = rig.folder().join("throw.csv");
+    ends(0, pointsim(&["throw", "--out"]).arg(&file));
+    let mut command = pointsd(&["import", "--machine", "north/21B", "--config"]);
+    command.arg(rig.config()).arg("/dev/stdin").stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    child.stdin.take().unwrap().write_all(&fs::read(&file).unwrap()).unwrap();
+    assert!(child.wait_with_output().unwrap().status.success());
+    let (said, _) = imported(&rig, &[&file], &[]);
+    assert_eq!(said, "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use pointsd::{
 use crate::{
     faketime,
     http::{Answer, KEY, WEB, address, ask, check_nesting, exchange, get, history_in, small_history, until_page},
-    rig::{PATIENCE, Program, Rig, faulty_throws, pointsd, stub},
+    rig::{PATIENCE, Program, Rig, faulty_throws, pointsd, stub, throws},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -412,4 +412,29 @@ async fn the_demo_names_its_dashboard() {
     }
     let address = line.trim().strip_prefix("In a browser: http://").unwrap().trim_end_matches('/');
     until_page(address, "/", "baseline").await;
+}
+
+/// Such a throw stays the newest by its date for years, and would press all others in the charts into a line.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_throw_dated_years_ahead_is_not_the_last_one_of_its_direction() {
+    let (rig, daemon) = Rig::running_with(WEB);
+    let mut all = throws("boot", 5);
+    all[2].started_at = "2096-05-04T10:00:00Z".parse().unwrap();
+    daemon.logger(KEY).await.send(all).await;
+    rig.judged(5).await;
+    let page = get(&address(&daemon), "/machines/north/21B").body;
+    assert!(page.contains("3 of 50 throws"), "{page}");
+    assert!(page.contains("drawn are 2 throws normal to reverse and 2 back. 1 throw dated before 2001"), "{page}");
+}
+
+/// Alarms of the daemon itself carry its name, which stays in the database when the daemon gets another name.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_earlier_name_of_the_daemon_is_no_machine() {
+    let (rig, daemon) = Rig::running_with(WEB);
+    daemon.logger(KEY).await.send(throws("boot", 1)).await;
+    rig.judged(1).await;
+    rig.change("INSERT INTO machine (site, machine) VALUES ('fleet', 'earlier')").await;
+    let answer: serde_json::Value = serde_json::from_str(&get(&address(&daemon), "/api/v1/machines").body).unwrap();
+    let names: Vec<_> = answer["machines"].as_array().unwrap().iter().map(|machine| &machine["machine"]).collect();
+    assert_eq!(names, ["21B"]);
 }

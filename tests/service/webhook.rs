@@ -321,11 +321,13 @@ fn an_alarm_becomes_a_mail() {
     }
     let (mail, mails) = mail_server();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/webhook-to-mail");
-    let arguments = ["127.0.0.1:0", &mail.to_string(), "points@example.org", "duty@example.org"];
+    // An IPv6 address, if this computer has one.
+    let host = if TcpListener::bind("[::1]:0").is_ok() { "[::1]" } else { "127.0.0.1" };
+    let arguments = [&format!("{host}:0"), &mail.to_string(), "points@example.org", "duty@example.org"];
     let mut receiver = Program(Command::new(script).args(arguments).stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(receiver.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let rig = rig(&format!("http://127.0.0.1:{}/", line.trim().rsplit(' ').next().unwrap()), "");
+    let rig = rig(&format!("http://{host}:{}/", line.trim().rsplit(' ').next().unwrap()), "");
     let daemon = rig.start();
     weak_motor(&daemon);
     // The alarm may begin as a warning.

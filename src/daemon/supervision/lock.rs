@@ -40,10 +40,13 @@ pub enum LockError {
 ///
 /// A database can have several paths: `store.path` may be a symbolic link, which an administrator made, or the store
 /// when it moved the database (see `store::files`). Each path from the configured one to the file is locked, so that
-/// any two processes have at least one locked path in common.
+/// any two processes have at least one locked path in common. The file itself is locked too, as hard links, for example
+/// of a backup by `cp -al`, are paths that nothing connects.
 #[derive(Debug)]
 pub(crate) struct DatabaseLock {
     _paths: Vec<PathLock>,
+    /// The lock of the file; `None` if it does not exist yet.
+    _file: Option<UnixListener>,
 }
 
 /// The lock of one path of a database.
@@ -60,7 +63,9 @@ impl DatabaseLock {
     pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
         let paths = paths(database).map_err(|source| LockError::File { path: beside(database, ".lock"), source })?;
         let locks: Result<_, _> = paths.iter().map(|path| PathLock::take(path)).collect();
-        Ok(Self { _paths: locks? })
+        let file = std::fs::metadata(database).ok();
+        let file = file.map(|file| bind(&format!("file-{:x}-{:x}", file.dev(), file.ino()), database)).transpose();
+        Ok(Self { _paths: locks?, _file: file? })
     }
 }
 
@@ -72,13 +77,7 @@ impl PathLock {
         match file.try_lock() {
             // Another process ended between opening and locking, and removed the file.
             Ok(()) if !is_at(&file, &path) => Self::take(database),
-            Ok(()) => match UnixListener::bind_addr(&name_of(database).map_err(failed)?) {
-                Ok(name) => Ok(Self { file, path, _name: name }),
-                Err(error) if error.kind() == ErrorKind::AddrInUse => {
-                    Err(LockError::Taken { database: database.to_owned() })
-                }
-                Err(source) => Err(failed(source)),
-            },
+            Ok(()) => bind(&name_of(database), database).map(|name| Self { file, path, _name: name }),
             Err(TryLockError::WouldBlock) => Err(LockError::Taken { database: database.to_owned() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
@@ -121,13 +120,20 @@ fn paths(database: &Path) -> io::Result<Vec<PathBuf>> {
     }
 }
 
-/// The name of a database in the abstract socket namespace of Linux.
-fn name_of(database: &Path) -> io::Result<SocketAddr> {
-    // A path may be too long for a socket name, so the name has two checksums of the path.
-    let bytes = database.as_os_str().as_bytes();
+/// Takes a name in the abstract socket namespace of Linux.
+fn bind(name: &str, database: &Path) -> Result<UnixListener, LockError> {
+    let address = SocketAddr::from_abstract_name(format!("pointsd-{name}"));
+    address.and_then(|address| UnixListener::bind_addr(&address)).map_err(|source| match source.kind() {
+        ErrorKind::AddrInUse => LockError::Taken { database: database.to_owned() },
+        _ => LockError::File { path: beside(database, ".lock"), source },
+    })
+}
+
+/// The name of a path for [`bind`]. The path may be too long for a socket name, so the name has two checksums of it.
+fn name_of(path: &Path) -> String {
+    let bytes = path.as_os_str().as_bytes();
     let reversed: Vec<u8> = bytes.iter().rev().copied().collect();
-    let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed));
-    SocketAddr::from_abstract_name(format!("pointsd-{:08x}{:08x}-{}", checksums.0, checksums.1, bytes.len()))
+    format!("{:08x}{:08x}-{}", crc32fast::hash(bytes), crc32fast::hash(&reversed), bytes.len())
 }
 
 #[cfg(test)]
@@ -162,6 +168,18 @@ mod tests {
         std::os::unix::fs::symlink("points.db-1", &database).unwrap();
         assert!(is_taken(&link) && is_taken(&database));
         drop(direct);
+        DatabaseLock::take(&link).unwrap();
+    }
+
+    #[test]
+    fn a_hard_link_is_the_same_database() {
+        let (data, copy) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (database, link) = (data.path().join("points.db"), copy.path().join("points.db"));
+        std::fs::write(&database, "").unwrap();
+        std::fs::hard_link(&database, &link).unwrap();
+        let first = DatabaseLock::take(&database).unwrap();
+        assert!(matches!(DatabaseLock::take(&link), Err(LockError::Taken { .. })));
+        drop(first);
         DatabaseLock::take(&link).unwrap();
     }
 }

@@ -30,6 +30,12 @@ const IN_A_ROW: u32 = 3;
 
 /// Least time between two receptions whose ages are compared.
 const APART: SignedDuration = SignedDuration::from_secs(1);
+
+/// Whether a clock may show this time: not before 2001, and not a day ahead of `now`.
+pub(crate) fn is_possible_date(at: Timestamp, now: Timestamp) -> bool {
+    at >= FIRST && at.duration_since(now) <= DAY
+}
+
 /// State of the clock of a logger.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct LoggerClock {

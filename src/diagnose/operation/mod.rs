@@ -15,7 +15,7 @@ pub(super) use logger::on_peers;
 
 use self::alarms::{Logger, unix_s};
 pub(super) use logger_clock::LoggerClock;
-pub(crate) use logger_clock::are_steady;
+pub(crate) use logger_clock::{are_steady, is_possible_date};
 pub use site::Common;
 pub(super) use site::Trail;
 pub(super) use thermometer::{Implausible, Thermometer};

@@ -106,7 +106,10 @@ pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
 }
 
 pub(crate) fn no_gap(name: &str, throws: u32) -> String {
-    format!("Machine {name}: none of the last {} was lost, invalid or a repetition.", counted(throws, "throw"))
+    if throws == 1 {
+        return format!("Machine {name}: the last throw was not lost, invalid or a repetition.");
+    }
+    format!("Machine {name}: none of the last {throws} throws was lost, invalid or a repetition.")
 }
 
 pub(crate) const REPEATED_NUMBER: &str = "\
@@ -119,7 +122,7 @@ mod tests {
 
     #[test]
     fn one_throw_is_no_plural() {
-        assert_eq!(no_gap("21B", 1), "Machine 21B: none of the last 1 throw was lost, invalid or a repetition.");
+        assert_eq!(no_gap("21B", 1), "Machine 21B: the last throw was not lost, invalid or a repetition.");
         let unevaluated = super::super::blind::unevaluated("21B", Some(crate::throw::Direction::BOTH[0]), 1, None);
         assert!(unevaluated.contains("the last 1 throw normal to reverse could not"), "{unevaluated}");
     }

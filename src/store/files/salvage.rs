@@ -12,7 +12,7 @@ use std::{
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
 use super::graft::graft;
-use crate::store::{error::is_full, statements::is_retired};
+use crate::store::{error::is_full, statements::is_absent};
 
 /// Number of keys that one statement copies.
 const RANGE: i64 = 1024;
@@ -101,7 +101,7 @@ const ORPHANS: [&str; 13] = [
          SELECT machine.machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
          FROM estimate JOIN throw USING (machine_row, throw_row) JOIN machine USING (machine_row) \
          LEFT JOIN monitor USING (machine_row) WHERE NOT ",
-        is_retired!(),
+        is_absent!(),
         " GROUP BY machine.machine_row, estimate.direction"
     ),
 ];
