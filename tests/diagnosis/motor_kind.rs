@@ -115,3 +115,17 @@ fn a_bad_contact_of_a_series_motor_is_named() {
         assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
     }
 }
+
+/// More friction draws more current, which saturates the iron. The torque then grows less than in the model, as if the
+/// motor had become weaker too.
+#[test]
+fn friction_of_a_series_motor_that_saturates_is_named() {
+    for seed in 1..=4 {
+        let mut drive = Drive::series(seed);
+        drive.stay_healthy(120, State::SOUND);
+        drive.events(60, State { friction: 1.6, ..State::SOUND });
+        let [drift] = drive.monitor.drifts()[..] else { panic!("{seed}: {:?}", drive.monitor.drifts()) };
+        assert_eq!(drift.cause, Cause::Friction, "{seed}: {drift:?}");
+        assert!((drift.change_pct - 60.0).abs() < 1.96 * drift.change_pct_sd, "{seed}: {drift:?}");
+    }
+}
