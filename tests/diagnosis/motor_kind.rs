@@ -123,7 +123,9 @@ fn friction_of_a_series_motor_that_saturates_is_named() {
     for seed in 1..=4 {
         let mut drive = Drive::series(seed);
         drive.stay_healthy(120, State::SOUND);
-        drive.events(60, State { friction: 1.6, ..State::SOUND });
+        let events = drive.events(60, State { friction: 1.6, ..State::SOUND });
+        let named = events.iter().find(|event| event.cause == Cause::Friction).unwrap();
+        assert!(named.text.contains("torque that was lost at the same time would look the same"), "{}", named.text);
         let [drift] = drive.monitor.drifts()[..] else { panic!("{seed}: {:?}", drive.monitor.drifts()) };
         assert_eq!(drift.cause, Cause::Friction, "{seed}: {drift:?}");
         assert!((drift.change_pct - 60.0).abs() < 1.96 * drift.change_pct_sd, "{seed}: {drift:?}");

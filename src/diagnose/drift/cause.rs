@@ -436,15 +436,20 @@ impl Attribution {
 
     /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
     /// would be the same. Dry friction lowers b0 as much as a loss of torque that leaves the back-EMF, and where it
-    /// grows along the stroke, it raises a0/b0 as a stiffer spring does.
+    /// grows along the stroke, it raises a0/b0 as a stiffer spring does. Iron that saturates raises both ratios as a loss
+    /// of torque does.
     pub(crate) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);
+        let has_stiffer_ratio = self.mean.z - self.mean.x > RISEN_STIFFNESS;
+        if is_of_friction && self.of_ratios && self.evidence.may_saturate() && has_stiffer_ratio {
+            return Some(Cause::Kt);
+        }
         let BackEmf { at_start, .. } = self.evidence.back_emf.filter(|_| is_of_friction && self.has_sound_motor())?;
         if self.mean.x < LOST_TORQUE && !(self.of_ratios && at_start.is_some_and(|start| start.is_prompt)) {
             return Some(Cause::Kt);
         }
-        (self.mean.z - self.mean.x > RISEN_STIFFNESS).then_some(Cause::Stiffness)
+        has_stiffer_ratio.then_some(Cause::Stiffness)
     }
 
     /// Change of the back-EMF, if it shows that weak magnets are not the reason of a lost torque: gear, clutch and
