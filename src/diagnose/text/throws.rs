@@ -52,8 +52,12 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
         format!("{what} {:+.0} % (±{:.0} %)", change.level.pct(), change.level.half_width_pct())
     };
     let is_longer = changes.iter().any(|change| change.gauge == Gauge::Travel && change.level.value > 0.0);
+    let is_easier = changes.iter().all(|change| change.gauge != Gauge::Travel && change.level.value < 0.0);
     let check = if is_longer {
         "The rails cannot move beyond the stock rail: check the position sensor, its gain and the adjustment of the stroke."
+    } else if is_easier {
+        "The machine moves more easily: rain and lubrication do this. Take a new baseline if it was cleaned or \
+         lubricated; otherwise check the supply, and drive and rods for a loose part."
     } else {
         "Check slide chairs, lubrication, drive and supply."
     };
@@ -101,5 +105,17 @@ mod tests {
         };
         assert!(of(-0.04).contains("the toe moves as soon as usual (±0.4 ms) after the start"), "{}", of(-0.04));
         assert!(of(-2.0).contains("the toe moves 2.0 ms (±0.4 ms) earlier after the start"), "{}", of(-2.0));
+    }
+
+    #[test]
+    fn a_fall_of_the_load_has_advice_of_its_own() {
+        let text = |duration: f64, charge: f64| {
+            let change = |gauge, value| Change { gauge, level: Level { value, sd: 0.01 } };
+            features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6)
+        };
+        let easier = "if it was cleaned or lubricated";
+        assert!(
+            text(-0.1, -0.2).contains(easier) && !text(0.1, -0.2).contains(easier) && !text(0.1, 0.2).contains(easier)
+        );
     }
 }
