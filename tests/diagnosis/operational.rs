@@ -397,8 +397,7 @@ fn outdated(before: &[(f64, f64)], after: &[(f64, f64)]) -> Vec<bool> {
             throw_no += 1;
             let throw = ThrowRef { boot_id: "a".to_owned(), throw_no };
             let settings = Settings::default();
-            let dated = monitor.date(&throw, at(started), Some(at(received)), false, &settings);
-            dated.is_outdated
+            monitor.date(&throw, at(started), Some(at(received)), false, &settings).is_outdated
         };
         throws.iter().map(of_throw).collect()
     };

@@ -156,7 +156,8 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
     let recorded = throws("boot", 30);
     let now = jiff::Timestamp::now;
     let mut sent = 0;
-    // Two throws are enough, unless this computer is busy at the moment of one.
+    // The ages of two throws are compared that arrive a second apart or more. Two are enough, unless this computer is
+    // busy at the moment of one.
     while rig.sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"at_once\":\"%'").is_empty() {
         logger.send([Throw { started_at: now(), ..recorded[sent].clone() }]).await;
         sent += 1;

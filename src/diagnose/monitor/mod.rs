@@ -201,6 +201,7 @@ impl MachineMonitor {
         let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
+        // Earlier throws are estimated with the new parameters too, so they count: `in_service_since` stays.
         self.boots = Boots::default();
         self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, to_micros(now));
         Some((Command::Rebaseline { by, why }, self.alarms.take_events()))
