@@ -1,8 +1,13 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
+use std::sync::Arc;
+
 use zenoh::{bytes::ZBytes, query::Query};
 
-use super::{judge::commands::CommandSender, supervision::status::StatusSources};
+use super::{
+    judge::commands::CommandSender,
+    supervision::status::{Status, StatusSources},
+};
 use crate::{
     bus::{self, QueryQueue},
     store::{Reader, Selector, StoreError, seldom},
@@ -16,7 +21,7 @@ pub(super) enum Answers {
     /// To health queries.
     Health(Reader),
     /// To alarm queries. A query that also reaches the queryable on the key expression `elsewhere` is answered there.
-    Alarms { reader: Reader, elsewhere: Option<String> },
+    Alarms { reader: Reader, status: Arc<Status>, elsewhere: Option<String> },
     /// To operators' commands, and to queries for the name and session of the daemon, `itself`. A command for the
     /// session of another daemon gets no reply.
     Commands { sender: CommandSender, itself: CommandTarget },
@@ -41,7 +46,7 @@ impl Answers {
         match self {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
-            Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
+            Self::Alarms { reader, status, .. } => alarm_replies(question, reader, status).await,
             Self::Commands { sender, itself } => {
                 takes_only(question, &["session"])?;
                 match question.parameters().get("session") {
@@ -76,9 +81,11 @@ async fn health_replies(question: &Query, reader: &Reader) -> Replies {
     messages(question, rows, message)
 }
 
-async fn alarm_replies(question: &Query, reader: &Reader) -> Replies {
+async fn alarm_replies(question: &Query, reader: &Reader, status: &Status) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters().as_str()).map_err(|error| error.to_string())? {
-        HistoryQuery::Current => reader.open_alarms(&selector(question)).await,
+        HistoryQuery::Current => {
+            reader.open_alarms(&selector(question)).await.map(|stored| status.with_uncommitted(stored))
+        }
         HistoryQuery::History { since, limit } => reader.alarm_history(&selector(question), since, limit).await,
     };
     let message = |alarm: Alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message());

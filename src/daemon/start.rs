@@ -371,7 +371,8 @@ impl Starting {
         let key = monitor_status_key(&own_machine);
         let reader = self.store.reader().clone();
         let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
-        let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
+        let status = &sources.status;
+        let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), status: Arc::clone(status), elsewhere };
         let commands = || Answers::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
             ("answer status", key.clone(), Answers::Status { key, sources: sources.clone() }),

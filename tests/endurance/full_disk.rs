@@ -44,6 +44,9 @@ async fn fill_and_free(ballast_mib: u64) {
     assert!(log.iter().any(|line| line.contains("ERROR") && line.contains("storing throws failed")), "{log:?}");
     let count = log.iter().filter(|line| line.contains("write transaction failed")).count();
     assert!(count <= 3, "the same log line {count} times");
+    let (exit_code, open) = daemon.operate(&["alarms", "--check"]);
+    assert_eq!(exit_code, Some(1), "{open}");
+    assert!(open.contains("data loss"), "{open}");
     // The daemon still runs and answers while throws arrive.
     let received = daemon.status()["received"].as_u64().unwrap();
     daemon.until_status("throws that wait", |status| status["received"].as_u64() > Some(received + 20)).await;

@@ -381,10 +381,15 @@ impl JudgeLoop {
                 Err(_) => {
                     self.daemon_alarms.push_front(alarm);
                     self.publish_uncommitted().await;
-                    return Ok(());
+                    break;
                 }
             }
         }
+        let published = self.daemon_alarms.iter().filter(|alarm| alarm.published).map(|alarm| &alarm.outcome);
+        let uncommitted = published.flat_map(|Outcome { machine, events, .. }| {
+            events.iter().map(move |event| Alarm::new(machine, event))
+        });
+        self.links.status.set_uncommitted(uncommitted.collect());
         Ok(())
     }
 

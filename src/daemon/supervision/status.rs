@@ -11,9 +11,10 @@ use serde::{Deserialize, Serialize};
 use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
-    diagnose::{MachineState, Severity},
+    diagnose::{AlarmState, MachineState, Severity},
     store::{DiskLevel, RecentCount, Store, Window, seldom},
     throw::{MachineId, counted},
+    wire::Alarm,
 };
 
 /// Number of consecutive invalid messages of a machine that raises an alarm; a few may be accidents.
@@ -35,6 +36,8 @@ pub(crate) struct Status {
     rejected: Mutex<BTreeMap<String, u64>>,
     /// Number of invalid messages of a machine since its last valid throw, and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
+    /// Alarms about the daemon itself that are published and that the database cannot store yet.
+    uncommitted: Mutex<Vec<Alarm>>,
     pub(crate) machines_refused: RecentCount,
     pub(crate) alarm_events_lost: RecentCount,
 }
@@ -202,6 +205,19 @@ impl Status {
                 .to_owned()
         });
         refused.into_iter().chain(lost).map(|sentence| (Severity::Critical, sentence)).collect()
+    }
+
+    pub(crate) fn set_uncommitted(&self, alarms: Vec<Alarm>) {
+        *self.uncommitted.lock() = alarms;
+    }
+
+    /// The open alarms, from those of the database: an uncommitted event replaces the stored one of its alarm.
+    pub(crate) fn with_uncommitted(&self, mut stored: Vec<Alarm>) -> Vec<Alarm> {
+        for alarm in &*self.uncommitted.lock() {
+            stored.retain(|stored| stored.alarm_id != alarm.alarm_id);
+            stored.extend((alarm.state != AlarmState::Normal).then(|| alarm.clone()));
+        }
+        stored
     }
 
     /// Number of rejected throws by the code of the reason.
