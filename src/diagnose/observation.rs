@@ -1,7 +1,7 @@
 //! Observations: the input of the monitor.
 
 use jiff::Timestamp;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::SensorChannel;
@@ -33,6 +33,9 @@ pub struct Observation {
     pub grade: Grade,
     /// Whether only the ratios of the coefficients are known, not their common scale.
     pub ratios_only: bool,
+    /// The ratios a1/b0 and a0/b0 of a complete estimate as an estimate of ratios only gives them, and the covariance of
+    /// their logarithms.
+    pub running: Option<([f64; 2], Matrix2<f64>)>,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
     /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the recording is too
@@ -71,6 +74,9 @@ impl Observation {
             }),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
+            running: estimate
+                .and_then(|estimate| estimate.running)
+                .map(|running| (running.values, running.covariance())),
             incomplete: rejection.is_some_and(Rejection::is_incomplete),
             faulty: rejection.and_then(|reason| match reason {
                 Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
@@ -196,6 +202,9 @@ pub(super) struct Evaluated {
     pub(super) sensor: Matrix3<f64>,
     pub(super) grade: Grade,
     pub(super) ratios_only: bool,
+    /// Logarithms (0, ln a1/b0, ln a0/b0) of a complete estimate as an estimate of ratios only gives them, with their
+    /// covariance.
+    pub(super) running: Option<([f64; 3], Matrix3<f64>)>,
     pub(super) temperature_c: Option<f64>,
     pub(super) duration_s: Option<f64>,
 }
@@ -241,34 +250,63 @@ impl Evaluated {
             sensor: 0.5 * (sensor + sensor.transpose()),
             grade: observation.grade,
             ratios_only: observation.ratios_only,
+            running: observation.running.map(|([a1, a0], covariance)| {
+                let mut sensor = Matrix3::zeros();
+                sensor.fixed_view_mut::<2, 2>(1, 1).copy_from(&covariance);
+                ([0.0, a1.ln(), a0.ln()], sensor)
+            }),
             temperature_c: observation.temperature_c.filter(|t| t.is_finite()),
             duration_s: observation.features.duration_s.filter(|d| d.is_finite() && *d > 0.0),
         })
     }
 
     /// The throw for a comparison with a baseline of ratios: the logarithms of b0/b0, a1/b0 and a0/b0. Friction, which
-    /// varies most, varies in only one of them. An error that is equal in every throw cancels in this comparison.
-    pub(super) fn ratios(self) -> Self {
+    /// varies most, varies in only one of them. An error that is equal in every throw cancels in this comparison. The
+    /// errors of a complete estimate are not those of ratios, so its ratios come from [`Self::running`] if
+    /// `of_running`, as in all baselines but those of an earlier version of the program.
+    pub(super) fn ratios(self, of_running: bool) -> Self {
         let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
-        Self {
-            log: self.log.map(|log| log - self.log[0]),
-            sensor: relative_to(0, &self.sensor) / repeats + Matrix3::repeat(SCALE_VARIANCE),
-            ratios_only: true,
-            ..self
-        }
+        let own = || (self.log.map(|log| log - self.log[0]), relative_to(0, &self.sensor) / repeats);
+        let (log, sensor) = self.running.filter(|_| of_running).unwrap_or_else(own);
+        Self { log, sensor: sensor + Matrix3::repeat(SCALE_VARIANCE), ratios_only: true, ..self }
     }
 
     /// The throw without the effect of a neutral position that is `shift` times the travel nearer to reverse than
     /// configured, or of a position sensor whose normal end is shifted by as much. See [`apparent_friction`].
     pub(super) fn without_shift(self, shift: f64) -> Self {
-        let [b0, a1, a0] = self.log;
-        let apparent = apparent_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
-        let corrected = (a1.exp() + apparent).ln();
-        if !corrected.is_finite() {
-            return self;
+        let corrected = |(log, sensor): ([f64; 3], Matrix3<f64>)| {
+            let [b0, a1, a0] = log;
+            let apparent = apparent_friction(shift, self.direction, a0.exp(), self.duration_s.unwrap_or_default());
+            let corrected = (a1.exp() + apparent).ln();
+            if !corrected.is_finite() {
+                return (log, sensor);
+            }
+            let kept = (a1 - corrected).exp();
+            let change = Matrix3::new(1.0, 0.0, 0.0, 0.0, kept, 1.0 - kept, 0.0, 0.0, 1.0);
+            ([b0, corrected, a0], change * sensor * change.transpose())
+        };
+        let (log, sensor) = corrected((self.log, self.sensor));
+        Self { log, sensor, running: self.running.map(corrected), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a change.
+    #[test]
+    fn ratios_of_a_complete_estimate_are_those_of_an_estimate_of_ratios() {
+        let running = ([0.38, 0.037], Matrix2::identity() * 1e-4);
+        let estimate = Some(([6.0, 6.0 * 0.38, 6.0 * 0.045], Matrix3::identity() * 1e-4));
+        let throw = Observation { direction: Some(Direction::BOTH[0]), estimate, ..Observation::default() };
+        let complete = Evaluated::of(&Observation { running: Some(running), ..throw.clone() }).unwrap();
+        let estimate = Some(([1.0, 0.38, 0.037], Matrix3::identity() * 1e-4));
+        let rough = Evaluated::of(&Observation { estimate, ratios_only: true, ..throw }).unwrap();
+        for shift in [0.0, 0.2] {
+            let of = |throw: &Evaluated| throw.clone().without_shift(shift).ratios(true).log;
+            let differences: Vec<f64> = of(&complete).iter().zip(of(&rough)).map(|(a, b)| (a - b).abs()).collect();
+            assert!(differences.iter().all(|difference| *difference < 1e-12), "{differences:?} with {shift}");
         }
-        let kept = (a1 - corrected).exp();
-        let change = Matrix3::new(1.0, 0.0, 0.0, 0.0, kept, 1.0 - kept, 0.0, 0.0, 1.0);
-        Self { log: [b0, corrected, a0], sensor: change * self.sensor * change.transpose(), ..self }
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{features::Features, rejection::Rejection};
+use super::{Ratios, features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
 /// How far an estimate can be trusted.
@@ -61,6 +61,10 @@ pub struct Estimate {
     /// Why the estimate is rough: the check that the throw did not pass. `None` if it is not rough.
     #[serde(default)]
     pub reason: Option<Rejection>,
+    /// The ratios of a complete estimate as an estimate of ratios only gives them, without the start of the throw. Where
+    /// the model fits roughly, both have other errors. So a machine that is compared by ratios compares these.
+    #[serde(skip)]
+    pub running: Option<Ratios>,
     /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
     pub fit_pct: f64,
     /// Number of SRIV iterations.

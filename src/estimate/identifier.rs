@@ -229,7 +229,7 @@ impl Buffers {
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
-                return Ok(Estimate { grade, reason: noisy, ..estimate });
+                return Ok(Estimate { grade, reason: noisy, running: ratios::of(&self.window), ..estimate });
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,

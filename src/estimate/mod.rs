@@ -33,6 +33,7 @@ pub use features::Features;
 pub use identification::{Estimate, Grade, Identification};
 pub use identifier::Identifier;
 pub(crate) use midpoint::midpoint;
+pub use ratios::Ratios;
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;

@@ -39,8 +39,9 @@ const LARGEST_RESIDUAL: f64 = 0.006;
 
 /// The ratios a1/b0 and a0/b0 with their errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Ratios {
-    pub(super) values: [f64; 2],
+pub struct Ratios {
+    /// a1/b0 and a0/b0.
+    pub values: [f64; 2],
     /// Covariances of the logarithms of the ratios: from errors that differ in each throw, and from errors that are
     /// equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
@@ -53,6 +54,11 @@ pub(super) struct Ratios {
 }
 
 impl Ratios {
+    /// Covariance of the logarithms of the ratios, from both kinds of errors.
+    pub fn covariance(&self) -> Matrix2<f64> {
+        self.log_covariance + self.log_systematic
+    }
+
     /// A rough estimate with these ratios and the arbitrary b0 = 1. `fit_pct` and `iterations` are those of the full
     /// model.
     pub(super) fn estimate(
@@ -72,6 +78,7 @@ impl Ratios {
             systematic: covariance([1.0, a1, a0], 0.0, self.log_systematic),
             offset: [0.0, a1 * self.log_offset[0], a0 * self.log_offset[1]],
             reason,
+            running: None,
             fit_pct,
             iterations,
             start_s: (window.from + self.from) as f64 * window.interval_s,

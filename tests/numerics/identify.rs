@@ -119,6 +119,7 @@ fn an_identification_survives_json() {
         a1: 5.9,
         a0: 1.56,
         ratios_only: false,
+        running: None,
         covariance,
         systematic: Matrix3::zeros(),
         offset: [0.1, 0.02, 0.01],

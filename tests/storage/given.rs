@@ -66,6 +66,7 @@ pub(crate) fn estimate() -> Estimate {
     Estimate {
         grade: Grade::Good,
         ratios_only: false,
+        running: None,
         systematic: Matrix3::zeros(),
         offset: [0.0; 3],
         reason: None,

@@ -59,7 +59,7 @@ impl Track {
             return false;
         }
         let mut kept = self.undecided.take().unwrap_or_default();
-        let ratios = throw.clone().ratios();
+        let ratios = throw.clone().ratios(true);
         kept.rough += usize::from(throw.grade == Grade::Rough);
         kept.throws.push(BaselineThrow::new(order, &ratios));
         kept.sensor = mean_with(kept.sensor, &ratios.sensor, kept.throws.len());
@@ -70,7 +70,7 @@ impl Track {
         let Undecided { throws, rough, sensor } = *kept;
         let is_rough = rough as f64 >= ROUGH_SHARE * throws.len() as f64;
         if is_rough {
-            *self = Self { of_ratios: true, aside: throws, sensor, ..Self::default() };
+            *self = Self { of_ratios: true, of_running: true, aside: throws, sensor, ..Self::default() };
         }
         is_rough
     }
@@ -254,6 +254,7 @@ mod tests {
                     sensor: Matrix3::identity() * 1e-6,
                     grade: Grade::Good,
                     ratios_only: false,
+                    running: None,
                     temperature_c: None,
                     duration_s: None,
                 };

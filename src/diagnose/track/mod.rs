@@ -42,6 +42,9 @@ struct Track {
     undecided: Option<Box<Undecided>>,
     /// Whether the throws are compared by their ratios only, as many throws have no reliable common scale.
     of_ratios: bool,
+    /// Whether complete estimates are compared by [`Evaluated::running`]; not with a baseline of ratios of an earlier
+    /// version of the program, whose ratios are those of the coefficients.
+    of_running: bool,
     rough: RoughErrors,
 }
 
@@ -132,7 +135,8 @@ pub(super) struct Tracks {
 impl Tracks {
     /// The throw with the values that its direction compares: all coefficients, or ratios only.
     pub(super) fn compared(&self, throw: Evaluated) -> Evaluated {
-        if self.sides[throw.direction.side()].of_ratios { throw.ratios() } else { throw }
+        let track = &self.sides[throw.direction.side()];
+        if track.of_ratios { throw.ratios(track.of_running) } else { throw }
     }
 
     /// Residual of a throw from the baseline of its direction, with temperature compensation. `None` without a

@@ -144,6 +144,7 @@ pub(super) fn estimate(
         systematic: load + dry * dry.transpose() + parameters * (scale_sd * scale_sd) * parameters.transpose(),
         offset,
         reason: None,
+        running: None,
         fit_pct: 100.0 * solution.fit,
         iterations: solution.iterations,
         start_s: window.from as f64 * window.interval_s,
