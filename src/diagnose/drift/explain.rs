@@ -18,15 +18,17 @@
 //!
 //! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
-//! to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
-//! the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a
-//! stroke of duration T.
+//! to 0.45 on rails of a beam and of three masses. The more friction the far end has, the later it slides, so p grows in
+//! proportion to a large rise; if it never slides, the whole rise grows from 0, and p is 2. The change of a0 is relative
+//! to the spring that the machine has, so the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the
+//! force of the spring at the end of a stroke of duration T. It is a direction of the coefficients; the logarithm of a
+//! large change of a0 is less than proportional.
 //!
 //! More friction draws more current. In a series-wound motor this current saturates the iron, so the torque grows less
 //! than with its square, as the model has it. The start, which has the largest current, gives b0, so a1 and a0 of the
 //! running machine seem larger by a common factor: (0, 1 + s, s). For a torque that grows with the power n of the
 //! current, s is (2 - n)/n times the part of the load that is friction: from 0 without saturation to 0.7. The ratio
-//! a1/a0 has no such error.
+//! a1/a0 has no such error. A weaker motor draws more current for the whole load: (1, -s, -s) with s = (2 - n)/n.
 //!
 //! A motor with weaker magnets turns faster. Dry friction has the same torque at every speed, so in a model with
 //! viscous friction the dry part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1
@@ -81,12 +83,20 @@ const OF_MOTOR: &[Leak] =
 /// The leaks that do not resemble another fault.
 pub(crate) const PLAIN_LEAKS: Leaks =
     Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_over_spring: 1.0 };
+/// Leaks of a change of a series-wound motor: without saturation, and with.
+const OF_SERIES_MOTOR: &[Leak] = &[NO_LEAK, Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], of_spring: false }];
 /// The leaks on a machine with a series-wound motor.
-pub(super) const LEAKS_OF_SERIES: Leaks = Leaks { friction: OF_FRICTION_OF_SERIES, ..PLAIN_LEAKS };
+pub(super) const LEAKS_OF_SERIES: Leaks =
+    Leaks { friction: OF_FRICTION_OF_SERIES, motor: OF_SERIES_MOTOR, ..PLAIN_LEAKS };
 /// All leaks. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges show whether
 /// the motor changed.
 pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
     Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
+/// Rise of friction, as part of its normal value, up to which the far end of a rail slides so early that the part of
+/// the rise that grows along the stroke is small; beyond it, this part is proportional to the rise.
+const SLIDES_EARLY: f64 = 0.5;
+/// Largest factor on this part: then the far end never slides, and the whole rise grows along the stroke.
+const MOST_GROWTH: f64 = 8.0;
 /// The setting `model_error` is an upper bound; it counts as this number of standard deviations.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction beside its leak, as part of the model error of other causes.
@@ -136,6 +146,22 @@ impl Leak {
     /// The leak on a machine with this ratio of the friction to the force of the spring.
     fn beside_spring(self, friction_over_spring: f64) -> Self {
         let factor = if self.of_spring { friction_over_spring } else { 1.0 };
+        self.times(factor)
+    }
+
+    /// The leak of a cause of this size, which is a rise. Only friction that grows along the stroke has another leak
+    /// for a larger rise: the part of it that grows, and the logarithm of the stiffness.
+    fn of_size(self, size: f64) -> Self {
+        let rise = size.exp_m1();
+        let [.., at_reference] = self.parts;
+        if !self.of_spring || rise <= 0.0 || at_reference <= 0.0 {
+            return self;
+        }
+        let grows = (rise / SLIDES_EARLY).clamp(1.0, MOST_GROWTH);
+        self.times((at_reference * grows * rise).ln_1p() / (size * at_reference))
+    }
+
+    fn times(self, factor: f64) -> Self {
         Self { parts: self.parts.map(|part| factor * part), sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
@@ -356,7 +382,11 @@ pub(crate) fn fit_along(
 /// hardly leaks. A size of 0, the first guess, counts as a rise.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     let own = direction_of(part.cause).unwrap_or_else(Vector3::zeros);
-    if part.cause == Cause::Friction && part.size < 0.0 { own } else { own + Vector3::from(leak.parts) }
+    if part.cause == Cause::Friction && part.size < 0.0 {
+        own
+    } else {
+        own + Vector3::from(leak.of_size(part.size).parts)
+    }
 }
 
 /// Covariance of the model error of a cause of this size with this leak.
@@ -364,7 +394,7 @@ fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
     let (leaking, sd) =
         if part.cause == Cause::Friction { (part.size.max(0.0), FRICTION_ERROR * sd) } else { (part.size, sd) };
-    let together = Vector3::from(leak.sd) * leaking;
+    let together = Vector3::from(leak.of_size(part.size).sd) * leaking;
     let own = |i: usize| Cause::OF_COEFFICIENTS[i] == part.cause;
     let others = Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd });
     together * together.transpose() + Matrix3::from_diagonal(&others)
