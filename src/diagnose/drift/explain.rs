@@ -28,7 +28,8 @@
 //! than with its square, as the model has it. The start, which has the largest current, gives b0, so a1 and a0 of the
 //! running machine seem larger by a common factor: (0, 1 + s, s). For a torque that grows with the power n of the
 //! current, s is (2 - n)/n times the part of the load that is friction: from 0 without saturation to 0.7. The ratio
-//! a1/a0 has no such error. A weaker motor draws more current for the whole load: (1, -s, -s) with s = (2 - n)/n.
+//! a1/a0 has no such error. A weaker motor draws more current for the whole load: (1, -s, -s) with s = (2 - n)/n, or
+//! (1 + s, 0, 0) if b0 comes from the running machine rather than from its start.
 //!
 //! A motor with weaker magnets turns faster. Dry friction has the same torque at every speed, so in a model with
 //! viscous friction the dry part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1
@@ -83,8 +84,13 @@ const OF_MOTOR: &[Leak] =
 /// The leaks that do not resemble another fault.
 pub(crate) const PLAIN_LEAKS: Leaks =
     Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0, friction_over_spring: 1.0 };
-/// Leaks of a change of a series-wound motor: without saturation, and with.
-const OF_SERIES_MOTOR: &[Leak] = &[NO_LEAK, Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], of_spring: false }];
+/// Leaks of a change of a series-wound motor: without saturation, and with, where b0 comes from the start or from the
+/// running machine.
+const OF_SERIES_MOTOR: &[Leak] = &[
+    NO_LEAK,
+    Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], of_spring: false },
+    Leak { parts: [0.3, 0.0, 0.0], sd: [0.18, 0.0, 0.0], of_spring: false },
+];
 /// The leaks on a machine with a series-wound motor.
 pub(super) const LEAKS_OF_SERIES: Leaks =
     Leaks { friction: OF_FRICTION_OF_SERIES, motor: OF_SERIES_MOTOR, ..PLAIN_LEAKS };
