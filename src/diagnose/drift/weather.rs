@@ -1,24 +1,18 @@
 //! Which claim an alarm may make about a drift that weather may have caused. Weather changes friction most: rain lowers
 //! it for days, a season changes it over months.
 
-use std::ops::Range;
-
 use jiff::SignedDuration;
 use nalgebra::Vector3;
 
 use super::{Claim, DriftAlarms, FrictionChange, LatestThrow, Naming};
 use crate::diagnose::{
     Cause,
-    gauges::SLOW_FROM,
+    gauges::{RAIN_HOURS, RAIN_PCT, SLOW_FROM},
     statistics::{LONGEST_WINDOW, WINDOWS, percent},
 };
 
-/// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
-const RAIN_HOURS: i64 = 72;
 /// Throws of the machine after which the last few throws of each direction all show a fall.
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
-/// Losses of friction by rain \[%\]: water halves the friction of steel on steel, a part of the machine's friction.
-const RAIN_PCT: Range<f64> = 10.0..25.0;
 const DAYS_OF_WEEK: f64 = 7.0;
 
 impl DriftAlarms {

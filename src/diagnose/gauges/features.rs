@@ -2,6 +2,8 @@
 //! machines whose throws are rejected one after the other, and on machines whose throws are all rough, so that there is
 //! no baseline. A rejection is a verdict on the data: the features may still show a fault of the machine.
 
+use std::ops::Range;
+
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +12,7 @@ use crate::{
     diagnose::{
         Cause, Severity,
         alarm::{RuleResult, Step, count_over},
-        statistics::{LastValues, Level, median, percent},
+        statistics::{LONGEST_WINDOW, LastValues, Level, median, percent},
         text,
     },
     estimate::Features,
@@ -35,6 +37,11 @@ const LARGER: f64 = 1.5;
 const OF_SEASON: f64 = 2.0;
 /// Part of a slow change that existed a week ago: a season takes months.
 pub(crate) const SLOW_FROM: f64 = 1.0 / 3.0;
+/// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
+pub(crate) const RAIN_HOURS: i64 = 72;
+/// Losses of friction by rain or grease \[%\]: water halves the friction of steel on steel, a part of the machine's
+/// friction.
+pub(crate) const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Least time and least number of throws of a direction between a change and the earlier one to which it is compared.
 const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
@@ -91,6 +98,9 @@ pub(crate) struct FeatureWatch {
     calm: u32,
     /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
     reported: f64,
+    /// Time of the first throw of a fall of the load, and number of throws since.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fallen: Option<(Timestamp, u32)>,
     /// The earlier changes of each direction, if the machine has no temperature.
     earlier: [Option<Box<Earlier>>; 2],
     /// Change of a current \[%\] that raises no alarm, as it is slow enough to come from the season.
@@ -127,7 +137,8 @@ impl FeatureWatch {
         let pct = |departure: &Departure| percent(departure.change.level.value) as f32;
         self.season_pct = seasonal.map(pct);
         let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
-        if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
+        let waits = self.is_new_fall(&changes, step.at) && self.reported == 0.0;
+        if let Some(largest) = largest.filter(|_| !changes.is_empty() && !waits) {
             let text = text::features(step.name, &changes, LEVEL);
             let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
             if is_larger || self.reported == 0.0 {
@@ -160,6 +171,24 @@ impl FeatureWatch {
     /// Whether features of the last throws were compared with normal values.
     pub(crate) fn is_monitoring(&self) -> bool {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
+    }
+
+    /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days. The
+    /// charge falls with both current and duration, so these two count.
+    fn is_new_fall(&mut self, changes: &[Change], at: Timestamp) -> bool {
+        let is_fall = |change: &Change| change.gauge != Gauge::Travel && change.level.value < 0.0;
+        let is_small = |change: &Change| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;
+        if self.calm > 0 || !changes.iter().all(is_fall) {
+            self.fallen = None;
+        } else if let Some((_, throws)) = &mut self.fallen {
+            *throws = throws.saturating_add(1);
+        } else if !changes.is_empty() {
+            self.fallen = Some((at, 0));
+        }
+        let is_new = |(since, throws): (Timestamp, u32)| {
+            at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS) || throws < LONGEST_WINDOW
+        };
+        self.fallen.is_some_and(is_new) && changes.iter().all(is_small)
     }
 
     /// Stores the earlier changes of a side of a machine without a temperature.

@@ -13,7 +13,7 @@ mod offset;
 mod start;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
-pub(super) use features::{FeatureWatch, SLOW_FROM};
+pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges};
 pub(super) use offset::Offset;
