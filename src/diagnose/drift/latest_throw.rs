@@ -1,8 +1,9 @@
 //! The latest throw, and the size of the drift at this throw.
 
 use jiff::Timestamp;
+use nalgebra::Vector3;
 
-use super::{Course, Drift, Explanation, History, Naming, friction_of_sound_motor};
+use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor};
 use crate::{
     diagnose::{Cause, Settings, gauges::Gauges, statistics::Level, track::Tracks},
     throw::Direction,
@@ -36,7 +37,23 @@ impl LatestThrow<'_> {
     /// The direction of the drift of `cause`; `None` if both directions have it, or while the direction is not known.
     pub(crate) fn direction(self, cause: Cause) -> Option<Direction> {
         let weights = self.drift.weights(cause, self.settings)?;
+        if self.grows_along_stroke(cause) {
+            return None;
+        }
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
+    }
+
+    /// Whether a change of `cause` is friction that grows along the stroke, as it stiffens both directions. Then a1 rises
+    /// more in the direction in which the spring helps, and hardly in the other, although both have the friction.
+    fn grows_along_stroke(self, cause: Cause) -> bool {
+        const STIFFER: f64 = 0.1;
+        const SHOWN_SD: f64 = 3.0;
+        let of_spring = Vector3::new(-1.0, 0.0, 1.0);
+        let is_stiffer = |window: &Window| {
+            let sd = (of_spring.transpose() * window.covariance * of_spring).x.max(0.0).sqrt();
+            of_spring.dot(&window.mean) > STIFFER.max(SHOWN_SD * sd)
+        };
+        cause == Cause::Friction && self.drift.levels.iter().all(|level| level.as_ref().is_some_and(is_stiffer))
     }
 
     /// The drift's single named part with its size at this throw, and its course; `None` unless exactly one is named.
@@ -61,7 +78,9 @@ impl LatestThrow<'_> {
         history: &History,
     ) -> (Explanation, Option<Course>) {
         let temperature_sd = self.drift.temperature_sd();
-        let Some(course) = self.tracks.course(&part.weights, &temperature_sd, direction, history, self.order) else {
+        let differ = self.grows_along_stroke(part.cause);
+        let course = self.tracks.course(&part.weights, &temperature_sd, (direction, differ), history, self.order);
+        let Some(course) = course else {
             return (self.without_dry_friction(*part, direction), None);
         };
         let (size, size_sd) = course.now();

@@ -29,12 +29,13 @@ impl Tracks {
     /// Otherwise the course over both directions if they agree. If one direction has hardly a drift, the course of the
     /// other: just after a step, a direction has one throw with the drift, or none. If both have a drift of different
     /// sizes, the size is between the two: friction that grows along the stroke seems larger in the direction in which
-    /// the spring helps, and smaller in the other. `now`: number of the latest throw.
+    /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift. `now`:
+    /// number of the latest throw.
     pub(crate) fn course(
         &self,
         weights: &Vector3<f64>,
         temperature_sd: &Vector3<f64>,
-        direction: Option<Direction>,
+        (direction, differ): (Option<Direction>, bool),
         history: &History,
         now: u64,
     ) -> Option<Course> {
@@ -51,7 +52,7 @@ impl Tracks {
         let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
             let ((larger, size), (other, smaller)) =
                 if a.abs() > b.abs() { ((first, a), (second, b)) } else { ((second, b), (first, a)) };
-            return Some(if smaller / size < ONE_SIDED { larger } else { larger.or_as(other) });
+            return Some(if smaller / size < ONE_SIDED && !differ { larger } else { larger.or_as(other) });
         };
         let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
         // The course ends with the last throw that shows the size.
