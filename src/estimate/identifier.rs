@@ -52,11 +52,20 @@ struct Buffers {
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
+    /// Whether to compute [`Estimate::running`].
+    with_running: bool,
 }
 
 impl Identifier {
     /// Estimates coefficients and features of a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
+        self.identify_for(throw, settings, true)
+    }
+
+    /// Like [`Self::identify`]. `compares_ratios`: whether [`Estimate::running`] is needed, which takes a third of the
+    /// time.
+    pub(crate) fn identify_for(&mut self, throw: &Throw, settings: &Settings, compares_ratios: bool) -> Identification {
+        self.buffers.with_running = compares_ratios;
         match held::resampled(&throw.trace) {
             None => self.identify_sampled(throw, 1.0, settings),
             Some((trace, position_every)) => {
@@ -229,7 +238,8 @@ impl Buffers {
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
-                return Ok(Estimate { grade, reason: noisy, running: ratios::of(&self.window), ..estimate });
+                let running = self.with_running.then(|| ratios::of(&self.window)).flatten();
+                return Ok(Estimate { grade, reason: noisy, running, ..estimate });
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,

@@ -386,9 +386,8 @@ impl JudgeLoop {
             }
         }
         let published = self.daemon_alarms.iter().filter(|alarm| alarm.published).map(|alarm| &alarm.outcome);
-        let uncommitted = published.flat_map(|Outcome { machine, events, .. }| {
-            events.iter().map(move |event| Alarm::new(machine, event))
-        });
+        let uncommitted = published
+            .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
         self.links.status.set_uncommitted(uncommitted.collect());
         Ok(())
     }

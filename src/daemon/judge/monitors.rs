@@ -119,6 +119,11 @@ impl Monitors {
         outcomes
     }
 
+    /// Whether the monitor of a machine compares ratios, or may decide to do so at its next throw.
+    pub(crate) fn compares_ratios(&self, machine: &MachineId) -> bool {
+        self.of_machines.get(machine).is_none_or(|monitor| monitor.compares_ratios())
+    }
+
     /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not
     /// evaluated: the defect must not stop the judgement of all other machines, again after each restart.
     pub(crate) fn judge(

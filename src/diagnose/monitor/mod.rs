@@ -381,6 +381,12 @@ impl MachineMonitor {
         (is_learning && !by_features).then_some(progress)
     }
 
+    /// Whether the ratios of complete throws are compared ([`Estimate::running`](crate::estimate::Estimate::running)), or
+    /// may be from the next throw on.
+    pub(crate) fn compares_ratios(&self) -> bool {
+        self.tracks.compares_ratios()
+    }
+
     /// The baseline in use for a direction.
     pub fn baseline(&self, direction: Direction) -> Option<BaselineRecord> {
         self.tracks.record(direction).map(|record| self.neutral.as_estimated(record))

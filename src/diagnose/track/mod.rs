@@ -403,6 +403,11 @@ impl Tracks {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
     }
 
+    /// Whether a direction is compared by ratios only, or may change to that with its next throw.
+    pub(super) fn compares_ratios(&self) -> bool {
+        self.sides.iter().any(|track| track.of_ratios || track.baseline.is_none())
+    }
+
     /// Whether a direction has a baseline of ratios, with which only the ratios of its throws are compared.
     pub(super) fn any_of_ratios(&self) -> bool {
         self.sides.iter().any(|track| track.of_ratios)
