@@ -113,6 +113,9 @@ impl Filling {
 
 /// The change over the whole series, if it has a trend.
 fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evidence: f64) -> Option<f64> {
+    if !Series::may_have(time, values, levels, error_part, evidence) {
+        return None;
+    }
     let series = Series::new(values, levels, error_part);
     let sloped = series.with(time);
     if sloped.evidence - series.evidence() < evidence {
@@ -122,4 +125,44 @@ fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evi
     let steps: Vec<f64> = (1..STEPS).map(|at| series.with(&step(at * values.len() / STEPS)).evidence).collect();
     let stepped = ln_sum(steps.into_iter()) - (STEPS as f64 - 1.0).ln();
     (sloped.evidence - stepped > STEP_BOUND).then_some(sloped.change)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// Series of all lag-1 correlations and slopes: the quick test must find no slope refuted that the evidence shows.
+    #[test]
+    fn no_slope_with_evidence_is_refuted_before() {
+        let (mut refuted, mut shown) = (0, 0);
+        for seed in 0..3_000 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let (phi, rise) = (rng.random_range(-0.3..0.95), rng.random_range(-3.0..3.0_f64));
+            let length = rng.random_range(LEAST_THROWS..200);
+            let error_part = rng.random_range(0.0..0.9);
+            let time: Vec<f64> = (0..length).map(|t| t as f64 / (length as f64 - 1.0) - 0.5).collect();
+            let levels: Vec<Vec<f64>> =
+                (0..2).map(|side| (0..length).map(|t| f64::from(u8::from(t % 2 == side))).collect()).collect();
+            let mut last = 0.0;
+            let values: Vec<f64> = time
+                .iter()
+                .map(|t| {
+                    let noise: f64 = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+                    last = phi * last + noise;
+                    last + rise * t
+                })
+                .collect();
+            for bound in [WHILE_FILLING.evidence, AT_THE_END.evidence] {
+                let series = Series::new(&values, &levels, error_part);
+                let is_shown = series.with(&time).evidence - series.evidence() >= bound;
+                let may_be = Series::may_have(&time, &values, &levels, error_part, bound);
+                assert!(may_be || !is_shown, "seed {seed}, phi {phi}, rise {rise}, {length} throws, bound {bound}");
+                (shown, refuted) = (shown + u32::from(is_shown), refuted + u32::from(!may_be));
+            }
+        }
+        assert!(shown > 500 && refuted > 500, "{shown} slopes shown, {refuted} refuted");
+    }
 }

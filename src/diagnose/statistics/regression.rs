@@ -45,6 +45,21 @@ impl Series {
         Self(phis.map(|phi| Whitened::new(&noise(phi), values, levels)).collect())
     }
 
+    /// Whether the logarithm of the Bayes factor of a regressor against levels alone may reach `bound`. A lag-1
+    /// correlation lets chance look like a regressor, so the factor is largest without one, and this value of phi is
+    /// enough to refute a regressor, in a sixteenth of the time.
+    pub(crate) fn may_have(
+        regressor: &[f64],
+        values: &[f64],
+        levels: &[Vec<f64>],
+        error_part: f64,
+        bound: f64,
+    ) -> bool {
+        let noise = Autoregression { phi: 0.0, natural: 1.0 - error_part, error: error_part };
+        let uncorrelated = Self(vec![Whitened::new(&noise, values, levels)]);
+        uncorrelated.with(regressor).evidence - uncorrelated.evidence() >= bound
+    }
+
     /// Logarithm of the evidence for levels alone.
     pub(crate) fn evidence(&self) -> f64 {
         let of = |part: &Whitened| part.of_levels - part.half_freedom * dot(&part.rest, &part.rest).ln();
