@@ -1,13 +1,13 @@
 //! Observations: the input of the monitor.
 
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::SensorChannel;
 use crate::{
     estimate,
-    estimate::{Estimate, Features, Grade, Identification, Motor, Rejection},
+    estimate::{Estimate, Features, Grade, Identification, Motor, Rejection, RunningRatios},
     throw::{Direction, Throw, ThrowRef},
 };
 
@@ -33,9 +33,8 @@ pub struct Observation {
     pub grade: Grade,
     /// Whether only the ratios of the coefficients are known, not their common scale.
     pub ratios_only: bool,
-    /// The ratios a1/b0 and a0/b0 of a complete estimate as an estimate of ratios only gives them, and the covariance of
-    /// their logarithms.
-    pub running: Option<([f64; 2], Matrix2<f64>)>,
+    /// The ratios of a complete estimate as an estimate of ratios only gives them.
+    pub running: Option<RunningRatios>,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
     /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the recording is too
@@ -74,9 +73,7 @@ impl Observation {
             }),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
-            running: estimate
-                .and_then(|estimate| estimate.running)
-                .map(|running| (running.values, running.covariance())),
+            running: estimate.and_then(|estimate| estimate.running),
             incomplete: rejection.is_some_and(Rejection::is_incomplete),
             faulty: rejection.and_then(|reason| match reason {
                 Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
@@ -250,9 +247,9 @@ impl Evaluated {
             sensor: 0.5 * (sensor + sensor.transpose()),
             grade: observation.grade,
             ratios_only: observation.ratios_only,
-            running: observation.running.map(|([a1, a0], covariance)| {
+            running: observation.running.map(|RunningRatios { values: [a1, a0], log_covariance }| {
                 let mut sensor = Matrix3::zeros();
-                sensor.fixed_view_mut::<2, 2>(1, 1).copy_from(&covariance);
+                sensor.fixed_view_mut::<2, 2>(1, 1).copy_from(&log_covariance);
                 ([0.0, a1.ln(), a0.ln()], sensor)
             }),
             temperature_c: observation.temperature_c.filter(|t| t.is_finite()),
@@ -292,12 +289,14 @@ impl Evaluated {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix2;
+
     use super::*;
 
     /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a change.
     #[test]
     fn ratios_of_a_complete_estimate_are_those_of_an_estimate_of_ratios() {
-        let running = ([0.38, 0.037], Matrix2::identity() * 1e-4);
+        let running = RunningRatios { values: [0.38, 0.037], log_covariance: Matrix2::identity() * 1e-4 };
         let estimate = Some(([6.0, 6.0 * 0.38, 6.0 * 0.045], Matrix3::identity() * 1e-4));
         let throw = Observation { direction: Some(Direction::BOTH[0]), estimate, ..Observation::default() };
         let complete = Evaluated::of(&Observation { running: Some(running), ..throw.clone() }).unwrap();

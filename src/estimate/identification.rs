@@ -1,9 +1,9 @@
 //! The result of the estimator for a throw: its estimate or the reason why there is none, and its features.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{Ratios, features::Features, rejection::Rejection};
+use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
 /// How far an estimate can be trusted.
@@ -64,7 +64,7 @@ pub struct Estimate {
     /// The ratios of a complete estimate as an estimate of ratios only gives them, without the start of the throw. Where
     /// the model fits roughly, both have other errors. So a machine that is compared by ratios compares these.
     #[serde(skip)]
-    pub running: Option<Ratios>,
+    pub running: Option<RunningRatios>,
     /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
     pub fit_pct: f64,
     /// Number of SRIV iterations.
@@ -73,6 +73,15 @@ pub struct Estimate {
     pub start_s: f64,
     /// Last sample used, from the start of the trace \[s\].
     pub end_s: f64,
+}
+
+/// The ratios of a throw from its movement after the start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunningRatios {
+    /// a1/b0 and a0/b0.
+    pub values: [f64; 2],
+    /// Covariance of their logarithms.
+    pub log_covariance: Matrix2<f64>,
 }
 
 impl Estimate {

@@ -5,7 +5,8 @@ use super::{
     armature, current_only,
     features::Features,
     identification::{Estimate, Grade, Identification},
-    motor_kind, ratios,
+    motor_kind,
+    ratios::{self, Ratios},
     rejection::{Channel, Rejection},
     settings::{Motor, Settings},
     sriv::{Sriv, Workspace},
@@ -239,6 +240,7 @@ impl Buffers {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
                 let running = self.with_running.then(|| ratios::of(&self.window)).flatten();
+                let running = running.as_ref().map(Ratios::running);
                 return Ok(Estimate { grade, reason: noisy, running, ..estimate });
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),

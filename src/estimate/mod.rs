@@ -30,10 +30,9 @@ pub mod sriv;
 mod trace;
 
 pub use features::Features;
-pub use identification::{Estimate, Grade, Identification};
+pub use identification::{Estimate, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use midpoint::midpoint;
-pub use ratios::Ratios;
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;

@@ -15,7 +15,7 @@
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
-    identification::{Estimate, Grade},
+    identification::{Estimate, Grade, RunningRatios},
     load::{DRY_SHARE, Load, STEPS},
     matrix::unit_diagonal,
     rejection::Rejection,
@@ -39,9 +39,8 @@ const LARGEST_RESIDUAL: f64 = 0.006;
 
 /// The ratios a1/b0 and a0/b0 with their errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ratios {
-    /// a1/b0 and a0/b0.
-    pub values: [f64; 2],
+pub(super) struct Ratios {
+    pub(super) values: [f64; 2],
     /// Covariances of the logarithms of the ratios: from errors that differ in each throw, and from errors that are
     /// equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
@@ -54,9 +53,9 @@ pub struct Ratios {
 }
 
 impl Ratios {
-    /// Covariance of the logarithms of the ratios, from both kinds of errors.
-    pub fn covariance(&self) -> Matrix2<f64> {
-        self.log_covariance + self.log_systematic
+    /// The ratios with the covariance of both kinds of errors.
+    pub(super) fn running(&self) -> RunningRatios {
+        RunningRatios { values: self.values, log_covariance: self.log_covariance + self.log_systematic }
     }
 
     /// A rough estimate with these ratios and the arbitrary b0 = 1. `fit_pct` and `iterations` are those of the full
