@@ -178,7 +178,10 @@ impl FeatureWatch {
     fn is_new_fall(&mut self, changes: &[Change], at: Timestamp) -> bool {
         let is_fall = |change: &Change| change.gauge != Gauge::Travel && change.level.value < 0.0;
         let is_small = |change: &Change| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;
-        if self.calm > 0 || !changes.iter().all(is_fall) {
+        // Weak magnets or a higher voltage shorten the throws too, but the load stays.
+        let is_of_load = |change: &Change| matches!(change.gauge, Gauge::Running | Gauge::Charge);
+        let is_of_fall = changes.iter().all(is_fall) && (changes.is_empty() || changes.iter().any(is_of_load));
+        if self.calm > 0 || !is_of_fall {
             self.fallen = None;
         } else if let Some((_, throws)) = &mut self.fallen {
             *throws = throws.saturating_add(1);
