@@ -33,7 +33,7 @@ use super::overview::{Overview, Web};
 use crate::{
     daemon::{StatusReport, TaskName, View},
     diagnose::{Cause, MachineState, Severity},
-    store::{DiskLevel, Dropped, FleetQuery, FleetRow, StoreError},
+    store::{DiskLevel, Dropped, FleetQuery, FleetRow},
 };
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -54,10 +54,10 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
         let (limit, total) = (web.view.config().web.machine_metrics, overview.tally.total());
-        let has_series = total <= u64::from(limit);
-        let help = "Machines without series of their own, as there are more than web.machine_metrics";
-        count(&mut registry, "machines_omitted", help, if has_series { 0 } else { total });
-        if has_series && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, limit)).await {
+        let rows = if total <= u64::from(limit) { machine_rows(&web, limit).await } else { None };
+        let help = "Machines without series of their own: more than web.machine_metrics, or their read took too long";
+        count(&mut registry, "machines_omitted", help, if rows.is_some() { 0 } else { total });
+        if let Some(rows) = rows {
             machines(&mut registry, &rows);
         }
     }
@@ -107,10 +107,14 @@ fn prometheus_text(open_metrics: &str) -> String {
     text
 }
 
-async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {
-    let _permit = web.read_permit().await?;
-    let query = FleetQuery { limit, ..FleetQuery::default() };
-    web.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
+/// The rows of up to `limit` machines; `None` without an answer of the database in time.
+async fn machine_rows(web: &Web, limit: u32) -> Option<Vec<FleetRow>> {
+    let read = async {
+        let _permit = web.read_permit().await?;
+        let query = FleetQuery { limit, ..FleetQuery::default() };
+        web.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
+    };
+    time::timeout(LIMIT, read).await.ok()?.ok()
 }
 
 /// Registers the series of each machine. Names of machines are valid labels: at most 64 characters of `A-Z a-z 0-9 _
