@@ -488,6 +488,7 @@ statements! {
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
     THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
+    PRUNED_TO = concat!("SELECT pruned_to_no FROM boot WHERE machine_row = ", one_machine!(), " AND boot_id = ?3");
     // The previous and the next throw of a machine, in the order of their start. Without CROSS JOIN SQLite would read
     // all throws of the machine to find one.
     THROW_NEIGHBOURS = "WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM machine JOIN boot USING (machine_row) \

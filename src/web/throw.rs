@@ -11,7 +11,6 @@ use axum::{
 };
 
 use super::{
-    guard,
     overview::Web,
     page::{self, Failure},
     state,
@@ -24,6 +23,8 @@ use crate::{
     wire::Health,
 };
 
+/// Largest trace as CSV \[bytes\]. Only a throw of some minutes has a larger one.
+const LARGEST_CSV: usize = 16 << 20;
 /// Largest number of baselines read; the newest of each direction is among them.
 const BASELINES: u32 = 8;
 
@@ -89,8 +90,21 @@ async fn found(
     machine: &MachineId,
     throw: &ThrowRef,
 ) -> Result<(StoredThrow, Option<Health>), Failure> {
-    let found = reader.throw_of(machine, throw).await?;
-    found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))
+    if let Some(found) = reader.throw_of(machine, throw).await? {
+        return Ok(found);
+    }
+    let ThrowRef { boot_id, throw_no } = throw;
+    Err(match reader.pruned_to(machine, boot_id).await? {
+        Some(pruned_to) if *throw_no <= pruned_to => Failure::new(
+            StatusCode::GONE,
+            format!("Retention has deleted throw {throw_no} of {machine}, with all earlier ones, to save space."),
+        ),
+        Some(_) => Failure::not_found(format!("{machine} has no such throw in this database.")),
+        None => Failure::not_found(format!(
+            "{machine} has no such throw in this database: none was received, or retention has deleted all throws of \
+             boot {boot_id} to save space."
+        )),
+    })
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
@@ -139,7 +153,7 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
     let trace = throw.trace.clone();
     // This takes too long for an async worker.
     let text = tokio::task::spawn_blocking(move || trace.to_csv()).await.map_err(|_| Failure::busy())?;
-    if text.len() > guard::LARGEST {
+    if text.len() > LARGEST_CSV {
         let message = format!(
             "The trace of {} samples is too large for a page. Write it to a file with: pointsd export {machine} --traces DIR",
             throw.trace.len()

@@ -251,6 +251,25 @@ async fn the_metrics_count_what_the_daemon_did() {
     assert_eq!(get(&address, "/healthz").status, 200);
 }
 
+/// The link of an alarm outlives its throw, which retention deletes, later with all throws of its boot.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_throw_that_retention_has_deleted_is_not_taken_for_one_that_never_was() {
+    let (rig, _daemon, address) = small_history().await;
+    rig.change("DELETE FROM throw WHERE throw_no = 1; UPDATE boot SET pruned_to_no = 1 WHERE boot_id = 'boot'").await;
+    for end in ["", "/trace.csv"] {
+        let answer = get(&address, &format!("/machines/north/21B/throws/boot/1{end}"));
+        assert_eq!(answer.status, 410, "{answer:?}");
+        assert!(answer.body.contains("Retention has deleted throw 1 of north/21B"), "{answer:?}");
+    }
+    let never = get(&address, "/machines/north/21B/throws/boot/3");
+    assert!(never.status == 404 && !never.body.contains("etention"), "{never:?}");
+    let unknown = get(&address, "/machines/north/21B/throws/old/1");
+    assert!(
+        unknown.status == 404 && unknown.body.contains("or retention has deleted all throws of boot old"),
+        "{unknown:?}"
+    );
+}
+
 /// Another process locks the database while minutes pass on the daemon's clock.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {

@@ -83,6 +83,13 @@ impl Reader {
         Ok(Some((stored, health)))
     }
 
+    /// Number up to which retention has deleted the throws of a boot; `None` for an unknown boot, and for one whose
+    /// throws are all deleted.
+    pub(crate) async fn pruned_to(&self, machine: &MachineId, boot_id: &str) -> Result<Option<u64>, StoreError> {
+        let row: Option<(i64,)> = self.external_row(machine_query(sql::PRUNED_TO, machine).bind(boot_id)).await?;
+        Ok(row.map(|(pruned_to,)| pruned_to.cast_unsigned()))
+    }
+
     /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, if known.
     pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
         let motor: Option<(Option<f64>, Option<f64>, Option<f64>)> =
