@@ -79,7 +79,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             bus::Answers::default()
         };
         let (found, problems) = operator::read::<Alarm>(&answers);
-        let problems = problems + operator::silent(&present, &daemons);
+        let problems = problems + operator::silent(&present, &daemons).len();
         if is_history && found.len() >= MAX_HISTORY as usize {
             eprintln!("a daemon sends its newest {MAX_HISTORY} events: older ones may be missing; ask for one machine");
         }

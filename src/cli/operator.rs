@@ -138,12 +138,12 @@ pub(super) fn monitors(answers: &Answers) -> Vec<MachineId> {
     answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
 }
 
-/// Number of daemons that were `present` before a query and did not answer it; each is named on stderr. The query
-/// itself ends without an error if a daemon hangs: zenoh closes its link while the query waits.
-pub(super) fn silent(present: &[String], answers: &Answers) -> usize {
+/// The daemons that were `present` before a query and did not answer it; each is named on stderr. The query itself ends
+/// without an error if a daemon hangs: zenoh closes its link while the query waits.
+pub(super) fn silent<'a>(present: &'a [String], answers: &Answers) -> Vec<&'a String> {
     let answered: Vec<String> = monitors(answers).iter().map(ToString::to_string).collect();
     let silent = present.iter().filter(|daemon| !answered.contains(daemon));
-    silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).count()
+    silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).collect()
 }
 
 /// Exit code and text of a failed query or command.

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     bus::{self, OperatorError},
     daemon::{StatusReport, clock},
-    diagnose::MachineState,
+    diagnose::{Cause, MachineState},
     store::{WORST_FIRST, Window},
     throw::{Direction, MachineId, Name, counted},
     wire::{self, Alarm, Health, Kind},
@@ -107,7 +107,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
     // The health messages count too: a daemon updates the counts in its report only every few seconds.
     let is_well = |report: &StatusReport| report.problems().is_empty() && report.fleet_counts.is_well();
     let silent = operator::silent(&present, &daemons);
-    let are_well = daemon_problems + health_problems + alarm_problems + silent + twice.len() == 0
+    let are_well = daemon_problems + health_problems + alarm_problems + silent.len() + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
@@ -118,18 +118,16 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         });
         return Ok((result, output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))));
     }
-    let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
-    let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
-    let mut windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-    health.retain(|health| is_asked(&health.machine));
-    alarms.retain(|alarm| is_asked(&alarm.machine));
-    if let Some(site) = &arguments.site
-        && health.is_empty()
-        && windows.is_empty()
-        && alarms.is_empty()
-    {
-        let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
-        return Err(Failure::new(Exit::Unavailable, error));
+    let mut windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
+    let monitors = operator::monitors(&daemons);
+    if let Some(site) = &arguments.site {
+        let problem = unknown_site(site, &monitors, &silent, &alarms);
+        health.retain(|health| health.machine.site == *site);
+        windows.retain(|window| window.machine.site == *site);
+        alarms.retain(|alarm| alarm.machine.site == *site);
+        if health.is_empty() && windows.is_empty() && alarms.is_empty() {
+            return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
+        }
     }
     let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
     for row in &health {
@@ -146,10 +144,24 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         twice.iter().try_for_each(output::line)?;
         let is_selected = arguments.state.is_some() || arguments.site.is_some();
         let none = if is_selected { "no alarms of these machines" } else { "no alarms" };
-        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false, none)?;
+        alarms::print_open(&alarms, &monitors, &health, &windows, false, none)?;
         caveats.iter().try_for_each(output::line)
     };
     Ok((result, print()))
+}
+
+/// The error if the daemons that answered (`monitors`) know no machine of a site. It also says which other daemons may
+/// serve the site: those that did not answer, and those that a daemon cannot reach, by its alarm.
+fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[&String], alarms: &[Alarm]) -> String {
+    let names: Vec<String> = monitors.iter().map(ToString::to_string).collect();
+    let mut sentences =
+        vec![format!("no machine of site {site} is known to {}; without --site all are listed", names.join(", "))];
+    sentences.extend(silent.iter().map(|daemon| format!("The daemon {daemon} may serve it and does not answer")));
+    let misses_daemons = |alarm: &&Alarm| {
+        monitors.contains(&alarm.machine) && alarm.cause == Cause::NotMonitored && alarm.state.is_active()
+    };
+    sentences.extend(alarms.iter().filter(misses_daemons).map(|alarm| alarm.text.clone()));
+    sentences.join(". ")
 }
 
 /// A sentence about each machine that several daemons serve: all of them publish its alarms, and commands for it fail.
@@ -302,6 +314,16 @@ mod tests {
         assert_eq!(
             caveats(rows.iter()),
             ["Machine north/c, to reverse: blind: a.", "Machines north/a, north/b: rough."]
+        );
+    }
+
+    #[test]
+    fn the_error_about_an_unknown_site_names_the_daemons_that_may_serve_it() {
+        let north = MachineId::new("north", "box").unwrap();
+        assert_eq!(
+            unknown_site(&"south".parse().unwrap(), &[north], &[&"south/box".to_owned()], &[]),
+            "no machine of site south is known to north/box; without --site all are listed. The daemon south/box may \
+             serve it and does not answer"
         );
     }
 

@@ -245,7 +245,10 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     let said = daemon.says(64, &["alarms", "--limit", "0"]);
     assert!(!said.contains("no alarms"), "{said}");
     let said = daemon.says(69, &["status", "--site", "nosite"]);
-    assert!(said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
+    assert!(
+        said.contains("no machine of site nosite is known to fleet/pointsd;") && !said.contains("no alarms"),
+        "{said}"
+    );
     for (bogus, says) in [("bogus", "write tcp/HOST:PORT"), ("udp/[::1]:7447", "tcp and tls only"), ("tcp/a", "port")] {
         let error = ends(64, &mut pointsd(&["status", "--connect", bogus]));
         assert!(error.contains(says), "{error}");

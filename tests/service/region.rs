@@ -99,6 +99,11 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
     assert_eq!(key, "points/v1/east/box/alarm");
     assert!(alarm.text.starts_with("The daemon cannot be reached: south/box since "), "{}", alarm.text);
     assert_eq!((alarm.cause.as_str(), alarm.severity.as_str()), ("not_monitored", "critical"));
+    let text = ends(69, &mut pointsd(&["status", "--site", "south", "--connect", &endpoint]));
+    assert!(
+        text.contains("no machine of site south is known to east/box") && text.contains("cannot be reached: south/box"),
+        "{text}"
+    );
     until_machines(&session, &["east", "north", "west"]).await;
     for at in [0, 1, 3] {
         send(SITES[at], 2).await;
