@@ -6,7 +6,7 @@ use pointsd::{
 };
 use sqlx::{Column, Executor, Row, SqlSafeStr};
 
-use crate::given::{at, fresh, judged, outcome, outsider};
+use crate::given::{at, fresh, judged, outcome, outsider, query};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -172,6 +172,23 @@ async fn the_views_of_alarms_show_the_channel_of_a_sensor() {
         let last = rows[0].columns().last().unwrap().name();
         assert_eq!((rows.len(), last, rows[0].get::<&str, _>("channel")), (1, "channel", "position"), "{view}");
     }
+}
+
+/// Times in SQL are text, and compared as text.
+#[tokio::test]
+async fn the_end_of_a_window_has_six_digits_of_its_second_as_every_time() {
+    let (_folder, store) = fresh().await;
+    judged(&store, "21B", "b1", 1).await;
+    for nanosecond in [0, 750_000_000, 123_456_789] {
+        let until = at(3_600) + jiff::SignedDuration::from_nanos(nanosecond);
+        let command = Command::MaintenanceStart { until, by: "mia".to_owned(), why: "new chairs".to_owned() };
+        store.record(Outcome { command: Some(command), ..outcome("21B", Vec::new()) }).await.unwrap();
+    }
+    let end = Command::MaintenanceEnd { by: "mia".to_owned() };
+    store.record(Outcome { command: Some(end), ..outcome("21B", Vec::new()) }).await.unwrap();
+    let ends: Vec<(Option<String>,)> = query(&store, "SELECT until FROM operator_commands").await;
+    let fractions: Vec<_> = ends.iter().map(|(end,)| end.as_deref().map(|end| &end[19..])).collect();
+    assert_eq!(fractions, [Some(".250000Z"), Some(".000000Z"), Some(".373456Z"), None]);
 }
 
 /// The deletion of a row does not search whole tables for rows that refer to it.
