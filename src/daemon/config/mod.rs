@@ -321,11 +321,6 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
 /// Other crates that write log lines; those of zenoh begin with its name. A directive applies to every module whose path
 /// begins with its own.
 const LOGGING_CRATES: [&str; 6] = ["zenoh", "sqlx", "hyper", "rustls", "tokio", "axum"];
-/// Modules of this crate.
-const MODULES: [&str; 13] = [
-    "bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "logger", "report", "simulate", "store", "throw",
-    "web", "wire",
-];
 
 impl Log {
     /// Warnings about directives for modules that do not exist.
@@ -341,9 +336,9 @@ impl Log {
 }
 
 fn is_module(path: &str) -> bool {
-    let own = MODULES.map(|module| format!("pointsd::{module}"));
-    let all = || own.iter().map(String::as_str).chain(LOGGING_CRATES);
-    all().any(|known| known.starts_with(path) || path.starts_with(known))
+    let own = include_str!("../../lib.rs").lines().filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
+    let mut all = own.map(|module| format!("pointsd::{module}")).chain(LOGGING_CRATES.map(str::to_owned));
+    all.any(|known| known.starts_with(path) || path.starts_with(&known))
 }
 
 /// Checks the `[log]` section.

@@ -211,8 +211,6 @@ fn a_log_level_for_a_module_that_does_not_exist_is_warned_about() {
             "{warnings:?}"
         );
     }
-    let own = include_str!("../../lib.rs").lines().filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
-    assert_eq!(own.collect::<Vec<_>>(), MODULES);
 }
 
 #[test]
