@@ -28,9 +28,45 @@ pub enum OperatorError {
         "no daemon answers: none is connected to this router. Is pointsd running, and does [zenoh] connect to the same router?"
     )]
     NoDaemon,
-    /// The running daemons do not fit the query or command, or the daemon stopped answering; as a sentence.
-    #[error("{0}")]
-    WrongDaemons(String),
+    /// Other daemons run behind the session than that of the configuration.
+    #[error(
+        "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
+    )]
+    AnotherDaemon {
+        /// Names of the running daemons.
+        found: String,
+        /// Name of the daemon of the configuration.
+        expected: String,
+    },
+    /// No daemon applies the commands for a machine.
+    #[error(
+        "no daemon serves {0}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
+    )]
+    NotServed(MachineId),
+    /// Several daemons would apply a command for a machine.
+    #[error(
+        "nothing was sent: several daemons serve {machine}: {}. Each machine belongs to one daemon: correct subscribe.key, \
+         or connect to a daemon that no router joins to the others",
+        .daemons.iter().map(|of| format!("{} (session {})", of.monitor, of.session)).collect::<Vec<_>>().join(" and ")
+    )]
+    ServedBySeveral {
+        /// The machine.
+        machine: MachineId,
+        /// The daemons.
+        daemons: Vec<CommandTarget>,
+    },
+    /// A daemon that serves a machine does not give its name.
+    #[error("nothing was sent: a daemon that serves {0} does not give its name; it may be an older version")]
+    Nameless(MachineId),
+    /// No daemon knows a machine.
+    #[error(
+        "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does \
+         subscribe.key of a running pointsd include it?"
+    )]
+    Unknown(MachineId),
+    /// The daemon of this name stopped answering after a command was sent to it.
+    #[error("the daemon {0} stopped answering: check with pointsd alarms whether the command was applied")]
+    Gone(String),
     /// A daemon did not answer in time.
     #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
     Timeout,
@@ -46,14 +82,6 @@ pub struct Answers {
     pub messages: Vec<(String, Vec<u8>)>,
     /// The errors of daemons that gave no answer.
     pub errors: Vec<OperatorError>,
-}
-
-impl OperatorError {
-    fn another_daemon(found: &str, expected: &str) -> Self {
-        Self::WrongDaemons(format!(
-            "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
-        ))
-    }
 }
 
 impl Answers {
@@ -118,38 +146,21 @@ pub(crate) async fn command(
     let key = machine_key(machine, Kind::Command);
     let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
     let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload));
-    let wrong = |problem: String| Err(OperatorError::WrongDaemons(problem));
     let Ok(daemons) = daemons.collect::<Result<Vec<_>, _>>() else {
-        return wrong(format!(
-            "nothing was sent: a daemon that serves {machine} does not give its name; it may be an older version"
-        ));
+        return Err(OperatorError::Nameless(machine.clone()));
     };
-    let commander = match daemons.as_slice() {
-        [only] => only,
-        [] if monitors(session).await?.is_empty() => return Err(OperatorError::NoDaemon),
-        [] => {
-            return wrong(format!(
-                "no daemon serves {machine}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
-            ));
+    let commander = match <[CommandTarget; 1]>::try_from(daemons) {
+        Ok([only]) => only,
+        Err(several) if !several.is_empty() => {
+            return Err(OperatorError::ServedBySeveral { machine: machine.clone(), daemons: several });
         }
-        several => {
-            let names = several.iter().map(|daemon| format!("{} (session {})", daemon.monitor, daemon.session));
-            let daemons = names.collect::<Vec<_>>().join(" and ");
-            return wrong(format!(
-                "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: \
-                 correct subscribe.key, or connect to a daemon that no router joins to the others"
-            ));
-        }
+        Err(_) if monitors(session).await?.is_empty() => return Err(OperatorError::NoDaemon),
+        Err(_) => return Err(OperatorError::NotServed(machine.clone())),
     };
     if let Some(expected) = expected.map(ToString::to_string).filter(|expected| *expected != commander.monitor) {
-        return Err(OperatorError::another_daemon(&commander.monitor, &expected));
+        return Err(OperatorError::AnotherDaemon { found: commander.monitor, expected });
     }
-    let gone = || {
-        let name = &commander.monitor;
-        OperatorError::WrongDaemons(format!(
-            "the daemon {name} stopped answering: check with pointsd alarms whether the command was applied"
-        ))
-    };
+    let gone = || OperatorError::Gone(commander.monitor.clone());
     let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), ANSWER_TIMEOUT).await?;
     match answers.complete() {
         Ok(replies) => replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(gone),
@@ -187,7 +198,7 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     } else if found.is_empty() {
         Err(OperatorError::NoDaemon)
     } else {
-        Err(OperatorError::another_daemon(&found.join(" and "), &expected))
+        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected })
     }
 }
 
@@ -201,10 +212,7 @@ pub(crate) async fn require_monitored(session: &Session, machine: Option<&Machin
     let health = ask(session, &machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
     if health.is_empty() && !is_running(session, machine).await? {
-        return Err(OperatorError::WrongDaemons(format!(
-            "no daemon knows {machine}, which is not the same as no alarms: is the name right, has it sent a throw, and \
-             does subscribe.key of a running pointsd include it?"
-        )));
+        return Err(OperatorError::Unknown(machine.clone()));
     }
     Ok(())
 }
