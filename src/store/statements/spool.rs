@@ -1,0 +1,97 @@
+//! Storing of received throws: machines, boots, gaps, the backlogs of the loggers, and messages that are no throws.
+
+/// Columns and table of a query of boots, for [`Boot`](crate::store::writer::cursor::Boot).
+macro_rules! boots {
+    () => {
+        "machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
+    };
+}
+
+/// Condition for a gap that a backlog may still fill.
+macro_rules! awaited {
+    () => {
+        "filled_at_us IS NULL AND written_off_at_us IS NULL"
+    };
+}
+
+statements! {
+    COUNT = "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = value + ?2";
+    // Spooling.
+    MACHINE = "SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2";
+    ADD_MACHINE = "INSERT INTO machine (site, machine) VALUES (?1, ?2) RETURNING machine_row";
+    BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND boot_id = ?2");
+    BOOT_OF_ROW = concat!("SELECT ", boots!(), " WHERE boot_row = ?1");
+    LAST_BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 ORDER BY position DESC LIMIT 1");
+    NEXT_BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND position > ?2 ORDER BY position LIMIT 1");
+    BOOT_BEFORE = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND position < ?2 ORDER BY position DESC LIMIT 1");
+    BOOT_ID = "SELECT boot_id FROM boot WHERE boot_row = ?1";
+    ADD_BOOT = "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position, tail_open) \
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING boot_row";
+    OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
+    COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
+    SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
+    STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
+    // Statements with one row of `?`: see the module `batch`.
+    // The throws that are the next one of a known boot, of machines without missing throws.
+    NEXT_THROWS = "WITH new (at, site, machine, boot_id, throw_no) AS (VALUES (?, ?, ?, ?, ?)) \
+        SELECT json_group_array(json_array(at, machine_row, boot_row, position)) \
+        FROM new CROSS JOIN machine USING (site, machine) CROSS JOIN boot USING (machine_row, boot_id) \
+        WHERE highest_no = throw_no - 1 \
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
+    ADD_NEW_MACHINES = "INSERT OR IGNORE INTO machine (site, machine) \
+        SELECT * FROM (VALUES (?, ?)) WHERE column1 IS NOT NULL";
+    // The first boots of machines without a boot. Their first throw has the number 1, so no throw is missing.
+    ADD_FIRST_BOOTS = "WITH new (site, machine, boot_id, first_seen_us, position) AS (VALUES (?, ?, ?, ?, ?)) \
+        INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position, tail_open) \
+        SELECT machine_row, boot_id, first_seen_us, 0, position, 0 FROM new CROSS JOIN machine USING (site, machine) \
+        WHERE NOT EXISTS (SELECT 1 FROM boot WHERE boot.machine_row = machine.machine_row) GROUP BY machine_row";
+    ADD_THROWS = "WITH new (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
+        sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash) \
+        AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \
+        INSERT INTO throw (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
+        sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash, repeats_row) \
+        SELECT new.*, (SELECT throw_row FROM throw AS own INDEXED BY throw_by_trace \
+        WHERE own.machine_row = new.machine_row AND own.trace_hash = new.trace_hash LIMIT 1) \
+        FROM new WHERE new.machine_row IS NOT NULL";
+    // Also sets the highest numbers of the boots of these throws.
+    ADD_TRACES = "INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
+        SELECT * FROM (VALUES (?, ?, ?, ?, ?, ?)) WHERE column1 IS NOT NULL; \
+        UPDATE boot SET highest_no = (SELECT max(throw_no) FROM throw WHERE throw.boot_row = boot.boot_row) \
+        WHERE boot_row IN (SELECT boot_row FROM throw WHERE throw_row > last_insert_rowid() - changes()) \
+        AND highest_no < (SELECT max(throw_no) FROM throw WHERE throw.boot_row = boot.boot_row)";
+    SAME_CONTENT = "SELECT throw_row FROM throw INDEXED BY throw_by_trace \
+        WHERE machine_row = ?1 AND trace_hash = ?2 AND content_crc32 = ?3 AND boot_row = ?4 LIMIT 1";
+
+    // Gaps.
+    GAP_AT = "SELECT gap_row, first_no, last_no FROM gap \
+        WHERE boot_row = ?1 AND first_no <= ?2 AND filled_at_us IS NULL ORDER BY first_no DESC LIMIT 1";
+    ADD_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) VALUES (?1, ?2, ?3, ?4, ?5)";
+    SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, told_at_us, written_off_at_us) \
+        SELECT boot_row, ?2, last_no, kind, detected_at_us, told_at_us, written_off_at_us FROM gap WHERE gap_row = ?1";
+    SHRINK_GAP = "UPDATE gap SET first_no = ?2, last_no = ?3, recovered = recovered + 1 WHERE gap_row = ?1";
+    FILL_GAP = "UPDATE gap SET filled_at_us = ?2, recovered = recovered + 1 WHERE gap_row = ?1";
+
+    // The backlog.
+    OPEN_BACKLOG = "INSERT INTO backlog (machine_row, cursor_boot_row, cursor_position, cursor_no, since_us) \
+        VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
+    BACKLOG = "SELECT cursor_boot_row AS boot_row, cursor_position AS position, cursor_no AS throw_no FROM backlog \
+        WHERE machine_row = ?1";
+    MOVE_CURSOR = "UPDATE backlog SET cursor_boot_row = ?2, cursor_position = ?3, cursor_no = ?4, since_us = ?5 WHERE machine_row = ?1";
+    CLOSE_BACKLOG = "DELETE FROM backlog WHERE machine_row = ?1";
+    FIRST_AWAITED = concat!("SELECT first_no, last_no FROM gap WHERE boot_row = ?1 AND ", awaited!(), " ORDER BY first_no LIMIT 1");
+    WRITE_OFF_BEFORE = concat!("UPDATE gap SET written_off_at_us = ?3 WHERE boot_row = ?1 AND first_no < ?2 AND ", awaited!());
+    WRITE_OFF_BOOTS = concat!("UPDATE gap SET written_off_at_us = ?4 WHERE ", awaited!(), " \
+        AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1 AND position >= ?2 AND position < ?3)");
+    CLOSE_TAILS = "UPDATE boot SET tail_open = 0 WHERE machine_row = ?1 AND tail_open = 1 AND position >= ?2 AND position < ?3";
+    NEWEST_SAMPLES = "SELECT samples FROM throw WHERE boot_row = ?1 ORDER BY throw_no DESC LIMIT 1";
+    MACHINE_BACKLOG = "SELECT machine_row, backlog_read FROM machine WHERE site = ?1 AND machine = ?2";
+    SET_BACKLOG_READ = "UPDATE machine SET backlog_read = 1 WHERE machine_row = ?1 AND backlog_read = 0";
+    BACKLOGS = "SELECT site, machine FROM backlog JOIN machine USING (machine_row) ORDER BY since_us LIMIT ?1";
+    AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
+
+    // Quarantine.
+    ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start, boot_id, throw_no) \
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+    IS_QUARANTINED = "SELECT EXISTS (SELECT 1 FROM quarantine WHERE received_at_us = ?1 AND key = ?2 AND payload_bytes = ?3)";
+    TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row <= (SELECT max(quarantine_row) FROM quarantine) - ?1";
+}
