@@ -94,12 +94,12 @@ async fn found(
         return Ok(found);
     }
     let ThrowRef { boot_id, throw_no } = throw;
-    Err(match reader.pruned_to(machine, boot_id).await? {
-        Some(pruned_to) if *throw_no <= pruned_to => Failure::new(
+    Err(match reader.is_pruned(machine, throw).await? {
+        Some(true) => Failure::new(
             StatusCode::GONE,
             format!("Retention has deleted throw {throw_no} of {machine}, with all earlier ones, to save space."),
         ),
-        Some(_) => Failure::not_found(format!("{machine} has no such throw in this database.")),
+        Some(false) => Failure::not_found(format!("{machine} has no such throw in this database.")),
         None => Failure::not_found(format!(
             "{machine} has no such throw in this database: none was received, or retention has deleted all throws of \
              boot {boot_id} to save space."

@@ -83,11 +83,12 @@ impl Reader {
         Ok(Some((stored, health)))
     }
 
-    /// Number up to which retention has deleted the throws of a boot; `None` for an unknown boot, and for one whose
-    /// throws are all deleted.
-    pub(crate) async fn pruned_to(&self, machine: &MachineId, boot_id: &str) -> Result<Option<u64>, StoreError> {
-        let row: Option<(i64,)> = self.external_row(machine_query(sql::PRUNED_TO, machine).bind(boot_id)).await?;
-        Ok(row.map(|(pruned_to,)| pruned_to.cast_unsigned()))
+    /// Whether retention has deleted the throws of a boot up to this one; `None` for an unknown boot, as one whose throws
+    /// are all deleted.
+    pub(crate) async fn is_pruned(&self, machine: &MachineId, throw: &ThrowRef) -> Result<Option<bool>, StoreError> {
+        let throw_no = i64::try_from(throw.throw_no).unwrap_or(i64::MAX);
+        let query = machine_query(sql::IS_PRUNED, machine).bind(throw.boot_id.as_str()).bind(throw_no);
+        Ok(self.external_row(query).await?.map(|(is_pruned,): (bool,)| is_pruned))
     }
 
     /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, if known.

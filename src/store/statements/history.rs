@@ -100,7 +100,7 @@ statements! {
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
     THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
-    PRUNED_TO = concat!("SELECT pruned_to_no FROM boot WHERE machine_row = ", one_machine!(), " AND boot_id = ?3");
+    IS_PRUNED = concat!("SELECT ?4 <= pruned_to_no FROM boot WHERE machine_row = ", one_machine!(), " AND boot_id = ?3");
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
     MOTOR_AT = "SELECT resistance_ohm, back_emf_v_s_per_rad, no_load_speed_rad_per_s FROM estimate WHERE throw_row = ?1";
