@@ -26,8 +26,6 @@ pub struct Statistics {
     pub pending: u64,
     /// Alarm events that the webhook has not accepted yet.
     pub notifications: u64,
-    /// Open alarms.
-    pub open_alarms: u64,
     /// Number of missing throws, without throws from before the first contact.
     pub missing_throws: u64,
     /// Messages in quarantine.
@@ -36,9 +34,6 @@ pub struct Statistics {
     pub wal_bytes: u64,
     /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
-    /// State of the disk that holds the database.
-    #[sqlx(skip)]
-    pub disk: DiskLevel,
     /// Failed write transactions since the start.
     pub failed_writes: u64,
 }
@@ -60,7 +55,6 @@ impl Store {
         Ok(Statistics {
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
-            disk: self.disk.level(),
             failed_writes: self.disk.failures(),
             ..read.unwrap_or_default()
         })

@@ -78,6 +78,5 @@ statements! {
         (SELECT count(*) FROM notification) AS notifications, \
         (SELECT count(*) FROM quarantine) AS quarantined, \
         (SELECT CAST(total(min(last_no - first_no + 1, 1099511627776)) AS INTEGER) FROM gap \
-        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws, \
-        (SELECT count(*) FROM alarm WHERE state <> 'normal') AS open_alarms FROM machine");
+        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws FROM machine");
 }
