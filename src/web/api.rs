@@ -20,7 +20,7 @@ use axum::{
 use serde_json::json;
 
 use super::{
-    fleet::Filters,
+    fleet,
     overview::Web,
     page::{self, Failure},
 };
@@ -49,8 +49,7 @@ pub(super) async fn status(State(web): State<Arc<Web>>, RawQuery(query): RawQuer
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
-    let filters = Filters::from_query(query.as_deref())?;
-    let query = FleetQuery { spark: 0, ..filters.query()? };
+    let query = FleetQuery { spark: 0, ..fleet::filters(query.as_deref())? };
     let itself = web.view.config().monitor.as_machine();
     let _permit = web.read_permit().await?;
     let reader = web.reader();
@@ -59,7 +58,7 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
     let machines = reader.fleet(&query, &itself).await?;
     let has_more = u64::from(query.offset) + (machines.len() as u64) < matching;
-    let next_page = has_more.then_some(filters.page + 1);
+    let next_page = has_more.then(|| fleet::page_number(&query) + 1);
     Ok(page::json(&json!({"tally": tally, "machines": machines, "next_page": next_page})))
 }
 

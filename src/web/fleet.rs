@@ -25,7 +25,7 @@ use crate::{
     daemon::{StatusReport, View, clock},
     diagnose::{Cause, MachineState, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, StateCounts, WORST_FIRST, Window},
-    throw::{MachineId, counted, utc},
+    throw::{MachineId, Name, counted, utc},
     wire,
 };
 
@@ -58,7 +58,7 @@ struct Page {
     alarms: Vec<AlarmLine>,
     /// "12 more alarms", which are not on this page; empty without any.
     more_alarms: String,
-    filters: Filters,
+    search: String,
     sites: Vec<(String, bool)>,
     causes: Vec<(&'static str, String, bool)>,
     states: Vec<(&'static str, String, bool)>,
@@ -102,85 +102,58 @@ struct Row {
     last_throw: String,
 }
 
-/// The filters of the list of machines; an empty text is no filter.
-#[derive(Debug, Default, Clone)]
-pub(super) struct Filters {
-    pub(super) site: String,
-    pub(super) state: String,
-    pub(super) cause: String,
-    pub(super) search: String,
-    /// Number of the page, from 0.
-    pub(super) page: u32,
+/// The filters and the page of the list, from the parameters of its address.
+pub(super) fn filters(query: Option<&str>) -> Result<FleetQuery, Failure> {
+    let mut filters = FleetQuery { limit: MACHINES, spark: SPARK, ..FleetQuery::default() };
+    for (name, value) in form_urlencoded::parse(query.unwrap_or_default().as_bytes()) {
+        let value = value.trim();
+        match &*name {
+            "page" => {
+                let page: Option<u32> = value.parse().ok().filter(|page| *page < PAGES);
+                filters.offset = MACHINES * page.ok_or_else(wrong)?;
+            }
+            "site" | "state" | "cause" | "q" if value.is_empty() => {}
+            "site" => filters.site = Some(value.parse().map_err(|_| wrong())?),
+            "state" => filters.state = Some(one_of("state", value.parse().ok(), MachineState::VARIANTS)?),
+            "cause" => filters.cause = Some(one_of("cause", Cause::named(value), Cause::VARIANTS)?),
+            "q" => filters.search = Some(value.chars().take(SEARCH).collect()),
+            _ => return Err(wrong()),
+        }
+    }
+    Ok(filters)
 }
 
-impl Filters {
-    pub(super) fn from_query(query: Option<&str>) -> Result<Self, Failure> {
-        let mut filters = Self::default();
-        for (name, value) in form_urlencoded::parse(query.unwrap_or_default().as_bytes()) {
-            let value = value.trim().to_owned();
-            match &*name {
-                "site" => filters.site = value,
-                "state" => filters.state = value,
-                "cause" => filters.cause = value,
-                "q" => filters.search = value,
-                "page" => filters.page = value.parse().ok().filter(|page| *page < PAGES).ok_or_else(wrong)?,
-                _ => return Err(wrong()),
-            }
-        }
-        Ok(filters)
-    }
-
-    pub(super) fn query(&self) -> Result<FleetQuery, Failure> {
-        let given = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-        Ok(FleetQuery {
-            site: given(&self.site).map(|site| site.parse().map_err(|_| wrong())).transpose()?,
-            state: one_of("state", &self.state, |text| text.parse().ok(), MachineState::VARIANTS)?,
-            cause: one_of("cause", &self.cause, Cause::named, Cause::VARIANTS)?,
-            search: given(&self.search).map(|text| text.chars().take(SEARCH).collect()),
-            offset: self.page * MACHINES,
-            limit: MACHINES,
-            spark: SPARK,
-            without_silent: false,
-        })
-    }
-
-    /// The address of the list with these filters.
-    fn address(&self) -> String {
-        let mut fields = form_urlencoded::Serializer::new(String::new());
-        let page = if self.page == 0 { String::new() } else { self.page.to_string() };
-        for (name, value) in
-            [("site", &self.site), ("state", &self.state), ("cause", &self.cause), ("q", &self.search), ("page", &page)]
-        {
-            if !value.is_empty() {
-                fields.append_pair(name, value);
-            }
-        }
-        let query = fields.finish();
-        if query.is_empty() { "/".to_owned() } else { format!("/?{query}") }
-    }
-
-    fn with_state(&self, state: &str) -> Self {
-        Self { state: state.to_owned(), page: 0, ..self.clone() }
-    }
-
-    fn to_page(&self, page: u32) -> Self {
-        Self { page, ..self.clone() }
-    }
+/// The number of the page, from 0.
+pub(super) fn page_number(filters: &FleetQuery) -> u32 {
+    filters.offset / MACHINES
 }
 
-/// The value of a filter whose text must be one of the words of `all`; `None` without a text.
-fn one_of<T: Copy + Into<&'static str>>(
-    filter: &str,
-    text: &str,
-    parse: impl FnOnce(&str) -> Option<T>,
-    all: &[T],
-) -> Result<Option<T>, Failure> {
-    if text.is_empty() {
-        return Ok(None);
+/// The address of a page of the list with these filters.
+fn address(filters: &FleetQuery, page: u32) -> String {
+    let mut fields = form_urlencoded::Serializer::new(String::new());
+    let page = (page > 0).then(|| page.to_string());
+    for (name, value) in [
+        ("site", filters.site.as_ref().map(Name::as_str)),
+        ("state", filters.state.map(MachineState::as_str)),
+        ("cause", filters.cause.map(Cause::as_str)),
+        ("q", filters.search.as_deref()),
+        ("page", page.as_deref()),
+    ] {
+        fields.extend_pairs(value.map(|value| (name, value)));
     }
+    let query = fields.finish();
+    if query.is_empty() { "/".to_owned() } else { format!("/?{query}") }
+}
+
+/// The address of the machines in a state, with the other filters.
+fn address_of_state(filters: &FleetQuery, state: MachineState) -> String {
+    address(&FleetQuery { state: Some(state), ..filters.clone() }, 0)
+}
+
+/// The `parsed` value of a filter, or the error with the words of `all` values.
+fn one_of<T: Copy + Into<&'static str>>(filter: &str, parsed: Option<T>, all: &[T]) -> Result<T, Failure> {
     let words = || all.iter().map(|word| (*word).into()).collect::<Vec<&str>>().join(", ");
-    let wrong = || Failure::bad_request(format!("The filter {filter} must be one of {}.", words()));
-    parse(text).map(Some).ok_or_else(wrong)
+    parsed.ok_or_else(|| Failure::bad_request(format!("The filter {filter} must be one of {}.", words())))
 }
 
 fn wrong() -> Failure {
@@ -188,8 +161,7 @@ fn wrong() -> Failure {
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
-    let filters = Filters::from_query(query.as_deref())?;
-    let mut query = filters.query()?;
+    let mut query = filters(query.as_deref())?;
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
     let report = web.view.sources.report();
@@ -210,33 +182,37 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let is_urgent = |Fault { alarm, .. }: &Fault| alarm.severity == Severity::Critical && alarm.state.is_active();
     let urgent = overview.faults.partition_point(is_urgent);
     let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
-    let choice = |word: &'static str, text: String, chosen: &str| (word, text, word == chosen);
+    let page_no = page_number(&query);
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
-        tally: tally_links(&tally, &filters),
+        tally: tally_links(&tally, &query),
         machines: counted(page::count(tally.total()), "machine"),
         urgent: lines(&overview.faults[..urgent], &windows),
         common: common(&overview.common),
         alarms: lines(&overview.faults[urgent..], &windows),
         more_alarms: if more_alarms > 0 { counted(page::count(more_alarms), "more alarm") } else { String::new() },
-        sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
-        causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
-        states: WORST_FIRST.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
+        sites: overview
+            .sites
+            .iter()
+            .map(|site| (site.clone(), query.site.as_ref().is_some_and(|of| of.as_str() == site)))
+            .collect(),
+        causes: Cause::VARIANTS.iter().map(|it| (it.as_str(), it.to_string(), query.cause == Some(*it))).collect(),
+        states: WORST_FIRST.iter().map(|it| (it.as_str(), Badge(*it).word(), query.state == Some(*it))).collect(),
         rows: rows.iter().map(|row| table_row(row, &windows, limit_pct)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
-        grouped: (grouped > 0).then(|| (page::count(grouped), filters.with_state("not_monitored").address())),
-        before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
-        after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
+        grouped: (grouped > 0).then(|| (page::count(grouped), address_of_state(&query, MachineState::NotMonitored))),
+        before: page_no.checked_sub(1).map(|before| address(&query, before)),
+        after: (last < matching).then(|| address(&query, page_no + 1)),
         silent: silent(&web.view, reader).await?,
         without_throw: report.without_throw.join(", "),
         refused: report.refused.join("; "),
         daemon: daemon(&report, &overview),
         volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
-        filters,
+        search: query.search.unwrap_or_default(),
     }))
 }
 
@@ -248,7 +224,7 @@ fn group_silent(query: &mut FleetQuery, tally: &StateCounts) -> u64 {
     if query.without_silent { tally.silent } else { 0 }
 }
 
-fn tally_links(tally: &StateCounts, filters: &Filters) -> Vec<(Badge, String, String)> {
+fn tally_links(tally: &StateCounts, filters: &FleetQuery) -> Vec<(Badge, String, String)> {
     // A lost link makes a machine with a fault not monitored too. Its fault must stay in sight.
     let with_other_alarms = tally.of(MachineState::NotMonitored).saturating_sub(tally.silent);
     let number = |state| match state {
@@ -257,7 +233,7 @@ fn tally_links(tally: &StateCounts, filters: &Filters) -> Vec<(Badge, String, St
         }
         _ => page::count(tally.of(state)),
     };
-    let link = |state: MachineState| (Badge(state), number(state), filters.with_state(state.as_str()).address());
+    let link = |state: MachineState| (Badge(state), number(state), address_of_state(filters, state));
     WORST_FIRST.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
 }
 
@@ -310,7 +286,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
             summary: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
             example,
             sites: sites.join(", "),
-            address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
+            address: address(&FleetQuery { cause: Some(cause), ..FleetQuery::default() }, 0),
         }
     };
     kinds.into_iter().map(entry).collect()
@@ -419,13 +395,13 @@ mod tests {
 
     #[test]
     fn filters_come_from_the_address_and_go_back_into_it() {
-        let filters = Filters::from_query(Some("site=north&state=not_monitored&q=21%2F&page=2")).unwrap();
-        assert_eq!(filters.address(), "/?site=north&state=not_monitored&q=21%2F&page=2");
-        assert_eq!(filters.with_state("critical").address(), "/?site=north&state=critical&q=21%2F");
-        assert_eq!(filters.query().unwrap().offset, 2 * MACHINES);
-        assert_eq!(Filters::from_query(None).unwrap().address(), "/");
+        let some = filters(Some("site=north&state=not_monitored&q=21%2F&page=2")).unwrap();
+        assert_eq!((some.offset, page_number(&some)), (2 * MACHINES, 2));
+        assert_eq!(address(&some, 2), "/?site=north&state=not_monitored&q=21%2F&page=2");
+        assert_eq!(address_of_state(&some, MachineState::Critical), "/?site=north&state=critical&q=21%2F");
+        assert_eq!(address(&filters(None).unwrap(), 0), "/");
         for wrong in ["state=good", "cause=magnet", "site=a%20b", "page=-1", "page=99999", "x=1"] {
-            assert!(Filters::from_query(Some(wrong)).and_then(|filters| filters.query()).is_err(), "{wrong}");
+            assert!(filters(Some(wrong)).is_err(), "{wrong}");
         }
     }
 
