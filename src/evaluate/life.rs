@@ -5,36 +5,14 @@ use super::{
     coverage::Coverage,
     cusum::{Cusum, Design},
     judge::Call,
-    observation::observation,
     paper::PaperRule,
-    parameter::ParameterMachine,
     scenario::Limits,
     timeline::Timeline,
-    trace::TraceMachine,
 };
 use crate::diagnose::{AlarmState, Cause, Command, MachineMonitor, Observation, Settings};
 
-/// Source of the throws of a life.
-#[derive(Debug)]
-pub(super) enum Source {
-    /// Coefficients drawn from the calibrated scatter.
-    Parameter(Box<ParameterMachine>),
-    /// Complete simulated throws through the estimator.
-    Trace(Box<TraceMachine>),
-}
-
-impl Source {
-    /// The observation of throw `at`; the directions alternate.
-    pub(super) fn observe(&mut self, at: usize, life: &Timeline) -> Observation {
-        match self {
-            Self::Parameter(machine) => {
-                let estimate = machine.throw(at % 2, life.displacement(at));
-                observation(at, Some(estimate), life.temperature_c(at))
-            }
-            Self::Trace(machine) => machine.observe(at),
-        }
-    }
-}
+/// Source of the throws of a life: the observation of each throw by its number. The directions alternate.
+pub(super) type Source<'a> = Box<dyn FnMut(usize) -> Observation + 'a>;
 
 /// Settings of the three rules.
 #[derive(Debug, Clone, Copy)]
@@ -70,13 +48,13 @@ impl Calls {
 }
 
 /// Simulates a life and applies the three rules.
-pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Calls {
+pub(super) fn live(mut source: Source<'_>, life: &Timeline, rules: Rules<'_>) -> Calls {
     let mut monitor = MachineMonitor::new("evaluated");
     let mut paper = Comparator::new(PaperRule { limits: rules.limits, recent: Vec::new() }, rules.baseline);
     let mut cusum = Comparator::new(Cusum::new(rules.cusum), rules.baseline);
     let mut calls = Calls::default();
     for at in 0..life.throws {
-        let observation = source.observe(at, life);
+        let observation = source(at);
         let verdict = monitor.observe(&observation, rules.settings);
         if calls.trend.is_none() && verdict.has_trend {
             calls.trend = Some(at);

@@ -186,17 +186,14 @@ impl Plan {
 
     fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> [usize; 4] {
         let random = |domain, row| stream(self.seed, domain, row, machine);
-        let (life, mut source) = if let Some(fleet) = fleet {
+        let rules = self.rules(Situation::Plain, Noise::Default);
+        if let Some(fleet) = fleet {
             let life = FLEETS[fleet].life(throws, &mut random(domain::WEATHER, fleet));
             let random = random(domain::FLEET, fleet);
-            let machine = ParameterMachine::new(random, Noise::Default, FLEETS[fleet].scatter);
-            (life, Source::Parameter(Box::new(machine)))
-        } else {
-            let (life, random) = (Timeline::healthy(throws), random(domain::HEALTHY, depth as usize));
-            let source = source(depth, Situation::Plain, Noise::Default, random, &life);
-            (life, source)
-        };
-        live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
+            return live(drawn(random, Noise::Default, FLEETS[fleet].scatter, &life), &life, rules).alarms();
+        }
+        let (life, random) = (Timeline::healthy(throws), random(domain::HEALTHY, depth as usize));
+        live(source(depth, Situation::Plain, Noise::Default, random, &life), &life, rules).alarms()
     }
 
     fn row(&self, row: usize, trial: usize) -> Kind {
@@ -204,8 +201,8 @@ impl Plan {
         let mut random = stream(self.seed, domain::TIMELINE, row, trial);
         let life = Timeline::of(scenario, trial, 2 * self.baseline, &mut random);
         let random = stream(self.seed, domain::ROW, row, trial);
-        let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
-        let calls = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
+        let source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
+        let calls = live(source, &life, self.rules(scenario.situation, scenario.noise));
         let rules = [(&calls.monitor, calls.trend), (&calls.paper, None), (&calls.cusum, None)];
         let judgements = rules.map(|(calls, trend)| judge(calls, trend, &life));
         Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
@@ -216,14 +213,12 @@ impl Plan {
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
         let scatter = Scatter { phi: BUDGET_PHI[phi], ..Scatter::USUAL };
-        let mut source = ParameterMachine::new(random, Noise::Default, scatter);
-        let mut monitor = MachineMonitor::new("evaluated");
         let life = Timeline::healthy(2 * self.baseline + BUDGET_LIFE);
+        let mut source = drawn(random, Noise::Default, scatter, &life);
+        let mut monitor = MachineMonitor::new("evaluated");
         for at in 0..life.throws {
-            let estimate = source.throw(at % 2, life.displacement(at));
-            let observation = observation(at, Some(estimate), None);
             // With such limits any scatter raises `not_monitored`, so only drift alarms count.
-            let events = monitor.observe(&observation, &self.budget_settings).events;
+            let events = monitor.observe(&source(at), &self.budget_settings).events;
             let alarmed = events.iter().any(|event| event.cause.is_drift());
             if alarmed {
                 let throws = (at + 1).saturating_sub(2 * self.baseline);
@@ -240,12 +235,24 @@ impl Plan {
     }
 }
 
-/// The simulated machine of a life.
-fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
+/// The throws of a life.
+fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source<'_> {
     match depth {
-        Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, Scatter::USUAL))),
-        Depth::Trace => Source::Trace(Box::new(TraceMachine::new(random, situation, noise, life))),
+        Depth::Parameter => drawn(random, noise, Scatter::USUAL, life),
+        Depth::Trace => {
+            let mut machine = TraceMachine::new(random, situation, noise, life);
+            Box::new(move |at| machine.observe(at))
+        }
     }
+}
+
+/// The throws of a life at parameter depth.
+fn drawn(random: ChaCha8Rng, noise: Noise, scatter: Scatter, life: &Timeline) -> Source<'_> {
+    let mut machine = ParameterMachine::new(random, noise, scatter);
+    Box::new(move |at| {
+        let estimate = machine.throw(at % 2, life.displacement(at));
+        observation(at, Some(estimate), life.temperature_c(at))
+    })
 }
 
 /// All lives of a run, the long ones at trace depth first, so that the threads end at about the same time.
@@ -281,7 +288,7 @@ fn add(
     [monitor, not_monitored, paper, cusum]: [usize; 4],
 ) {
     let at = healthy.iter().position(|healthy| (healthy.depth, healthy.fleet) == (depth, fleet)).unwrap_or_else(|| {
-        healthy.push(Healthy::none(depth, fleet));
+        healthy.push(Healthy { depth, fleet, ..Healthy::default() });
         healthy.len() - 1
     });
     healthy[at].throws += throws;

@@ -29,7 +29,7 @@ pub struct Report {
 }
 
 /// False alarms on the healthy machines of one fleet at one depth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Healthy {
     /// Depth of the simulation.
     pub depth: Depth,
@@ -124,21 +124,6 @@ pub(super) struct Lives {
     /// Lives in which the monitor named a healthy part at critical severity.
     pub(super) wrong_critical: usize,
     pub(super) coverage: Coverage,
-}
-
-impl Healthy {
-    /// Results without throws yet.
-    pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
-        Self {
-            depth,
-            throws: 0,
-            false_alarms: 0,
-            not_monitored: 0,
-            paper_false_alarms: 0,
-            cusum_false_alarms: 0,
-            fleet,
-        }
-    }
 }
 
 impl Tally {
