@@ -154,8 +154,10 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
 /// serve the site: those that did not answer, and those that a daemon cannot reach, by its alarm.
 fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[&String], alarms: &[Alarm]) -> String {
     let names: Vec<String> = monitors.iter().map(ToString::to_string).collect();
-    let mut sentences =
-        vec![format!("no machine of site {site} is known to {}; without --site all are listed", names.join(", "))];
+    let mut sentences = vec![match names.join(", ").as_str() {
+        "" => format!("no daemon answered, so no machine of site {site} is known"),
+        names => format!("no machine of site {site} is known to {names}; without --site all are listed"),
+    }];
     sentences.extend(silent.iter().map(|daemon| format!("The daemon {daemon} may serve it and does not answer")));
     let misses_daemons = |alarm: &&Alarm| {
         monitors.contains(&alarm.machine) && alarm.cause == Cause::NotMonitored && alarm.state.is_active()

@@ -51,15 +51,6 @@ pub(super) enum Text {
     Other(IgnoredAny),
 }
 
-impl Text {
-    pub(super) fn text(self) -> Option<String> {
-        match self {
-            Self::Text(text) => Some(text),
-            Self::Other(_) => None,
-        }
-    }
-}
-
 /// The supply voltage \[V\]: a number, or a value for each sample of the current.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]

@@ -58,9 +58,11 @@ pub fn decode_recording(payload: &[u8]) -> Result<(Throw, Option<[String; 2]>), 
     let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
     // serde_json rejects nesting beyond 128 and bytes after the value.
     let mut fields: Fields = serde_json::from_slice(payload).map_err(invalid)?;
-    let names = [fields.site.take(), fields.machine.take()].map(|name| name.and_then(Text::text));
-    let [Some(site), Some(machine)] = names else { return Ok((fields.into_throw()?, None)) };
-    Ok((fields.into_throw()?, Some([site, machine])))
+    let names = match [fields.site.take(), fields.machine.take()] {
+        [Some(Text::Text(site)), Some(Text::Text(machine))] => Some([site, machine]),
+        _ => None,
+    };
+    Ok((fields.into_throw()?, names))
 }
 
 /// The text of a JSON error with the name of the last field before it: `serde_json` names only the position.
