@@ -1,4 +1,4 @@
-//! Queries of the fleet page: machines with the worst first, fault alarms, windows, commands, neighbours of a throw.
+//! Queries of the fleet page and the metrics: machines with the worst first, open alarms, windows.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,15 +9,15 @@ use sqlx::{
     sqlite::{SqliteArguments, SqliteRow},
 };
 
-use super::{Reader, machine_query};
+use super::{Reader, machine::CommandRow, machine_query};
 use crate::{
-    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState, Present},
+    diagnose::{AlarmState, Cause, Drifting, MachineState},
     store::{
         error::StoreError,
         rows::{json, time, timestamp, word},
         statements as sql,
     },
-    throw::{Direction, MachineId, Name, ThrowRef, utc},
+    throw::{MachineId, Name, utc},
     wire::Alarm,
 };
 
@@ -113,21 +113,14 @@ pub(crate) struct Fault {
     pub drifts: Vec<Drifting>,
 }
 
-/// An applied command of an operator.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub(crate) struct CommandRow {
-    /// Time of the command.
-    pub at: Timestamp,
-    /// Name of the command, for example `ack`.
-    pub command: String,
-    /// Cause of the alarm, for commands about an alarm.
-    pub cause: Option<Cause>,
-    /// End of the shelving or of the maintenance window.
-    pub until: Option<Timestamp>,
-    /// Name of the operator.
-    pub by: String,
-    /// Reason given by the operator.
-    pub why: Option<String>,
+/// Number of open alarms of one cause and severity.
+#[derive(Debug, sqlx::FromRow)]
+pub(crate) struct AlarmCount {
+    pub(crate) cause: String,
+    pub(crate) severity: String,
+    pub(crate) open: i64,
+    /// Number of these alarms that are neither over, nor shelved, nor in maintenance.
+    pub(crate) active: i64,
 }
 
 /// The open alarms at one site with a cause that often affects many machines at once (`not_monitored`, `data_loss`).
@@ -194,16 +187,6 @@ impl Window {
     }
 }
 
-impl FromRow<'_, SqliteRow> for Present {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self {
-            state: word(row, "state")?.unwrap_or_default(),
-            drifts: json(row, "drifts")?.unwrap_or_default(),
-            caveats: json(row, "caveats")?.unwrap_or_default(),
-        })
-    }
-}
-
 impl FromRow<'_, SqliteRow> for FleetRow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         let causes = |column| -> sqlx::Result<Vec<Cause>> {
@@ -254,19 +237,6 @@ impl FromRow<'_, SqliteRow> for CommonAlarm {
             last: time(row, "last_us")?,
             text: row.try_get("said")?,
             is_over: row.try_get("is_over")?,
-        })
-    }
-}
-
-impl FromRow<'_, SqliteRow> for CommandRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self {
-            at: time(row, "at_us")?,
-            command: row.try_get("command")?,
-            cause: word(row, "cause")?,
-            until: word(row, "until")?,
-            by: row.try_get("by_whom")?,
-            why: row.try_get("why")?,
         })
     }
 }
@@ -329,69 +299,16 @@ impl Reader {
         self.external(machine_query(sql::COMMON, itself)).await
     }
 
+    /// Number of open alarms for each cause and severity.
+    pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<AlarmCount>, StoreError> {
+        self.external(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await
+    }
+
     /// The open windows of one machine or of all.
     pub(crate) async fn windows(&self, machine: Option<&MachineId>) -> Result<Vec<Window>, StoreError> {
         let statement = sqlx::query_as(sql::WINDOWS)
             .bind(machine.map(|machine| machine.site.as_str()))
             .bind(machine.map(|machine| machine.machine.as_str()));
         self.external(statement).await
-    }
-
-    /// The newest `limit` commands for a machine, newest first.
-    pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        self.external(machine_query(sql::COMMANDS, machine).bind(limit)).await
-    }
-
-    /// The newest `limit` baselines of a machine, newest first.
-    pub(crate) async fn baselines_of(
-        &self,
-        machine: &MachineId,
-        limit: u32,
-    ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let rows: Vec<(String,)> = self.external(machine_query(sql::BASELINES, machine).bind(limit)).await?;
-        // Baselines of another version that cannot be read are left out.
-        Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
-    }
-
-    /// The state of a machine now, with its drifts and caveats. A retired machine has only a caveat that says so.
-    pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        if let Some(present) = self.external_row(machine_query(sql::STATE, machine)).await? {
-            return Ok(present);
-        }
-        // Without a monitor the last command may have retired the machine: its state alone would hide this.
-        let last = self.commands_of(machine, 1).await?;
-        let caveat = |command: &CommandRow| {
-            let (at, by, why) = (utc(&command.at), &command.by, command.why.as_deref().unwrap_or_default());
-            format!("Machine {machine}: it is not monitored, as it was retired at {at} by {by}: {why}.")
-        };
-        let caveats = last.iter().filter(|command| command.command == "retire").map(caveat).collect();
-        Ok(Present { caveats, ..Present::default() })
-    }
-
-    /// The previous and the next throw of a machine, in the order of their start.
-    pub(crate) async fn neighbours_of(
-        &self,
-        machine: &MachineId,
-        throw: &ThrowRef,
-    ) -> Result<[Option<ThrowRef>; 2], StoreError> {
-        let statement = machine_query(sql::THROW_NEIGHBOURS, machine);
-        let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
-        let rows: Vec<(String, i64, bool)> = self.external(statement).await?;
-        let mut neighbours = [None, None];
-        for (boot_id, throw_no, is_later) in rows {
-            neighbours[usize::from(is_later)] = Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() });
-        }
-        Ok(neighbours)
-    }
-
-    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace.
-    pub(crate) async fn typical_of(
-        &self,
-        machine: &MachineId,
-        direction: Direction,
-        at: Timestamp,
-    ) -> Result<Option<ThrowRef>, StoreError> {
-        let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
-        self.external_row(statement).await
     }
 }

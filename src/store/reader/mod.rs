@@ -3,7 +3,7 @@
 pub(super) mod export;
 pub(super) mod fleet;
 pub(super) mod history;
-pub(super) mod overview;
+pub(super) mod machine;
 pub(super) mod pipeline;
 pub(super) mod read_only;
 
