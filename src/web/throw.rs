@@ -97,12 +97,15 @@ async fn found(
     Err(match reader.is_pruned(machine, throw).await? {
         Some(true) => Failure::new(
             StatusCode::GONE,
-            format!("Retention has deleted throw {throw_no} of {machine}, with all earlier ones, to save space."),
+            format!(
+                "Throw {throw_no} of {machine} is not in this database: to save space, retention has deleted the throws \
+                 of boot {boot_id} up to it."
+            ),
         ),
         Some(false) => Failure::not_found(format!("{machine} has no such throw in this database.")),
         None => Failure::not_found(format!(
             "{machine} has no such throw in this database: none was received, or retention has deleted all throws of \
-             boot {boot_id} to save space."
+             boot {boot_id}."
         )),
     })
 }
