@@ -22,7 +22,7 @@ use crate::{
     daemon::{Judged, Offline, clock},
     store::Spooled,
     throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
-    wire::{self, Health},
+    wire::{self, Encoding, Health},
 };
 
 /// Number of folders above an exported trace that are searched for its `throws.csv`: the folder of the machine, of the
@@ -178,8 +178,11 @@ fn read_json(machine: &MachineId, file: &Path) -> Result<Vec<Throw>, Failure> {
         let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
         return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
     }
-    match wire::decode_recording(bytes) {
-        Ok(recording) => return Ok(vec![of_machine(machine, recording).with_context(name).or_exit(Exit::Data)?]),
+    match wire::decode_throw(Encoding::Json, bytes) {
+        Ok(throw) => {
+            check_machine(machine, bytes).with_context(name).or_exit(Exit::Data)?;
+            return Ok(vec![throw]);
+        }
         // Any other file may have a throw on each line, and an error must name the line.
         Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
             return Err(error).with_context(name).or_exit(Exit::Data);
@@ -189,20 +192,27 @@ fn read_json(machine: &MachineId, file: &Path) -> Result<Vec<Throw>, Failure> {
     let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
     lines
         .map(|(at, line)| {
-            let recording = wire::decode_recording(line).map_err(anyhow::Error::new);
-            let throw = recording.and_then(|recording| of_machine(machine, recording));
+            let throw = wire::decode_throw(Encoding::Json, line).map_err(anyhow::Error::new);
+            let throw = throw.and_then(|throw| check_machine(machine, line).map(|()| throw));
             throw.with_context(|| format!("{}, line {}", name(), at + 1)).or_exit(Exit::Data)
         })
         .collect()
 }
 
-/// The throw of a recording, unless the recording names another machine.
-fn of_machine(machine: &MachineId, (throw, names): (Throw, Option<[String; 2]>)) -> anyhow::Result<Throw> {
-    match names {
-        Some([site, name]) if site != machine.site.as_str() || name != machine.machine.as_str() => {
+/// Refuses a throw with the name of another machine. The message has no field for it, but a program that records
+/// throws of several machines may add one.
+fn check_machine(machine: &MachineId, json: &[u8]) -> anyhow::Result<()> {
+    #[derive(Deserialize)]
+    struct Names {
+        site: String,
+        machine: String,
+    }
+    match serde_json::from_slice(json) {
+        Ok(Names { site, machine: name }) if site != machine.site.as_str() || name != machine.machine.as_str() => {
             bail!("a throw of {site}/{name}, and --machine is {machine}: import each machine alone")
         }
-        _ => Ok(throw),
+        // Without both fields, or with other values in them, the message does not name a machine.
+        _ => Ok(()),
     }
 }
 

@@ -25,4 +25,4 @@ pub use key::{
 };
 pub use query::{HistoryQuery, MAX_HISTORY, check_parameters};
 pub use text::{Invalid, json, json_bytes, without_byte_order_mark};
-pub use throw::{Encoding, decode_recording, decode_throw, encode_throw, is_boot_id, throw_id};
+pub use throw::{Encoding, decode_throw, encode_throw, is_boot_id, throw_id};

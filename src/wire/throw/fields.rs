@@ -1,7 +1,7 @@
 //! The fields of a throw message in CBOR and JSON, and their checks.
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize, de::IgnoredAny};
+use serde::{Deserialize, Serialize};
 
 use super::{
     super::Invalid,
@@ -35,20 +35,6 @@ pub(super) struct Fields {
     pub(super) supply_v: Option<Supply>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) anti_alias_hz: Option<f64>,
-    /// Site of the machine. A message on zenoh has it in its key, a recording of several machines may have it here.
-    #[serde(skip_serializing)]
-    pub(super) site: Option<Text>,
-    /// Name of the machine, as `site`.
-    #[serde(skip_serializing)]
-    pub(super) machine: Option<Text>,
-}
-
-/// A text. Any other value is ignored, as the value of an unknown field is.
-#[derive(Debug, Deserialize)]
-#[serde(untagged)]
-pub(super) enum Text {
-    Text(String),
-    Other(IgnoredAny),
 }
 
 /// The supply voltage \[V\]: a number, or a value for each sample of the current.
@@ -73,8 +59,6 @@ impl From<&Throw> for Fields {
             temperature_c: throw.temperature_c,
             supply_v: throw.supply_v.map(Supply::Number),
             anti_alias_hz: throw.anti_alias_hz,
-            site: None,
-            machine: None,
         }
     }
 }

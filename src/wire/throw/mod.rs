@@ -15,7 +15,7 @@ use super::{
     text::{first_byte, not_an_object, without_byte_order_mark},
 };
 use crate::throw::{Throw, ThrowRef};
-use fields::{Fields, Text};
+use fields::Fields;
 
 /// Encoding of a throw message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,27 +42,16 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
     match encoding {
         Encoding::Cbor => {
             let (fields, is_whole) = cbor::decode(payload);
-            is_whole?;
-            fields.into_throw()
+            is_whole.map(|()| fields)
         }
-        Encoding::Json => decode_recording(payload).map(|(throw, _)| throw),
-    }
-}
-
-/// Decodes a throw in JSON, and site and name of its machine, if it has both.
-///
-/// # Errors
-/// As [`decode_throw`].
-pub fn decode_recording(payload: &[u8]) -> Result<(Throw, Option<[String; 2]>), Invalid> {
-    let payload = without_byte_order_mark(payload);
-    let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
-    // serde_json rejects nesting beyond 128 and bytes after the value.
-    let mut fields: Fields = serde_json::from_slice(payload).map_err(invalid)?;
-    let names = match [fields.site.take(), fields.machine.take()] {
-        [Some(Text::Text(site)), Some(Text::Text(machine))] => Some([site, machine]),
-        _ => None,
-    };
-    Ok((fields.into_throw()?, names))
+        // serde_json rejects nesting beyond 128 and bytes after the value.
+        Encoding::Json => {
+            let payload = without_byte_order_mark(payload);
+            let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
+            serde_json::from_slice(payload).map_err(invalid)
+        }
+    }?
+    .into_throw()
 }
 
 /// The text of a JSON error with the name of the last field before it: `serde_json` names only the position.

@@ -219,18 +219,3 @@ proptest! {
         }
     }
 }
-
-#[test]
-fn a_recording_names_its_machine_only_by_two_texts() {
-    for (names, expected) in [
-        ("", None),
-        (r#""machine": "21B","#, None),
-        (r#""site": "north", "machine": "21B","#, Some(["north", "21B"])),
-        (r#""site": "north", "machine": null,"#, None),
-        (r#""site": {"name": "north"}, "machine": [21],"#, None),
-    ] {
-        let json = JSON.replacen('{', &format!("{{{names}"), 1);
-        let (_, named) = decode_recording(json.as_bytes()).unwrap();
-        assert_eq!(named, expected.map(|names| names.map(str::to_owned)), "{names}");
-    }
-}
