@@ -18,11 +18,11 @@
 //!
 //! Friction at the far end of a rail that bends grows with the travel until that end slides, as if a spring became
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
-//! to 0.45 on rails of a beam and of three masses. The more friction the far end has, the later it slides, so p grows in
-//! proportion to a large rise; if it never slides, the whole rise grows from 0, and p is 2. The change of a0 is relative
-//! to the spring that the machine has, so the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the
-//! force of the spring at the end of a stroke of duration T. It is a direction of the coefficients; the logarithm of a
-//! large change of a0 is less than proportional.
+//! to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
+//! the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a
+//! stroke of duration T. On some rails the far end slides later the larger the rise. Then p grows in proportion to a
+//! large rise, up to 2 if the far end never slides and the whole rise grows from 0; the logarithm of a large change of
+//! a0 is less than proportional.
 //!
 //! More friction draws more current. In a series-wound motor this current saturates the iron, so the torque grows less
 //! than with its square, as the model has it. The start, which has the largest current, gives b0, so a1 and a0 of the
@@ -52,31 +52,34 @@ const SIZE_SCALE: f64 = 0.5;
 /// Penalty on the score for each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
 /// Leaks of a rise of friction, all equally likely: viscous friction, then dry friction with a stiff toe drive, with a
-/// soft toe drive, on a rail whose far end sticks, and on a machine with little inertia.
+/// soft toe drive, on a rail whose far end sticks, on a machine with little inertia, and on a rail whose far end slides
+/// later the larger the rise.
 const OF_FRICTION: &[Leak] = &[
-    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], of_spring: false },
-    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], of_spring: false },
-    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], of_spring: false },
-    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], of_spring: true },
-    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
+    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], along_stroke: AlongStroke::No },
+    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], along_stroke: AlongStroke::No },
+    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], along_stroke: AlongStroke::No },
+    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], along_stroke: AlongStroke::Part },
+    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], along_stroke: AlongStroke::No },
+    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], along_stroke: AlongStroke::GrowingPart },
 ];
-/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves.
+/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves. The part that grows with the rise is not
+/// among them: together with a weaker motor it looks like the last leak.
 const OF_FRICTION_WOUND_UP: &[Leak] = &[
     OF_FRICTION[0],
     OF_FRICTION[1],
     OF_FRICTION[2],
     OF_FRICTION[3],
     OF_FRICTION[4],
-    Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], of_spring: false },
+    Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], along_stroke: AlongStroke::No },
 ];
 /// [`OF_FRICTION`] on a machine with a series-wound motor, whose back-EMF is unknown: the plain leaks, and saturation.
 const OF_FRICTION_OF_SERIES: &[Leak] = &[
     OF_FRICTION[0],
     OF_FRICTION[1],
     OF_FRICTION[2],
-    Leak { parts: [0.0, 0.3, 0.3], sd: [0.0, 0.18, 0.18], of_spring: false },
+    Leak { parts: [0.0, 0.3, 0.3], sd: [0.0, 0.18, 0.18], along_stroke: AlongStroke::No },
 ];
-const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], of_spring: false };
+const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], along_stroke: AlongStroke::No };
 /// Leaks of a change of the motor: with a viscous load, and with loads of which a part is dry, in steps so small that
 /// the back-EMF can choose between them.
 const OF_MOTOR: &[Leak] =
@@ -88,8 +91,8 @@ pub(crate) const PLAIN_LEAKS: Leaks =
 /// running machine.
 const OF_SERIES_MOTOR: &[Leak] = &[
     NO_LEAK,
-    Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], of_spring: false },
-    Leak { parts: [0.3, 0.0, 0.0], sd: [0.18, 0.0, 0.0], of_spring: false },
+    Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], along_stroke: AlongStroke::No },
+    Leak { parts: [0.3, 0.0, 0.0], sd: [0.18, 0.0, 0.0], along_stroke: AlongStroke::No },
 ];
 /// The leaks on a machine with a series-wound motor.
 pub(super) const LEAKS_OF_SERIES: Leaks =
@@ -138,20 +141,29 @@ pub(crate) struct Leak {
     /// Standard deviations of `parts`, which vary together; chosen so that the leaks of a list cover their range
     /// evenly.
     sd: [f64; 3],
-    /// Whether the leak is proportional to the ratio of the friction to the force of the spring; `parts` and `sd` are
-    /// those at a ratio of 1.
-    of_spring: bool,
+    along_stroke: AlongStroke,
+}
+
+/// The part of a rise of friction that grows along the stroke, as if a spring became stiffer. This leak is proportional
+/// to the ratio of the friction to the force of the spring; its `parts` and `sd` are those at a ratio of 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum AlongStroke {
+    No,
+    /// The same part of every rise.
+    Part,
+    /// A part that grows in proportion to a large rise.
+    GrowingPart,
 }
 
 impl Leak {
     /// The leak of a motor of whose load this part is dry.
     const fn of_dry_load(part: f64) -> Self {
-        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], of_spring: false }
+        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], along_stroke: AlongStroke::No }
     }
 
     /// The leak on a machine with this ratio of the friction to the force of the spring.
     fn beside_spring(self, friction_over_spring: f64) -> Self {
-        let factor = if self.of_spring { friction_over_spring } else { 1.0 };
+        let factor = if self.along_stroke == AlongStroke::No { 1.0 } else { friction_over_spring };
         self.times(factor)
     }
 
@@ -160,7 +172,7 @@ impl Leak {
     fn of_size(self, size: f64) -> Self {
         let rise = size.exp_m1();
         let [.., at_reference] = self.parts;
-        if !self.of_spring || rise <= 0.0 || at_reference <= 0.0 {
+        if self.along_stroke != AlongStroke::GrowingPart || rise <= 0.0 || at_reference <= 0.0 {
             return self;
         }
         let grows = (rise / SLIDES_EARLY).clamp(1.0, MOST_GROWTH);
