@@ -8,6 +8,7 @@ use std::{
 
 use comfy_table::ColumnConstraint;
 use jiff::SignedDuration;
+use serde::Deserialize as _;
 use serde_json::{Value, json};
 
 use super::{
@@ -101,8 +102,8 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         return Err(operator::failure(OperatorError::NoDaemon));
     }
     let (reports, daemon_problems) = operator::read::<StatusReport>(&daemons);
-    let (mut health, health_problems) = operator::values::<Health>(&of_machines);
-    let (mut alarms, alarm_problems) = operator::values::<Alarm>(&events);
+    let (health, health_problems) = operator::values::<Health>(&of_machines);
+    let (alarms, alarm_problems) = operator::values::<Alarm>(&events);
     let twice = served_twice(session, &health).await?;
     // The health messages count too: a daemon updates the counts in its report only every few seconds.
     let is_well = |report: &StatusReport| report.problems().is_empty() && report.fleet_counts.is_well();
@@ -111,33 +112,43 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
-    if arguments.json {
-        let [daemons, health, alarms] = [&daemons, &of_machines, &events].map(|answers| {
-            let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
-            values.filter_map(Result::ok).collect::<Vec<_>>()
-        });
-        return Ok((result, output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))));
-    }
     let mut windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
     let monitors = operator::monitors(&daemons);
+    let mut states: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
+    for row in &health {
+        states.entry(&row.machine).or_default().push(row);
+    }
+    let is_of_site = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| machine.site == *site);
+    let is_selected = |machine: &MachineId| {
+        let is_in = |state| states.get(machine).is_some_and(|rows| state_of(rows) == state);
+        is_of_site(machine) && arguments.state.is_none_or(is_in)
+    };
     if let Some(site) = &arguments.site {
-        let problem = unknown_site(site, &monitors, &silent, &alarms);
-        health.retain(|health| health.machine.site == *site);
-        windows.retain(|window| window.machine.site == *site);
-        alarms.retain(|alarm| alarm.machine.site == *site);
-        if health.is_empty() && windows.is_empty() && alarms.is_empty() {
+        let mut known = states.keys().copied();
+        let mut others = windows.iter().map(|window| &window.machine).chain(alarms.iter().map(|alarm| &alarm.machine));
+        if !known.any(is_of_site) && !others.any(is_of_site) {
+            let problem = unknown_site(site, &monitors, &silent, &alarms);
             return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
         }
     }
-    let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
-    for row in &health {
-        machines.entry(&row.machine).or_default().push(row);
+    if arguments.json {
+        // The values as the daemons sent them, with fields that only a newer version knows.
+        let values = |answers: &bus::Answers| -> Vec<Value> {
+            let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice(payload));
+            values.filter_map(Result::ok).collect()
+        };
+        let selected = |answers: &bus::Answers| {
+            let is_any = arguments.site.is_none() && arguments.state.is_none();
+            let is_selected =
+                |value: &Value| MachineId::deserialize(value).map_or(is_any, |machine| is_selected(&machine));
+            values(answers).into_iter().filter(is_selected).collect::<Vec<_>>()
+        };
+        let [health, alarms] = [&of_machines, &events].map(selected);
+        return Ok((result, output::line(json!({"daemons": values(&daemons), "health": health, "alarms": alarms}))));
     }
-    if let Some(state) = arguments.state {
-        let is_in = |machine: &MachineId| machines.get(machine).is_some_and(|rows| state_of(rows) == state);
-        windows.retain(|window| is_in(&window.machine));
-        alarms.retain(|alarm| is_in(&alarm.machine));
-    }
+    windows.retain(|window| is_selected(&window.machine));
+    let alarms: Vec<Alarm> = alarms.into_iter().filter(|alarm| is_selected(&alarm.machine)).collect();
+    let machines: BTreeMap<_, _> = states.into_iter().filter(|(machine, _)| is_of_site(machine)).collect();
     let print = || {
         reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
         let caveats = print_machines(&machines, &windows, arguments)?;

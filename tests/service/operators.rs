@@ -45,6 +45,13 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let text = daemon.says(0, &["alarms", "--json"]);
     let open: Alarm = serde_json::from_str(text.lines().next().unwrap()).unwrap();
     assert_eq!(open.alarm_id, alarm.alarm_id);
+    let text = daemon.says(1, &["status", "--json", "--site", "north", "--state", "critical"]);
+    let status_of: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for of in ["health", "alarms"] {
+        let of_one = |values: &Vec<serde_json::Value>| values.iter().all(|value| value["machine"] == "machine-1");
+        assert!(status_of[of].as_array().is_some_and(|values| !values.is_empty() && of_one(values)), "{of}: {text}");
+    }
+    daemon.says(69, &["status", "--json", "--site", "south"]);
 
     daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "tester"]);
     let text = daemon.says(1, &["ack", "north/machine-1", "kt", "--by", "another"]);
