@@ -49,6 +49,39 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
     }
 }
 
+/// Rain and grease lower the current for days. A fall that passes within three days, or 60 throws, raises no alarm; a
+/// longer one does, and so does a rise of the same size at once.
+#[test]
+fn a_fall_of_the_load_waits_as_rain_may_cause_it() {
+    let settings = Settings::default();
+    for seed in 0..12 {
+        let mut rng = ChaCha8Rng::seed_from_u64(59_900 + seed);
+        let mut next = healthy_features(Scatter { sd: [0.008, 0.02, 0.02], phi: 0.5, tail: None }, &mut rng);
+        let mut monitor = MachineMonitor::new("21B");
+        let mut events = |throws: usize, current: f64| -> Vec<AlarmEvent> {
+            let throw = |_| {
+                let mut observation = next();
+                observation.temperature_c = Some(10.0);
+                let features = &mut observation.features;
+                for value in [&mut features.running_current_a, &mut features.charge_as] {
+                    *value = value.map(|value| current * value);
+                }
+                monitor.observe(&observation, &settings).events
+            };
+            (0..throws).flat_map(throw).collect()
+        };
+        assert_eq!(events(120, 1.0), []);
+        assert_eq!(events(50, 0.8), [], "seed {seed}: wet for two days and a half");
+        assert_eq!(events(60, 1.0), [], "seed {seed}: dry");
+        assert_eq!(events(58, 0.8), [], "seed {seed}: the first days of a lasting fall");
+        let later = events(60, 0.8);
+        assert_eq!(causes(&later), [Cause::Unattributed], "seed {seed}: {later:?}");
+        assert!(later[0].text.contains("rain and lubrication do this"), "{}", later[0].text);
+        events(120, 1.0);
+        assert!(!events(24, 1.25).is_empty(), "seed {seed}: a rise");
+    }
+}
+
 /// The running current is near the limit, and scatters around it.
 #[test]
 fn an_alarm_of_features_stays_as_long_as_they_are_changed() {

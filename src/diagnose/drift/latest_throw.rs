@@ -46,6 +46,8 @@ impl LatestThrow<'_> {
     /// Whether a change of `cause` is friction that grows along the stroke, as it stiffens both directions. Then a1 rises
     /// more in the direction in which the spring helps, and hardly in the other, although both have the friction.
     fn grows_along_stroke(self, cause: Cause) -> bool {
+        /// Least rise of ln(a0/b0) in each direction, and least number of its standard deviations: a smaller rise may be
+        /// scatter.
         const STIFFER: f64 = 0.1;
         const SHOWN_SD: f64 = 3.0;
         let of_spring = Vector3::new(-1.0, 0.0, 1.0);
