@@ -20,9 +20,7 @@
 //! stiffer. The force of this spring at the end of the stroke is a part p of the rise of the friction, with p from 0.05
 //! to 0.45 on rails of a beam and of three masses. The change of a0 is relative to the spring that the machine has, so
 //! the direction is (0, 1, p q), where q = a1 / (a0 T) is the friction over the force of the spring at the end of a
-//! stroke of duration T. On some rails the far end slides later the larger the rise. Then p grows in proportion to a
-//! large rise, up to 2 if the far end never slides and the whole rise grows from 0; the logarithm of a large change of
-//! a0 is less than proportional.
+//! stroke of duration T.
 //!
 //! More friction draws more current. In a series-wound motor this current saturates the iron, so the torque grows less
 //! than with its square, as the model has it. The start, which has the largest current, gives b0, so a1 and a0 of the
@@ -52,34 +50,31 @@ const SIZE_SCALE: f64 = 0.5;
 /// Penalty on the score for each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
 /// Leaks of a rise of friction, all equally likely: viscous friction, then dry friction with a stiff toe drive, with a
-/// soft toe drive, on a rail whose far end sticks, on a machine with little inertia, and on a rail whose far end slides
-/// later the larger the rise.
+/// soft toe drive, on a rail whose far end sticks, and on a machine with little inertia.
 const OF_FRICTION: &[Leak] = &[
-    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], along_stroke: AlongStroke::No },
-    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], along_stroke: AlongStroke::No },
-    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], along_stroke: AlongStroke::No },
-    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], along_stroke: AlongStroke::Part },
-    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], along_stroke: AlongStroke::No },
-    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], along_stroke: AlongStroke::GrowingPart },
+    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], of_spring: false },
+    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], of_spring: false },
+    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], of_spring: false },
+    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], of_spring: true },
+    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
 ];
-/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves. The part that grows with the rise is not
-/// among them: together with a weaker motor it looks like the last leak.
+/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves.
 const OF_FRICTION_WOUND_UP: &[Leak] = &[
     OF_FRICTION[0],
     OF_FRICTION[1],
     OF_FRICTION[2],
     OF_FRICTION[3],
     OF_FRICTION[4],
-    Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], along_stroke: AlongStroke::No },
+    Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], of_spring: false },
 ];
 /// [`OF_FRICTION`] on a machine with a series-wound motor, whose back-EMF is unknown: the plain leaks, and saturation.
 const OF_FRICTION_OF_SERIES: &[Leak] = &[
     OF_FRICTION[0],
     OF_FRICTION[1],
     OF_FRICTION[2],
-    Leak { parts: [0.0, 0.3, 0.3], sd: [0.0, 0.18, 0.18], along_stroke: AlongStroke::No },
+    Leak { parts: [0.0, 0.3, 0.3], sd: [0.0, 0.18, 0.18], of_spring: false },
 ];
-const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], along_stroke: AlongStroke::No };
+const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3], of_spring: false };
 /// Leaks of a change of the motor: with a viscous load, and with loads of which a part is dry, in steps so small that
 /// the back-EMF can choose between them.
 const OF_MOTOR: &[Leak] =
@@ -91,8 +86,8 @@ pub(crate) const PLAIN_LEAKS: Leaks =
 /// running machine.
 const OF_SERIES_MOTOR: &[Leak] = &[
     NO_LEAK,
-    Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], along_stroke: AlongStroke::No },
-    Leak { parts: [0.3, 0.0, 0.0], sd: [0.18, 0.0, 0.0], along_stroke: AlongStroke::No },
+    Leak { parts: [0.0, -0.3, -0.3], sd: [0.0, 0.18, 0.18], of_spring: false },
+    Leak { parts: [0.3, 0.0, 0.0], sd: [0.18, 0.0, 0.0], of_spring: false },
 ];
 /// The leaks on a machine with a series-wound motor.
 pub(super) const LEAKS_OF_SERIES: Leaks =
@@ -101,11 +96,6 @@ pub(super) const LEAKS_OF_SERIES: Leaks =
 /// the motor changed.
 pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
     Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
-/// Rise of friction, as part of its normal value, up to which the far end of a rail slides so early that the part of
-/// the rise that grows along the stroke is small; beyond it, this part is proportional to the rise.
-const SLIDES_EARLY: f64 = 0.5;
-/// Largest factor on this part: then the far end never slides, and the whole rise grows along the stroke.
-const MOST_GROWTH: f64 = 8.0;
 /// The setting `model_error` is an upper bound; it counts as this number of standard deviations.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction beside its leak, as part of the model error of other causes.
@@ -141,45 +131,20 @@ pub(crate) struct Leak {
     /// Standard deviations of `parts`, which vary together; chosen so that the leaks of a list cover their range
     /// evenly.
     sd: [f64; 3],
-    along_stroke: AlongStroke,
-}
-
-/// The part of a rise of friction that grows along the stroke, as if a spring became stiffer. This leak is proportional
-/// to the ratio of the friction to the force of the spring; its `parts` and `sd` are those at a ratio of 1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum AlongStroke {
-    No,
-    /// The same part of every rise.
-    Part,
-    /// A part that grows in proportion to a large rise.
-    GrowingPart,
+    /// Whether the leak is proportional to the ratio of the friction to the force of the spring; `parts` and `sd` are
+    /// those at a ratio of 1.
+    of_spring: bool,
 }
 
 impl Leak {
     /// The leak of a motor of whose load this part is dry.
     const fn of_dry_load(part: f64) -> Self {
-        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], along_stroke: AlongStroke::No }
+        Self { parts: [0.0, part, 0.0], sd: [0.0, 0.12, 0.0], of_spring: false }
     }
 
     /// The leak on a machine with this ratio of the friction to the force of the spring.
     fn beside_spring(self, friction_over_spring: f64) -> Self {
-        let factor = if self.along_stroke == AlongStroke::No { 1.0 } else { friction_over_spring };
-        self.times(factor)
-    }
-
-    /// The leak of a cause of this size, which is a rise. Only friction that grows along the stroke has another leak
-    /// for a larger rise: the part of it that grows, and the logarithm of the stiffness.
-    fn of_size(self, size: f64) -> Self {
-        let rise = size.exp_m1();
-        let [.., at_reference] = self.parts;
-        if self.along_stroke != AlongStroke::GrowingPart || rise <= 0.0 || at_reference <= 0.0 {
-            return self;
-        }
-        let grows = (rise / SLIDES_EARLY).clamp(1.0, MOST_GROWTH);
-        self.times((at_reference * grows * rise).ln_1p() / (size * at_reference))
-    }
-
-    fn times(self, factor: f64) -> Self {
+        let factor = if self.of_spring { friction_over_spring } else { 1.0 };
         Self { parts: self.parts.map(|part| factor * part), sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
@@ -400,11 +365,7 @@ pub(crate) fn fit_along(
 /// hardly leaks. A size of 0, the first guess, counts as a rise.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     let own = direction_of(part.cause).unwrap_or_else(Vector3::zeros);
-    if part.cause == Cause::Friction && part.size < 0.0 {
-        own
-    } else {
-        own + Vector3::from(leak.of_size(part.size).parts)
-    }
+    if part.cause == Cause::Friction && part.size < 0.0 { own } else { own + Vector3::from(leak.parts) }
 }
 
 /// Covariance of the model error of a cause of this size with this leak.
@@ -412,7 +373,7 @@ fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
     let (leaking, sd) =
         if part.cause == Cause::Friction { (part.size.max(0.0), FRICTION_ERROR * sd) } else { (part.size, sd) };
-    let together = Vector3::from(leak.of_size(part.size).sd) * leaking;
+    let together = Vector3::from(leak.sd) * leaking;
     let own = |i: usize| Cause::OF_COEFFICIENTS[i] == part.cause;
     let others = Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd });
     together * together.transpose() + Matrix3::from_diagonal(&others)
