@@ -118,6 +118,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
     for row in &health {
         states.entry(&row.machine).or_default().push(row);
     }
+    let is_filtered = arguments.state.is_some() || arguments.site.is_some();
     let is_of_site = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| machine.site == *site);
     let is_selected = |machine: &MachineId| {
         let is_in = |state| states.get(machine).is_some_and(|rows| state_of(rows) == state);
@@ -138,10 +139,9 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
             values.filter_map(Result::ok).collect()
         };
         let selected = |answers: &bus::Answers| {
-            let is_any = arguments.site.is_none() && arguments.state.is_none();
-            let is_selected =
-                |value: &Value| MachineId::deserialize(value).map_or(is_any, |machine| is_selected(&machine));
-            values(answers).into_iter().filter(is_selected).collect::<Vec<_>>()
+            let is_kept =
+                |value: &Value| MachineId::deserialize(value).map_or(!is_filtered, |machine| is_selected(&machine));
+            values(answers).into_iter().filter(is_kept).collect::<Vec<_>>()
         };
         let [health, alarms] = [&of_machines, &events].map(selected);
         return Ok((result, output::line(json!({"daemons": values(&daemons), "health": health, "alarms": alarms}))));
@@ -153,8 +153,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
         let caveats = print_machines(&machines, &windows, arguments)?;
         twice.iter().try_for_each(output::line)?;
-        let is_selected = arguments.state.is_some() || arguments.site.is_some();
-        let none = if is_selected { "no alarms of these machines" } else { "no alarms" };
+        let none = if is_filtered { "no alarms of these machines" } else { "no alarms" };
         alarms::print_open(&alarms, &monitors, &health, &windows, false, none)?;
         caveats.iter().try_for_each(output::line)
     };
