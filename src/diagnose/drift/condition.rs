@@ -126,12 +126,15 @@ pub(crate) struct Ending {
     pub(crate) below: u32,
     pub(crate) other: u32,
     pub(super) turned: u32,
-    /// Largest recent size relative to the warning limit.
+    /// Largest size relative to the warning limit that two throws in a row have reached: an outlier remains among the
+    /// last few throws of its own direction only.
     pub(crate) level: f64,
+    /// Size at the last throw relative to the warning limit.
+    last: f64,
     /// Throws since the size was near `level`. Snapshots of version 1 have another name for this field.
     #[serde(alias = "below_level")]
     pub(super) since_level: u32,
-    /// Throws in which the size fell from `level` to less than half of it.
+    /// Throws in which the size fell from `level` to less than half of it; `None` while it is above.
     pub(super) fell_within: Option<u32>,
     /// Whether a new baseline was proposed.
     pub(super) proposed: bool,
@@ -224,10 +227,13 @@ impl Ending {
     fn update_level(&mut self, latest: Option<f64>) {
         self.since_level = self.since_level.saturating_add(1);
         let Some(latest) = latest else { return };
+        self.level = self.level.max(latest.min(self.last));
+        self.last = latest;
         if latest >= NEAR_LEVEL * self.level {
-            self.level = self.level.max(latest);
             (self.since_level, self.fell_within) = (0, None);
-        } else if latest < LEFT_LEVEL * self.level && self.fell_within.is_none() {
+        } else if latest >= LEFT_LEVEL * self.level {
+            self.fell_within = None;
+        } else if self.fell_within.is_none() {
             self.fell_within = Some(self.since_level);
         }
     }
@@ -265,6 +271,22 @@ mod tests {
         let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
         let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
         (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
+    }
+
+    /// After two throws at twice the size, which are scatter, and one below half of theirs.
+    #[test]
+    fn a_size_that_returns_above_half_of_its_level_is_no_repair() {
+        let settings = Settings::default();
+        let proposed = |sizes: &[f64]| {
+            let mut condition =
+                Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
+            let readings = sizes.iter().map(|size| Reading { latest: Some(*size), ..Reading::default() });
+            let mut transitions = readings.map(|reading| condition.step(reading, Some(Severity::Warning), &settings));
+            transitions.any(|transition| transition == Transition::ProposeRebaseline)
+        };
+        let after = |fallen: f64, rest: f64| [[4.0, 4.0, fallen].as_slice(), &[rest; 60]].concat();
+        assert!(proposed(&after(1.9, 1.9)));
+        assert!(!proposed(&after(1.9, 2.1)));
     }
 
     #[test]
