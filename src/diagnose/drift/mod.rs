@@ -1,15 +1,17 @@
 //! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
 mod alarms;
-mod cause;
+mod attribution;
 mod condition;
 mod course;
+mod evidence;
 mod explain;
 mod history;
 mod instruments;
 mod intermittent;
 mod latest_throw;
 mod origin;
+mod ranking;
 mod threshold;
 mod weather;
 mod window;
@@ -17,10 +19,11 @@ mod window;
 use nalgebra::{Matrix3, Vector3};
 
 pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
-pub(super) use cause::{Attribution, CLOSE, DECISIVE, Known, MotorEvidence, Naming, Rival};
+pub(super) use attribution::{Attribution, CLOSE, DECISIVE, Naming, Rival};
 pub(super) use condition::{Beginning, Condition, Ending};
 pub use course::LimitForecast;
 pub(super) use course::{Course, Point};
+pub(super) use evidence::{Known, MotorEvidence};
 pub(super) use explain::Explanation;
 pub(super) use history::History;
 pub(super) use instruments::Instruments;
@@ -31,12 +34,14 @@ pub(super) use threshold::Thresholds;
 pub(super) use window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept};
 
 use self::{
-    cause::{Case, best_single, explained, may_show_weaker_motor},
+    attribution::Case,
     condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
+    evidence::may_show_weaker_motor,
     explain::{
         Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside,
         friction_of_sound_motor, single,
     },
+    ranking::{Explanations, best_single, explained},
 };
 use super::{
     Blindness, Cause, Settings,

@@ -7,18 +7,16 @@
 //! The paper's cross-correlation rule changes the margin between inertia and the other causes. It does not if the
 //! scatter of the throws would hide a change of inertia of this size from the rule.
 
-use std::ops::Range;
-
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Explanation, Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, direction_of, fit, fit_beside,
+    Explanation, Explanations, Fit, Known, MotorEvidence, Window, direction_of,
+    evidence::{CHANGED, CHANGED_SD},
     single,
 };
 use crate::diagnose::{
     Cause, RunnerUp, Settings,
-    baseline::{Baseline, usual_friction_over_spring},
-    gauges::{AtStart, BackEmf, Gauges},
+    gauges::BackEmf,
     statistics::{Correlation, Level},
 };
 
@@ -29,35 +27,8 @@ pub(crate) const DECISIVE: f64 = 13.8;
 /// Factor of the cross-correlation rule on the margin: divides it if the rule agrees with the named cause, multiplies
 /// it if the rule speaks against it.
 const RULE_WEIGHT: f64 = 1.5;
-/// Bonus on the score of an explanation whose causes all have an alarm, for each cause, and of every pair while there
-/// is an unattributed alarm, so that the name does not alternate from throw to throw.
-const ALARM_BONUS: f64 = 4.0;
 /// Lead of a pair without the alarmed cause over the best pair with it, from which the alarm is doubted.
 const DOUBTING_LEAD: f64 = 20.0;
-/// Change of b0 since [`Known::level`] from which it is a new fault of the motor, as part of the motor's warning limit.
-const NEW_MOTOR_FAULT: f64 = 0.5;
-/// Least change of the back-EMF that decides about the motor beside a known or new fault of it, as part of the change
-/// of the motor.
-const CHANGED: f64 = 0.5;
-/// Least significant change of the back-EMF, in its standard deviations.
-const CHANGED_SD: f64 = 3.0;
-/// Upper bound of the misfit of the back-EMF, so that a change of the supply does not decide alone.
-const MOST_BACK_EMF_MISFIT: f64 = 40.0;
-/// Range of the part of a change of the motor that shows in the acceleration per ampere at the start.
-const MOTOR_AT_START: Range<f64> = 0.4..1.1;
-/// Range of this part on a machine with a late brake. The acceleration is measured when the brake has been released;
-/// a faster motor then starts with less current.
-const MOTOR_AFTER_BRAKE: Range<f64> = -0.7..1.1;
-/// Largest part of a rise of friction that lowers the acceleration at the start: dry friction behind the play of a soft
-/// drive.
-const FRICTION_AT_START: f64 = 0.4;
-/// Upper bound of the misfit of the acceleration at the start, so that a brake or play that changes at the same time
-/// does not decide alone.
-const MOST_START_MISFIT: f64 = 20.0;
-/// Penalty of the explanation that a motor lost torque and kept its back-EMF: odds of 1 to 5 against weak magnets.
-const TORQUE_ALONE: f64 = 3.0;
-/// Standard deviation of a loss of torque, as a logarithm: commutation loses a part of the torque, not most of it.
-const TORQUE_ALONE_SD: f64 = 0.3;
 /// Change of ln b0 below which a rise of friction may hide a loss of torque, and change of the back-EMF below which the
 /// magnets are weak: the default warning limit of the motor.
 const LOST_TORQUE: f64 = -0.05;
@@ -68,53 +39,6 @@ const RISEN_STIFFNESS: f64 = 0.1;
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
 const SHOWN_SD: f64 = 2.0;
-
-/// The drifts of a machine that have an alarm, with its gauges and baselines.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Known<'a> {
-    /// The causes with an active alarm.
-    pub(crate) causes: Vec<Cause>,
-    /// Mean change of (ln b0, ln a1, ln a0) over the throws since these alarms were raised, without the last throws;
-    /// `None` with too few throws.
-    pub(crate) level: Option<Vector3<f64>>,
-    /// The gauges, which distinguish dry friction from a weak motor.
-    pub(crate) gauges: Option<&'a Gauges>,
-    /// The baselines of both directions.
-    pub(crate) baselines: [Option<&'a Baseline>; 2],
-    /// Whether the motor is series-wound, so that its iron may saturate.
-    pub(crate) is_series: bool,
-}
-
-impl Known<'_> {
-    /// Whether the change `back_emf` decides whether the motor has a part in the drift of `window`. A fault of the
-    /// motor may change the torque without the back-EMF, so beside a known or a new fault of the motor a small change
-    /// decides nothing. A new fault is a change since the level that is mostly a change of b0.
-    fn is_decided_by(&self, back_emf: &BackEmf, window: &Window, settings: &Settings) -> bool {
-        let is_new = self.level.is_some_and(|level| {
-            let since = window.mean - level;
-            // A window of ratios has another scale than the level. A change of the motor changes both ratios alike.
-            let scale = if window.shows(Cause::Inertia) { 0.0 } else { f64::midpoint(since.y, since.z) };
-            let since = since.add_scalar(-scale);
-            settings.relevance(Cause::Kt, since.x) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
-        });
-        let is_new = is_new && may_show_weaker_motor(window, Some(back_emf));
-        let is_known = self.causes.contains(&Cause::Kt);
-        if !is_new && !is_known {
-            return true;
-        }
-        let motor = |mean: &Vector3<f64>| single(Cause::Kt, mean, &window.covariance, settings).size.abs();
-        // Beside a known fault of the motor, another fault looks like a larger one of the motor.
-        let before = self.level.filter(|_| is_known).map(|level| motor(&level));
-        let others = self.causes.iter().filter(|cause| Cause::PHYSICAL.contains(cause) && **cause != Cause::Kt);
-        let beside = others.map(|other| {
-            let fit = fit(PLAIN_LEAKS, [Cause::Kt, *other], &window.mean, &window.covariance, settings);
-            fit.size_of(Cause::Kt).abs()
-        });
-        let motor = beside.chain(before).fold(motor(&window.mean), f64::min);
-        let change = back_emf.level.value.abs();
-        change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd
-    }
-}
 
 /// The causes of a drift.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -160,37 +84,6 @@ pub(crate) enum Rival {
     Together(Cause, Cause),
 }
 
-/// Evidence about the motor beside the coefficients.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct MotorEvidence {
-    /// The change of the back-EMF, if it decides whether the motor has changed.
-    back_emf: Option<BackEmf>,
-    /// The leaks that are possible with this motor and evidence.
-    leaks: Leaks,
-}
-
-impl MotorEvidence {
-    /// Without evidence.
-    pub(crate) const NONE: Self = Self { back_emf: None, leaks: PLAIN_LEAKS };
-
-    fn new(back_emf: Option<BackEmf>, known: &Known) -> Self {
-        let leaks = match back_emf {
-            Some(back_emf) => {
-                let leaks = LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines));
-                if back_emf.is_wound_up { leaks.of_wound_up_drive() } else { leaks }
-            }
-            None if known.is_series => LEAKS_OF_SERIES,
-            None => PLAIN_LEAKS,
-        };
-        Self { back_emf, leaks }
-    }
-
-    /// Whether saturated iron may hide in the drift: the motor is series-wound, and its back-EMF is unknown.
-    fn may_saturate(&self) -> bool {
-        self.leaks == LEAKS_OF_SERIES
-    }
-}
-
 /// A drift with its cause, and the figures for and against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Attribution {
@@ -224,14 +117,6 @@ pub(crate) struct Case<'a> {
     pub(crate) of_one_throw: &'a Matrix3<f64>,
     pub(crate) known: &'a Known<'a>,
     pub(crate) settings: &'a Settings,
-}
-
-/// The explanations of a drift, of each kind the best first.
-struct Explanations {
-    singles: [Fit<1>; 4],
-    pairs: [Fit<2>; 6],
-    /// By motor, friction and stiffness together, which explain any drift.
-    any: Fit<3>,
 }
 
 impl Attribution {
@@ -292,7 +177,7 @@ impl Attribution {
         };
         let best_without = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(best_without)?;
-        let of_far_end = self.is_decided() && is_sufficient_alone(pair) && grows_along_stroke(best, pair);
+        let of_far_end = self.is_decided() && is_sufficient_alone(pair) && may_grow_along_stroke(best, pair);
         // Any pair explains two ratios exactly, so beside saturation it must be better than a single cause.
         let lead = if self.of_ratios && self.evidence.may_saturate() { 0.0 } else { CLOSE };
         if pair.score >= best.score + lead || of_far_end {
@@ -481,64 +366,6 @@ impl Attribution {
     }
 }
 
-impl Explanations {
-    fn of(window: &Window, open: &[Cause], evidence: MotorEvidence, settings: &Settings) -> Self {
-        let [a, b, c, d] = Cause::PHYSICAL;
-        let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
-        Self {
-            singles: ranked(Cause::PHYSICAL.map(|cause| [cause]), window, open, evidence, settings),
-            pairs: ranked(pairs, window, open, evidence, settings),
-            any: explained([a, b, c], window, evidence, settings),
-        }
-    }
-
-    /// The best single cause. If the best pair includes it and has a better score, its size is that in the pair.
-    fn freed_best(&self) -> Explanation {
-        let alone = self.singles[0].parts[0];
-        let [pair, ..] = &self.pairs;
-        let with_second = pair.parts.into_iter().find(|part| part.cause == alone.cause);
-        with_second.filter(|_| pair.score < self.singles[0].score).unwrap_or(alone)
-    }
-}
-
-/// Explains the drift of `window` by `causes`. A change of the motor must also explain that of the back-EMF; if only a
-/// shorter duration shows the back-EMF, less friction can explain it as well. A motor may also lose torque alone, for
-/// example by its commutation, and keep its back-EMF and speed. Together with a rise of friction this is not tried, as
-/// dry friction looks the same; nor on a drive that dry friction winds up.
-pub(crate) fn explained<const K: usize>(
-    causes: [Cause; K],
-    window: &Window,
-    evidence: MotorEvidence,
-    settings: &Settings,
-) -> Fit<K> {
-    let Window { mean, covariance, .. } = window;
-    let MotorEvidence { back_emf, leaks } = evidence;
-    let Some(back_emf) = back_emf else { return fit(leaks, causes, mean, covariance, settings) };
-    let BackEmf { level, of_duration, at_start, is_wound_up } = back_emf;
-    let misfit = |motor: f64| level.misfit(motor, MOST_BACK_EMF_MISFIT);
-    // In complete coefficients, b0 contains the acceleration at the start already: it must not count twice.
-    let at_start = at_start.filter(|_| !window.shows(Cause::Inertia));
-    let of_start = |fit: &Fit<K>| at_start.map_or(0.0, |at_start| misfit_of_start(at_start, is_wound_up, fit));
-    // Dry friction leaks into the coefficients. The size of a change of the motor depends on the assumed leaks. The
-    // back-EMF shows this size too, so its misfit counts in the odds of the leaks.
-    let beside = |fit: &Fit<K>| {
-        let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
-        of_start(fit) + if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
-    };
-    let found = fit_beside(leaks, causes, mean, covariance, beside, settings);
-    let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
-    let may_lose_torque = !is_shorter_by_friction && !is_wound_up;
-    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && may_lose_torque {
-        let mut alone = fit(leaks.at_equal_speed(), causes, mean, covariance, settings);
-        alone.score +=
-            of_start(&alone) + misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
-        if alone.score < found.score {
-            return alone;
-        }
-    }
-    found
-}
-
 /// The parts of a pair, the larger one first, relative to the warning limits.
 fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
     let [a, b] = pair.parts;
@@ -548,56 +375,8 @@ fn larger_first(pair: &Fit<2>, settings: &Settings) -> [Explanation; 2] {
 /// Whether `best` is a rise of friction, and `pair` is friction and a stiffer spring. Friction that grows along the
 /// stroke, as on a rail that bends, looks like a stiffer spring. Dry slide chairs are more common than two faults at
 /// once.
-fn grows_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
+fn may_grow_along_stroke(best: &Fit<1>, pair: &Fit<2>) -> bool {
     best.size_of(Cause::Friction) > 0.0 && pair.includes(Cause::Friction) && pair.size_of(Cause::Stiffness) > 0.0
-}
-
-/// Whether a drift that looks like a weaker motor may be one. Complete coefficients show a loss of torque in b0; of
-/// ratios, the gauges may exclude a weaker motor.
-pub(super) fn may_show_weaker_motor(window: &Window, back_emf: Option<&BackEmf>) -> bool {
-    window.shows(Cause::Inertia) || !back_emf.is_some_and(BackEmf::excludes_weaker_motor)
-}
-
-/// Misfit of the acceleration per ampere at the start. A weaker motor lowers this acceleration by about its own change,
-/// friction by much less, unless it winds up the drive.
-fn misfit_of_start<const K: usize>(AtStart { level, is_prompt }: AtStart, is_wound_up: bool, fit: &Fit<K>) -> f64 {
-    let (motor, friction) = (fit.size_of(Cause::Kt), fit.size_of(Cause::Friction));
-    let shown = if is_prompt { MOTOR_AT_START } else { MOTOR_AFTER_BRAKE };
-    let [a, b] = [shown.start * motor, shown.end * motor];
-    let of_friction = -(if is_wound_up { 1.0 } else { FRICTION_AT_START }) * friction;
-    let (least, most) = (a.min(b) + of_friction.min(0.0), a.max(b) + of_friction.max(0.0));
-    level.misfit(level.value.clamp(least, most), MOST_START_MISFIT)
-}
-
-/// The explanations with their bonus for the causes `open`, which have an alarm; the best first. An explanation by a
-/// cause that the window does not show is the last.
-fn ranked<const N: usize, const K: usize>(
-    explanations: [[Cause; K]; N],
-    window: &Window,
-    open: &[Cause],
-    evidence: MotorEvidence,
-    settings: &Settings,
-) -> [Fit<K>; N] {
-    let mut fits = explanations.map(|causes| {
-        let mut fit = explained(causes, window, evidence, settings);
-        if causes.iter().all(|cause| open.contains(cause)) {
-            fit.score -= K as f64 * ALARM_BONUS;
-        } else if K == 2 && open.contains(&Cause::Unattributed) {
-            fit.score -= ALARM_BONUS;
-        }
-        if !causes.iter().all(|cause| window.shows(*cause)) {
-            fit.score = f64::INFINITY;
-        }
-        fit
-    });
-    fits.sort_by(|a, b| a.score.total_cmp(&b.score));
-    fits
-}
-
-/// The single cause that explains the drift of `window` best, without gauges.
-pub(super) fn best_single(window: &Window, settings: &Settings) -> Explanation {
-    let [best, ..] = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, &[], MotorEvidence::NONE, settings);
-    best.parts[0]
 }
 
 /// Verdict of the cross-correlation rule on inertia; `None` if the scatter of the throws would hide a change of inertia
