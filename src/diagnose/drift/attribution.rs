@@ -35,6 +35,9 @@ const LOST_TORQUE: f64 = -0.05;
 /// Change of ln(a0/b0) from which a rise of friction may hide a stiffer spring: about the default warning limit of the
 /// stiffness.
 const RISEN_STIFFNESS: f64 = 0.1;
+/// Rise of friction, as a logarithm, from which a stiffer spring beside it is friction at the far end of the rails: it
+/// bends the rails until that end slides.
+const VERY_DRY: f64 = 0.5;
 /// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -146,6 +149,9 @@ impl Attribution {
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
             return attribution.beside_something(&all, known, settings);
         }
+        if let Some(dry) = attribution.very_dry(&all, settings) {
+            return dry.since_known(&all, case).unwrap_or(dry);
+        }
         if let Some(both) = attribution.both(&all, settings) {
             return both.beside_known(&all, case);
         }
@@ -160,6 +166,22 @@ impl Attribution {
         let lead = pairs_without.map(|pair| pair.score - best.score).fold(margin, f64::min);
         let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
+    }
+
+    /// The attribution to friction, if friction and stiffness together explain the drift best, without the motor, and
+    /// the friction has risen so much that it grows along the stroke.
+    fn very_dry(self, all: &Explanations, settings: &Settings) -> Option<Self> {
+        let [pair, ..] = &all.pairs;
+        let is_dry = pair.size_of(Cause::Friction) > VERY_DRY && pair.size_of(Cause::Stiffness) > 0.0;
+        let friction = *pair.parts.iter().find(|part| part.cause == Cause::Friction).filter(|_| is_dry)?;
+        let without = |cause: Cause| cause != Cause::Friction;
+        let singles = all.singles.iter().filter(|single| without(single.parts[0].cause));
+        let pairs = all.pairs.iter().filter(|pair| pair.parts.iter().all(|part| without(part.cause)));
+        let lead = singles.map(|fit| fit.score).chain(pairs.map(|fit| fit.score)).fold(f64::INFINITY, f64::min);
+        let lead = lead - pair.score;
+        let relevance = friction.relevance(settings);
+        let is_named = self.is_decided() && lead >= CLOSE;
+        is_named.then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
     }
 
     /// The attribution to two causes together, if no single cause is clearly better.
