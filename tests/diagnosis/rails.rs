@@ -196,6 +196,13 @@ fn dry_slide_chairs_of_a_rail_that_bends_are_friction() {
     }
 }
 
+/// Friction that bends the rails over a quarter of the stroke looks like a stiffer spring beside it.
+#[test]
+fn very_dry_slide_chairs_are_friction_without_a_stiffer_spring() {
+    let named = lives_with(|make| Make { bends_mm: 25.0, ..make }, &[State { friction: 3.0, ..SOUND }; 48]);
+    assert!(named.iter().all(|named| *named == [Cause::Friction]), "{named:?}");
+}
+
 /// Dry chairs wind up a soft toe drive. The toe then starts late, and the start takes part of the torque, as if the
 /// motor had lost it.
 #[test]
