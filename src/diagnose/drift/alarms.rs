@@ -299,7 +299,7 @@ impl DriftAlarms {
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
                 let together = pair.map(|pair| explained(pair, window, evidence, settings));
-                let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
+                let part = together.and_then(|fit| fit.part(cause));
                 part.unwrap_or_else(|| explained([cause], window, evidence, settings).parts[0])
             };
             // The size of a single cause that does not explain the drift means nothing, so a drift without a name is

@@ -162,8 +162,7 @@ impl Attribution {
             let relevance = main.relevance(settings).max(second.relevance(settings));
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
-        let pairs_without = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
-        let lead = pairs_without.map(|pair| pair.score - best.score).fold(margin, f64::min);
+        let lead = all.score_without(main.cause) - best.score;
         let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
     }
@@ -173,15 +172,10 @@ impl Attribution {
     fn very_dry(self, all: &Explanations, settings: &Settings) -> Option<Self> {
         let [pair, ..] = &all.pairs;
         let is_dry = pair.size_of(Cause::Friction) > VERY_DRY && pair.size_of(Cause::Stiffness) > 0.0;
-        let friction = *pair.parts.iter().find(|part| part.cause == Cause::Friction).filter(|_| is_dry)?;
-        let without = |cause: Cause| cause != Cause::Friction;
-        let singles = all.singles.iter().filter(|single| without(single.parts[0].cause));
-        let pairs = all.pairs.iter().filter(|pair| pair.parts.iter().all(|part| without(part.cause)));
-        let lead = singles.map(|fit| fit.score).chain(pairs.map(|fit| fit.score)).fold(f64::INFINITY, f64::min);
-        let lead = lead - pair.score;
+        let friction = pair.part(Cause::Friction).filter(|_| is_dry && self.is_decided())?;
+        let lead = all.score_without(Cause::Friction) - pair.score;
         let relevance = friction.relevance(settings);
-        let is_named = self.is_decided() && lead >= CLOSE;
-        is_named.then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
+        (lead >= CLOSE).then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
     }
 
     /// The attribution to two causes together, if no single cause is clearly better.

@@ -221,12 +221,17 @@ impl Explanation {
 impl<const K: usize> Fit<K> {
     /// Whether `cause` is one of the causes.
     pub(super) fn includes(&self, cause: Cause) -> bool {
-        self.parts.iter().any(|part| part.cause == cause)
+        self.part(cause).is_some()
+    }
+
+    /// The part of `cause`.
+    pub(super) fn part(&self, cause: Cause) -> Option<Explanation> {
+        self.parts.into_iter().find(|part| part.cause == cause)
     }
 
     /// Size of `cause`; 0 if it is no part.
     pub(crate) fn size_of(&self, cause: Cause) -> f64 {
-        self.parts.iter().find(|part| part.cause == cause).map_or(0.0, |part| part.size)
+        self.part(cause).map_or(0.0, |part| part.size)
     }
 
     /// The largest size relative to its limit.

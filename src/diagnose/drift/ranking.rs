@@ -52,8 +52,14 @@ impl Explanations {
     pub(super) fn freed_best(&self) -> Explanation {
         let alone = self.singles[0].parts[0];
         let [pair, ..] = &self.pairs;
-        let with_second = pair.parts.into_iter().find(|part| part.cause == alone.cause);
-        with_second.filter(|_| pair.score < self.singles[0].score).unwrap_or(alone)
+        pair.part(alone.cause).filter(|_| pair.score < self.singles[0].score).unwrap_or(alone)
+    }
+
+    /// The best score of one or two causes without `cause`.
+    pub(super) fn score_without(&self, cause: Cause) -> f64 {
+        let singles = self.singles.iter().filter(|fit| !fit.includes(cause)).map(|fit| fit.score);
+        let pairs = self.pairs.iter().filter(|fit| !fit.includes(cause)).map(|fit| fit.score);
+        singles.chain(pairs).fold(f64::INFINITY, f64::min)
     }
 }
 
