@@ -146,6 +146,16 @@ fn a_lost_torque_and_friction_one_after_the_other_keep_their_names() {
     forty_lives([TORQUE, FRICTION], |gap, ramp| gap > 0 && ramp == 0);
 }
 
+/// Dry friction at the far end of the rails looks like a stiffer spring, but it has risen already.
+#[test]
+fn a_stiffness_that_rises_after_or_before_the_friction_keeps_its_alarm() {
+    for (pair, gap) in [([FRICTION, STIFFNESS], 30), ([STIFFNESS, FRICTION], 200)] {
+        let found = judge(5_006..5_007, pair, gap, 0);
+        let Judgement { first, second, lost, dropped, wrong, .. } = found;
+        assert_eq!([first, second, lost, dropped, wrong], [1, 1, 0, 0, 0], "{found:?}");
+    }
+}
+
 #[test]
 fn two_faults_keep_their_names() {
     // After 200 throws, which are ten days, the season may explain the risen friction, but not the change of the motor.

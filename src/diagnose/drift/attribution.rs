@@ -149,10 +149,10 @@ impl Attribution {
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
             return attribution.beside_something(&all, known, settings);
         }
-        if let Some(dry) = attribution.very_dry(&all, settings) {
+        if let Some(dry) = attribution.very_dry(&all, known, settings) {
             return dry.since_known(&all, case).unwrap_or(dry);
         }
-        if let Some(both) = attribution.both(&all, settings) {
+        if let Some(both) = attribution.both(&all, known, settings) {
             return both.beside_known(&all, case);
         }
         let margin = next.score - best.score;
@@ -169,17 +169,17 @@ impl Attribution {
 
     /// The attribution to friction, if friction and stiffness together explain the drift best, without the motor, and
     /// the friction has risen so much that it grows along the stroke.
-    fn very_dry(self, all: &Explanations, settings: &Settings) -> Option<Self> {
+    fn very_dry(self, all: &Explanations, known: &Known, settings: &Settings) -> Option<Self> {
         let [pair, ..] = &all.pairs;
         let is_dry = pair.size_of(Cause::Friction) > VERY_DRY && pair.size_of(Cause::Stiffness) > 0.0;
-        let friction = pair.part(Cause::Friction).filter(|_| is_dry && self.is_decided())?;
+        let friction = pair.part(Cause::Friction).filter(|_| is_dry && self.may_be_far_end(known))?;
         let lead = all.score_without(Cause::Friction) - pair.score;
         let relevance = friction.relevance(settings);
         (lead >= CLOSE).then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
     }
 
     /// The attribution to two causes together, if no single cause is clearly better.
-    fn both(self, all: &Explanations, settings: &Settings) -> Option<Self> {
+    fn both(self, all: &Explanations, known: &Known, settings: &Settings) -> Option<Self> {
         let [best, ..] = &all.singles;
         let cause = best.parts[0].cause;
         let plausible = all.pairs.iter().filter(|pair| pair.score < all.pairs[0].score + CLOSE);
@@ -193,7 +193,7 @@ impl Attribution {
         };
         let best_without = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(best_without)?;
-        let of_far_end = self.is_decided() && is_sufficient_alone(pair) && may_grow_along_stroke(best, pair);
+        let of_far_end = self.may_be_far_end(known) && is_sufficient_alone(pair) && may_grow_along_stroke(best, pair);
         // Any pair explains two ratios exactly, so beside saturation it must be better than a single cause.
         let lead = if self.of_ratios && self.evidence.may_saturate() { 0.0 } else { CLOSE };
         if pair.score >= best.score + lead || of_far_end {
@@ -323,6 +323,12 @@ impl Attribution {
             return None;
         };
         [(a, b), (b, a)].into_iter().find(|(one, _)| one.cause == cause).map(|(_, other)| other.cause)
+    }
+
+    /// Whether a stiffer spring beside friction may be friction at the far end of the rails: the back-EMF decides about
+    /// the motor, and no stiffness has an alarm. One that has an alarm rose at another time than the friction.
+    fn may_be_far_end(&self, known: &Known) -> bool {
+        self.is_decided() && !known.causes.contains(&Cause::Stiffness)
     }
 
     /// Whether the back-EMF decides whether the motor has changed.
