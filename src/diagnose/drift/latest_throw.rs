@@ -99,7 +99,9 @@ impl LatestThrow<'_> {
     ///
     /// At the start of the throw, b0 comes from the torque less the dry friction. If the torque changes by the factor
     /// r, b0 changes by (r - q)/(1 - q), where q is the dry friction as part of the torque at the inrush current. The
-    /// ratios of the coefficients do not depend on the start.
+    /// ratio b0/a0 of the movement changes by the same factor, as the spring slows the motor along the stroke: a
+    /// constant friction is fitted by viscous friction, which falls with the speed, and by stiffness for the rest. If
+    /// the motor loses torque but no back-EMF, it becomes slower, and the dry part of a1 rises as above.
     fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
         match part.cause {
             Cause::Friction => {
@@ -107,14 +109,25 @@ impl LatestThrow<'_> {
                 let size_sd = part.size_sd.hypot(DRY.1 * value).hypot(DRY.0 * sd);
                 Explanation { size: part.size - DRY.0 * value, size_sd, ..part }
             }
-            Cause::Kt if self.drift.strongest.is_some_and(|window| window.shows(Cause::Inertia)) => {
-                let load = self.gauges.running_of_inrush();
-                let change = part.size.exp_m1();
-                let whole = (1.0 + (1.0 - DRY_LOAD.0 * load) * change).max(LEAST_LEFT);
-                let size_sd = part.size_sd.hypot(DRY_LOAD.1 * load * change / whole);
-                Explanation { size: whole.ln(), size_sd, ..part }
-            }
+            Cause::Kt => self.motor_without_dry_friction(part, direction),
             _ => part,
         }
+    }
+
+    /// [`Self::without_dry_friction`] of a change of the motor.
+    fn motor_without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
+        let load = self.gauges.running_of_inrush();
+        let change = part.size.exp_m1();
+        let whole = (1.0 + (1.0 - DRY_LOAD.0 * load) * change).max(LEAST_LEFT);
+        // The factor changes b0 and a1 alike, and so only the ratios to a0.
+        let of_torque = (part.weights.x + part.weights.y).clamp(0.0, 1.0);
+        let size = part.size + of_torque * (whole.ln() - part.size);
+        let size_sd = part.size_sd.hypot(of_torque * DRY_LOAD.1 * load * change / whole);
+        let keeps_back_emf = self.drift.attribution.is_some_and(|of| of.sound_magnets().is_some());
+        let longer = self.gauges.longer(direction).filter(|_| keeps_back_emf);
+        let Some(Level { value, sd }) = longer else { return Explanation { size, size_sd, ..part } };
+        let of_a1 = part.weights.y;
+        let size_sd = size_sd.hypot(of_a1 * DRY.1 * value).hypot(of_a1 * DRY.0 * sd);
+        Explanation { size: size - of_a1 * DRY.0 * value, size_sd, ..part }
     }
 }
