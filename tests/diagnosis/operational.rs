@@ -7,7 +7,7 @@ use pointsd::{
         AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Missing, Observation,
         Parameters, SensorChannel, Settings, Severity,
     },
-    estimate,
+    estimate::{self, Features},
     throw::{Direction, ThrowRef, utc},
 };
 
@@ -61,6 +61,49 @@ fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
     );
     let well = feed(&mut machine, 20, |_| {});
     assert_eq!(summary(&well), [(Cause::IncompleteThrow, Severity::Critical, ClearedUnacknowledged)]);
+}
+
+/// With an off delay of one throw, each complete throw of the other direction ends the alarm.
+#[test]
+fn each_incomplete_throw_of_one_direction_has_an_alarm_if_complete_ones_end_it() {
+    let settings = Settings { off_delay_throws: 1, ..Settings::default() };
+    let mut machine = Machine::learned_with(21, Scatter::USUAL, settings);
+    let failing = Direction::BOTH[machine.side()];
+    let events = feed(&mut machine, 8, |o| {
+        if o.direction == Some(failing) {
+            (o.incomplete, o.estimate) = (true, None);
+        }
+    });
+    let raised = events.iter().filter(|event| event.cause == Cause::IncompleteThrow && event.state.is_active());
+    let severities: Vec<_> = raised.map(|event| event.severity).collect();
+    assert_eq!(severities, [Severity::Warning, Severity::Critical, Severity::Critical, Severity::Critical]);
+}
+
+#[test]
+fn traces_that_show_nothing_do_not_complete_a_throw() {
+    let mut machine = machine();
+    let failed = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None));
+    assert_eq!(summary(&failed), [raised(Cause::IncompleteThrow)]);
+    let unread = feed(&mut machine, 20, |o| (o.features, o.estimate) = (Features::default(), None));
+    assert!(unread.iter().all(|event| event.cause != Cause::IncompleteThrow), "{unread:?}");
+    let failed = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None));
+    assert!(
+        summary(&failed).contains(&(Cause::IncompleteThrow, Severity::Critical, AlarmState::ActiveUnacknowledged)),
+        "{failed:?}"
+    );
+    let well = feed(&mut machine, 20, |_| {});
+    assert!(well.iter().any(|event| event.cause == Cause::IncompleteThrow && !event.state.is_active()), "{well:?}");
+}
+
+/// A logger may fail in another way while the alarm about its gap is open.
+#[test]
+fn another_irregularity_during_an_alarm_about_lost_data_is_an_event() {
+    let (mut machine, settings) = (machine(), Settings::default());
+    let last = machine.throw(Vector3::zeros()).started_at;
+    let [gap, soon, later] = [1, 5, 20].map(|minutes| last + SignedDuration::from_mins(minutes));
+    assert_eq!(summary(&machine.monitor.gap(missing(3), gap, &settings)), [raised(Cause::DataLoss)]);
+    let mut repeats = |at| machine.monitor.irregular(Irregularity::RepeatedTrace, None, at, &settings).is_some();
+    assert_eq!([repeats(soon), repeats(later), repeats(later)], [false, true, false]);
 }
 
 /// With a weak gain of the position sensor complete throws seem shorter than 95 % of the configured stroke.

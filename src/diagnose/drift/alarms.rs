@@ -1,6 +1,6 @@
 //! The drift alarms of a machine: their events, and the present drifts.
 
-use std::ops::Range;
+use std::{mem, ops::Range};
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
@@ -269,9 +269,10 @@ impl DriftAlarms {
 
     /// Resets the state after a rebaseline or maintenance, except the numbers of throws since the last raises.
     pub(crate) fn reset(&mut self) {
-        self.forget_history();
         self.conditions.iter_mut().for_each(Condition::reset);
         self.intermittent.reset();
+        let (conditions, intermittent) = (mem::take(&mut self.conditions), mem::take(&mut self.intermittent));
+        *self = Self { conditions, intermittent, ..Self::default() };
     }
 
     /// Updates the first throw of the suspected drift.

@@ -164,7 +164,7 @@ impl FeatureWatch {
         if !self.sides.iter().all(|side| side.is_empty()) {
             return RuleResult::Unclear;
         }
-        self.reported = 0.0;
+        (self.reported, self.season_pct) = (0.0, None);
         RuleResult::Nothing
     }
 

@@ -249,18 +249,14 @@ impl MachineMonitor {
     }
 
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) {
-        self.end_rules(now);
+        self.forget_recent(now);
         self.operation.forget_channel();
         self.thermometer = Thermometer::default();
         self.has_position = false;
         self.tracks = Tracks::default();
         self.neutral = Neutral::default();
         self.motor = ShownMotor::default();
-        self.drift.reset();
-        self.drift.now.clear();
         self.instruments = Instruments::default();
-        self.features = FeatureWatch::default();
-        self.start = StartWatch::default();
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
@@ -288,7 +284,6 @@ impl MachineMonitor {
 
     /// Forgets the last throws, and keeps the baselines.
     fn forget_recent(&mut self, now: Timestamp) {
-        self.drift.now.clear();
         self.tracks.forget_recent();
         self.instruments.forget_recent();
         self.features = FeatureWatch::default();

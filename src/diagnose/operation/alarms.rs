@@ -7,10 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     diagnose::{
-        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
-        alarm::{Rule, Step},
-        statistics::streak,
-        text,
+        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity, alarm::Step, statistics::streak, text,
     },
     estimate::Features,
     throw::Direction,
@@ -144,11 +141,19 @@ impl Operation {
             Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, alarmed: false, since },
             as_before => as_before,
         };
-        streak(&mut self.incomplete, incomplete);
+        // A trace that shows nothing neither completes a throw nor fails.
+        let shows_movement = observation.estimate.is_some() || observation.features.duration_s.is_some();
+        let is_known = incomplete || observation.faulty.is_none() && shows_movement;
+        if is_known {
+            streak(&mut self.incomplete, incomplete);
+            streak(&mut self.complete, !incomplete);
+        }
         let (mut in_a_row, mut in_direction) = (self.incomplete, None);
         if let Some(direction) = direction {
             let own = &mut self.sides[direction.side()];
-            streak(&mut own.incomplete, incomplete);
+            if is_known {
+                streak(&mut own.incomplete, incomplete);
+            }
             if own.incomplete > in_a_row {
                 (in_a_row, in_direction) = (own.incomplete, Some(direction));
             }
@@ -165,18 +170,14 @@ impl Operation {
             .zip(observation.short_of_stroke_mm)
             .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
         streak(&mut self.without_coefficients, observation.features_only);
-        streak(&mut self.complete, !incomplete);
         if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
             self.since_gap = self.since_gap.saturating_add(1);
         }
         if incomplete {
             let text = text::incomplete(step.name, in_direction, in_a_row, is_usual_current);
-            if in_a_row == 1 {
-                step.raise(step.warning(Cause::IncompleteThrow, text));
-            } else {
-                step.alarms.escalate(Rule::Usual, step.critical(Cause::IncompleteThrow, text));
-            }
-        } else if self.complete >= enough {
+            let severity = if in_a_row == 1 { Severity::Warning } else { Severity::Critical };
+            step.alarms.raise_or_escalate(step.event(Cause::IncompleteThrow, severity, text));
+        } else if is_known && self.complete >= enough {
             step.clear(Cause::IncompleteThrow, text::complete_again(step.name, self.complete));
         }
         if self.since_gap >= enough {

@@ -66,21 +66,11 @@ impl Operation {
         self.logger != Logger::Unannounced
     }
 
-    /// Applies a failure of the daemon to store data; `None` without one. A changed text is a new event, unless only
-    /// its numbers differ or the last event is younger than ten minutes.
+    /// Applies a failure of the daemon to store data; `None` without one.
     pub(crate) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
         if let Some((severity, text)) = trouble {
             self.calm_s = 0.0;
-            let before = step.alarms.active().find(|event| event.cause == Cause::DataLoss);
-            // A disk at its limit must not make many events.
-            let is_new = before.is_some_and(|event| {
-                let quiet_s = step.at.duration_since(event.event_at).as_secs_f64().abs();
-                quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
-            });
-            let event = step.event(Cause::DataLoss, severity, text.to_owned());
-            if !step.alarms.raise_or_escalate(event) && is_new {
-                step.remark(Cause::DataLoss, text.to_owned());
-            }
+            raise_or_remark(severity, text.to_owned(), step);
         } else if self.calm_s >= CALM_S {
             step.clear(Cause::DataLoss, text::DAEMON_CALM.to_owned());
         }
@@ -112,7 +102,20 @@ impl Operation {
             Irregularity::RepeatedNumber => text::machine(step.name, text::REPEATED_NUMBER),
             Irregularity::Invalid { count, reason } => text::invalid(step.name, count, reason),
         };
-        step.raise(step.warning(Cause::DataLoss, text));
+        raise_or_remark(Severity::Warning, text, step);
+    }
+}
+
+/// Raises or escalates the alarm about lost data. A changed text of an active alarm is a new event, unless only its
+/// numbers differ or the last event is younger than ten minutes: a disk at its limit must not make many events.
+fn raise_or_remark(severity: Severity, text: String, step: &mut Step) {
+    let before = step.alarms.active().find(|event| event.cause == Cause::DataLoss);
+    let is_new = before.is_some_and(|event| {
+        let quiet_s = step.at.duration_since(event.event_at).as_secs_f64().abs();
+        quiet_s >= CALM_S && without_digits(&event.text) != without_digits(&text)
+    });
+    if !step.alarms.raise_or_escalate(step.event(Cause::DataLoss, severity, text.clone())) && is_new {
+        step.remark(Cause::DataLoss, text);
     }
 }
 
