@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::throw::{
-    Direction, OutOfRange,
+    Direction, MAX_SAMPLES, OutOfRange,
     Range::{Above, AtLeast, Finite, If, Within},
     Trace, settings,
 };
@@ -139,7 +139,7 @@ impl Sensors {
         let position = self.filtered(motion, &motion.toe_mm, 1.0 + self.position.gain_pct / 100.0);
         let period = 1.0 / self.sample_rate_hz;
         let off_s = motion.cut_off as f64 * motion.step_s;
-        let count = whole((self.before_s + off_s + self.after_s) * self.sample_rate_hz) + 1;
+        let count = (whole((self.before_s + off_s + self.after_s) * self.sample_rate_hz) + 1).min(MAX_SAMPLES);
         let lead = self.before_s;
         let mut time = Vec::with_capacity(count);
         let (mut current_a, mut position_mm) = (Vec::with_capacity(count), Vec::with_capacity(count));

@@ -25,7 +25,7 @@ use std::f64::consts::TAU;
 
 use super::{
     movement::{MIN_QUIET, Movement, start_of_motor},
-    samples::mean,
+    samples::{mean, samples_in},
 };
 use crate::estimate::rejection::Rejection;
 
@@ -40,6 +40,9 @@ const ROUGH_RISE_SIGMAS: f64 = 8.0;
 const ROUGH_RISE_SHARE: f64 = 0.03;
 /// Part of the departure of the rise that noise explains \[standard deviations\], and that does not count.
 const RISE_NOISE_SIGMAS: f64 = 4.0;
+/// Longest time from the start of the motor to the crest of the inrush \[s\] that the fit of a pulse uses: it bounds the
+/// work for a trace whose current rises until its end.
+const LONGEST_RISE_S: f64 = 0.5;
 /// Number of equal steps between the first and the last start of a pulse that the fit tries.
 const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
@@ -159,8 +162,9 @@ fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
 /// that fits the current best up to its crest.
 fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f64) -> f64 {
     let level = |k: usize| current[k] - offset;
-    let crest = (foot..current.len()).max_by(|&a, &b| level(a).abs().total_cmp(&level(b).abs())).unwrap_or(foot);
-    let samples = foot.saturating_sub(1)..(crest + 2).min(current.len());
+    let last = (foot + samples_in(LONGEST_RISE_S, interval_s)).min(current.len());
+    let crest = (foot..last).max_by(|&a, &b| level(a).abs().total_cmp(&level(b).abs())).unwrap_or(foot);
+    let samples = foot.saturating_sub(1)..(crest + 2).min(last);
     let misfit = |start: f64, width: f64| {
         let (mut both, mut pulse, mut power) = (0.0, 0.0, 0.0);
         for k in samples.clone() {
