@@ -50,23 +50,18 @@ const SIZE_SCALE: f64 = 0.5;
 /// Penalty on the score for each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
 /// Leaks of a rise of friction, all equally likely: viscous friction, then dry friction with a stiff toe drive, with a
-/// soft toe drive, on a rail whose far end sticks, and on a machine with little inertia.
-const OF_FRICTION: &[Leak] = &[
+/// soft toe drive, on a rail whose far end sticks, on a machine with little inertia, and on a machine whose drive is
+/// wound up before the toe moves.
+const OF_FRICTION_WOUND_UP: &[Leak] = &[
     Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08], of_spring: false },
     Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12], of_spring: false },
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22], of_spring: false },
     Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12], of_spring: true },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0], of_spring: false },
-];
-/// [`OF_FRICTION`] on a machine whose drive is wound up before the toe moves.
-const OF_FRICTION_WOUND_UP: &[Leak] = &[
-    OF_FRICTION[0],
-    OF_FRICTION[1],
-    OF_FRICTION[2],
-    OF_FRICTION[3],
-    OF_FRICTION[4],
     Leak { parts: [-0.75, -0.75, 0.0], sd: [0.2, 0.2, 0.0], of_spring: false },
 ];
+/// [`OF_FRICTION_WOUND_UP`] on a machine whose drive is not wound up.
+const OF_FRICTION: &[Leak] = OF_FRICTION_WOUND_UP.split_at(5).0;
 /// [`OF_FRICTION`] on a machine with a series-wound motor, whose back-EMF is unknown: the plain leaks, and saturation.
 const OF_FRICTION_OF_SERIES: &[Leak] = &[
     OF_FRICTION[0],

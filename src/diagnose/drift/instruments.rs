@@ -201,7 +201,7 @@ impl Instruments {
         // current to the inrush current.
         let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
         // Heat changes the motion as a bad contact does, so a change that heat explains counts as well.
-        let is_changed = circuit.is_shown() && !circuit.is_doubtful;
+        let is_changed = circuit.is_shown && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
     }
 

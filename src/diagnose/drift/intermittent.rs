@@ -6,13 +6,11 @@
 //! windows detect. The number of departures in the last throws is compared with the earlier rate of the machine. With a
 //! gamma prior on this rate, the number has a negative binomial distribution.
 
-use std::iter;
-
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
-use statrs::function::gamma::ln_gamma;
+use statrs::function::beta::checked_beta_reg;
 
-use super::{CLOSE, Explanation, single};
+use super::{CLOSE, Explanation, direction_of, single};
 use crate::diagnose::{
     Cause, Settings,
     statistics::{LastValues, SparseValues, sym3},
@@ -159,17 +157,17 @@ impl Intermittent {
         };
         let (one_in, mean, count) = tests.find_map(shows)?;
         let covariance = of_one_throw / count;
-        let mut parts = Cause::PHYSICAL.map(|cause| (single(cause, &mean, &covariance, settings), cause));
+        let mut parts = Cause::PHYSICAL.map(|cause| single(cause, &mean, &covariance, settings));
         let misfit = |part: &Explanation| {
             let model = settings.model_error * part.size;
             let covariance = covariance + Matrix3::from_diagonal_element((0.5 * model).powi(2));
-            let effect = super::explain::direction_of(part.cause).unwrap_or_default() * part.size;
+            let effect = direction_of(part.cause).unwrap_or_default() * part.size;
             sym3::inverse(&covariance).map_or(f64::INFINITY, |u| ((mean - effect).transpose() * u * (mean - effect)).x)
         };
-        parts.sort_by(|(a, _), (b, _)| misfit(a).total_cmp(&misfit(b)));
-        let (best, named) = parts[0];
-        let clear = misfit(&parts[1].0) - misfit(&best) > CLOSE;
-        Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
+        parts.sort_by(|a, b| misfit(a).total_cmp(&misfit(b)));
+        let [best, second, ..] = parts;
+        let clear = misfit(&second) - misfit(&best) > CLOSE;
+        Some(Departures { one_in, explanation: best, cause: if clear { best.cause } else { Cause::Unattributed } })
     }
 
     pub(crate) fn has_heavy_tails(&self) -> bool {
@@ -200,16 +198,12 @@ impl Intermittent {
         *self = Self { past: self.past, past_large: self.past_large, tail: self.tail, ..Self::default() };
     }
 
-    /// Probability of at least `count` departures of this size in so many `throws`, with the healthy rate.
+    /// Probability of at least `count` departures of this size in so many `throws`, with the healthy rate; `count` is
+    /// at least 1.
     fn chance(&self, size: Size, count: usize, throws: f64) -> f64 {
         let past = if size.far > ANY.far { self.past_large } else { self.past.0 };
         let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
-        let p = throws / (throws + exposure);
-        let k = count as f64;
-        let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
-        // The tail is summed directly, as 1 minus the head would lose its digits; each term follows from the last one.
-        let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
-        iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
+        checked_beta_reg(count as f64, shape, throws / (throws + exposure)).unwrap_or(1.0)
     }
 }
 
@@ -217,5 +211,3 @@ impl Intermittent {
 const OVER_FROM: f64 = 0.05;
 /// Probability of the present number of departures below which the rate may be rising: far above a false alarm's.
 const RISING_FROM: f64 = 0.001;
-/// Terms of the sum for the tail of the distribution.
-const TAIL_TERMS: usize = 60;

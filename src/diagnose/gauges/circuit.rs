@@ -88,14 +88,12 @@ pub(crate) struct Circuit {
     pub(crate) level: Level,
     /// Size relative to the largest change that heat explains, or to the scatter if that is larger.
     pub(crate) size: f64,
-    /// The same size in the last three throws only.
-    pub(crate) latest: f64,
+    /// Whether the resistance has changed for certain in the last three throws, by heat or by a fault.
+    pub(crate) is_shown: bool,
     /// Whether something else may have changed instead: motor, play or position sensor.
     pub(crate) is_doubtful: bool,
     /// The gauge that shows the change.
     pub(crate) shown_by: ShownBy,
-    /// Size in standard deviations of the gauge.
-    sigmas: f64,
 }
 
 /// The gauge that shows a changed resistance.
@@ -110,11 +108,6 @@ pub(crate) enum ShownBy {
 }
 
 impl Circuit {
-    /// Whether the resistance has changed for certain, by heat or by a fault.
-    pub(crate) fn is_shown(&self) -> bool {
-        self.latest > 0.0 && self.sigmas > CIRCUIT_SD
-    }
-
     /// The change of the resistance if a sensor may explain a change of b0 (a logarithm): the fault of this sensor
     /// would change the resistance as much.
     pub(crate) fn beside(self, change: f64) -> Self {
@@ -210,8 +203,8 @@ impl Gauges {
         let (longer, longer_shown) = lost(WINDOWS[1])?;
         let latest = relative_size(shown, level, knows_weather);
         let size = latest.min(relative_size(longer_shown, longer, knows_weather));
-        let sigmas = level.value.abs() / level.sd;
-        Some(Circuit { level, size, latest, is_doubtful: false, shown_by: ShownBy::Inrush, sigmas })
+        let is_shown = latest > 0.0 && level.value.abs() > CIRCUIT_SD * level.sd;
+        Some(Circuit { level, size, is_shown, is_doubtful: false, shown_by: ShownBy::Inrush })
     }
 
     /// Whether the last throws show the resistance of a series-wound motor, which has no constant of the back-EMF.
@@ -249,13 +242,13 @@ impl Gauges {
         let most = if back_emf.is_none() { CIRCUIT_UNCERTAINTY.max(level.value.abs()) } else { CIRCUIT_UNCERTAINTY };
         let is_measured = CIRCUIT_SD * level.sd < most;
         let is_doubtful = is_motor || is_elastic || is_inrush_as_before || self.falls_in_one_direction(longer);
-        let sigmas = level.value.abs() / level.sd;
+        let is_shown = latest > 0.0 && level.value.abs() > CIRCUIT_SD * level.sd;
         let (level, shown_by) = if back_emf.is_some() {
             (level, ShownBy::Resistance)
         } else {
             (between(lost_inrush.unwrap_or(level.value), level), ShownBy::SeriesResistance)
         };
-        is_measured.then_some(Circuit { level, size, latest, is_doubtful, shown_by, sigmas })
+        is_measured.then_some(Circuit { level, size, is_shown, is_doubtful, shown_by })
     }
 
     /// Whether a resistance with this level has fallen in one direction only. A bad contact may raise it in one
