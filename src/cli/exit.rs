@@ -1,6 +1,8 @@
 //! Exit codes of the commands, from BSD `sysexits.h` where it has a code with this meaning.
 
-use std::{io::Write as _, process::ExitCode};
+use std::process::ExitCode;
+
+use super::terminal;
 
 /// Exit code of a command. Scripts and systemd depend on the numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +65,7 @@ impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
 pub(super) fn finish(outcome: Outcome) -> ExitCode {
     let exit = outcome.unwrap_or_else(|failure| {
         if failure.exit != Exit::Ok {
-            let _ = writeln!(std::io::stderr(), "error: {}", sentence(&failure.error));
+            terminal::complain(format_args!("error: {}", sentence(&failure.error)));
         }
         failure.exit
     });

@@ -1,4 +1,4 @@
-//! The commands of `pointsd` and `pointsim`. Each command has a file; `pointsd.rs` and `pointsim.rs` have the command
+//! The commands of `pointsd` and `pointsim`. Each command has a file or a folder; `pointsd.rs` and `pointsim.rs` have the command
 //! lines.
 
 mod alarms;
@@ -30,6 +30,7 @@ mod simulate_run;
 mod sql;
 mod status;
 mod table1;
+mod terminal;
 mod throw;
 
 use exit::{Exit, Failure, Outcome, ResultExt};

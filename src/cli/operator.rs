@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use serde::de::DeserializeOwned;
 use zenoh::Session;
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, output, runtime};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, runtime, terminal};
 use crate::{
     bus::{self, Answers, OperatorError},
     daemon::config::{Document, OperatorSession, operator_session},
@@ -112,11 +112,14 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     for message in &answers.messages {
         match serde_json::from_slice(&message.1) {
             Ok(value) => values.push((message, value)),
-            Err(error) => eprintln!("unreadable reply of {}, perhaps of a newer daemon: {error}", message.0),
+            Err(error) => terminal::complain(format_args!(
+                "unreadable reply of {}, perhaps of a newer daemon: {error}",
+                message.0
+            )),
         }
     }
     for error in &answers.errors {
-        eprintln!("no answer of a daemon: {error}");
+        terminal::complain(format_args!("no answer of a daemon: {error}"));
     }
     let problems = answers.messages.len() - values.len() + answers.errors.len();
     (values, problems)
@@ -143,7 +146,7 @@ pub(super) fn monitors(answers: &Answers) -> Vec<MachineId> {
 pub(super) fn silent<'a>(present: &'a [String], answers: &Answers) -> Vec<&'a String> {
     let answered: Vec<String> = monitors(answers).iter().map(ToString::to_string).collect();
     let silent = present.iter().filter(|daemon| !answered.contains(daemon));
-    silent.inspect(|daemon| eprintln!("no answer of the daemon {daemon}")).collect()
+    silent.inspect(|daemon| terminal::complain(format_args!("no answer of the daemon {daemon}"))).collect()
 }
 
 /// Exit code and text of a failed query or command.

@@ -13,7 +13,7 @@ use comfy_table::{Cell, CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::{Exit, Failure, Outcome, ResultExt};
+use super::{Exit, Failure, Outcome, ResultExt, terminal::harmless};
 use crate::{report::Sheet, web};
 
 /// Width of the output in a pipe, or on a terminal of unknown width \[columns\].
@@ -30,19 +30,6 @@ pub(super) fn line(text: impl Display) -> Result<(), Failure> {
 /// Moves the cursor home and clears the terminal.
 pub(super) fn clear() -> Result<(), Failure> {
     written(write!(io::stdout(), "\x1b[H\x1b[2J"))
-}
-
-/// The text with its control characters escaped, except line feeds and tabs.
-pub(super) fn harmless(text: &str) -> String {
-    let mut harmless = String::with_capacity(text.len());
-    for character in text.chars() {
-        if character.is_control() && !matches!(character, '\n' | '\t') {
-            harmless.extend(character.escape_default());
-        } else {
-            harmless.push(character);
-        }
-    }
-    harmless
 }
 
 /// Prints a value as indented JSON.
@@ -198,11 +185,6 @@ mod tests {
             |name: &str| of_format(Path::new(name), ["svg", "html"]).map_err(|refused| refused.error.to_string());
         assert!(["a.svg", "a.HTML", "a", "-", "/dev/stdout"].iter().all(|name| check(name).is_ok()));
         assert_eq!(check("b/a.png").unwrap_err(), "--out b/a.png: cannot write png, only svg or html");
-    }
-
-    #[test]
-    fn control_characters_do_not_reach_the_terminal() {
-        assert_eq!(harmless("mia\u{1b}[2J\u{7}\r\n\t±\u{9b}31m"), "mia\\u{1b}[2J\\u{7}\\r\n\t±\\u{9b}31m");
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::{
     database::{Location, cannot_open},
     output,
     runtime::block_on,
+    terminal::harmless,
 };
 use crate::{
     store::{ResultWriter, StoreError, Value, run_query},
@@ -26,7 +27,7 @@ use crate::{
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database, 78 the configuration is invalid.")]
+    Exit codes: 0 answered, 64 --json or --csv cannot print the answer, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database, 74 reading or writing failed, 78 the configuration is invalid.")]
 pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).
@@ -46,7 +47,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     let mut writer: Box<dyn ResultWriter> = match (arguments.json, arguments.csv) {
         (true, _) => Box::new(Json { out: BufWriter::new(io::stdout().lock()), names: Vec::new(), rows: 0 }),
-        (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
+        (_, true) => Box::new(Csv { out: csv::Writer::from_writer(io::stdout().lock()), has_header: false }),
         _ => Box::new(Plain(None)),
     };
     let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
@@ -90,24 +91,36 @@ impl ResultWriter for Plain {
 
     fn end(&mut self) -> io::Result<()> {
         let Some(table) = self.0.take() else { return Ok(()) };
-        writeln!(io::stdout(), "{}", output::harmless(&output::fitted(table, LEAST_WIDTH)))
+        writeln!(io::stdout(), "{}", harmless(&output::fitted(table, LEAST_WIDTH)))
     }
 }
 
+/// An answer that the format cannot express.
+fn refusal(problem: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, problem)
+}
+
 /// Prints the answer as CSV, row by row.
-struct Csv(csv::Writer<StdoutLock<'static>>);
+struct Csv {
+    out: csv::Writer<StdoutLock<'static>>,
+    has_header: bool,
+}
 
 impl ResultWriter for Csv {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        self.0.write_record(names).map_err(output::io_error)
+        if std::mem::replace(&mut self.has_header, true) {
+            self.end()?;
+            return Err(refusal("--csv takes one statement at a time"));
+        }
+        self.out.write_record(names).map_err(output::io_error)
     }
 
     fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
-        self.0.write_record(values.iter().map(text)).map_err(output::io_error)
+        self.out.write_record(values.iter().map(text)).map_err(output::io_error)
     }
 
     fn end(&mut self) -> io::Result<()> {
-        self.0.flush()
+        self.out.flush()
     }
 }
 
@@ -122,7 +135,11 @@ impl ResultWriter for Json {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         if !self.names.is_empty() {
             self.end()?;
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "--json takes one statement at a time"));
+            return Err(refusal("--json takes one statement at a time"));
+        }
+        // An object has one value for each name.
+        if let Some((_, name)) = names.iter().enumerate().find(|(at, name)| names[..*at].contains(name)) {
+            return Err(refusal(&format!("two columns are named {name}: rename one with AS")));
         }
         names.clone_into(&mut self.names);
         write!(self.out, "[")

@@ -16,6 +16,7 @@ use super::{
     operator::{self, Client, Connection},
     output,
     runtime::Signals,
+    terminal,
 };
 use crate::{
     bus::{self, OperatorError},
@@ -80,7 +81,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 // The reader closed the pipe.
                 Err(failure) if failure.exit == Exit::Ok => return Err(failure),
                 // Not the end: a daemon may be restarting, for example.
-                Err(failure) => eprintln!("{:#}", failure.error),
+                Err(failure) => terminal::complain(format_args!("{:#}", failure.error)),
                 Ok(()) => {}
             }
             tokio::select! {

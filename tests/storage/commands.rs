@@ -38,6 +38,14 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     assert!(table.contains("\\u{1b}[2J") && !table.contains('\u{1b}'), "{table:?}");
     let (_, empty, _) = pointsd(&["sql", "--json", "SELECT * FROM active_alarms"], store.path());
     assert_eq!(serde_json::from_str::<serde_json::Value>(&empty).unwrap(), serde_json::json!([]));
+    for (format, question, says) in [
+        ("--json", "SELECT 1 AS a, 2 AS a", "two columns are named a: rename one with AS"),
+        ("--json", "SELECT 1; SELECT 2", "--json takes one statement at a time"),
+        ("--csv", "SELECT 1; SELECT 2, 3", "--csv takes one statement at a time"),
+    ] {
+        let (code, _, error) = pointsd(&["sql", format, question], store.path());
+        assert_eq!((code, error.trim_end()), (Some(64), &*format!("error: {says}")), "{question}");
+    }
 
     let copy = folder.path().join("copy.db");
     let [vacuum, second, hidden] =
