@@ -37,9 +37,10 @@ const EXPORT_FOLDERS: usize = 4;
 /// database has already is skipped. Imported throws are judged as the newest throws of the machine; a warning is
 /// printed if they are older than those in the database. A trace of `pointsd export --traces` gets time, direction,
 /// boot, number, temperature, supply and filter from its line in `throws.csv`, in the folder of the traces or in its
-/// parent. Without this line the throw has the time of the file.
+/// parent. Without this line the throw has the time of the file. A throw is refused if its line, or the fields `site`
+/// and `machine` of its JSON, name another machine.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid, or of another machine; 66 a file
 /// cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
 /// is imported if a file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
@@ -208,12 +209,18 @@ fn check_machine(machine: &MachineId, json: &[u8]) -> anyhow::Result<()> {
         machine: String,
     }
     match serde_json::from_slice(json) {
-        Ok(Names { site, machine: name }) if site != machine.site.as_str() || name != machine.machine.as_str() => {
-            bail!("a throw of {site}/{name}, and --machine is {machine}: import each machine alone")
-        }
+        Ok(Names { site, machine: name }) => refuse_other(machine, &site, &name),
         // Without both fields, or with other values in them, the message does not name a machine.
-        _ => Ok(()),
+        Err(_) => Ok(()),
     }
+}
+
+/// Refuses the names of another machine than that of `--machine`.
+fn refuse_other(machine: &MachineId, site: &str, name: &str) -> anyhow::Result<()> {
+    if site != machine.site.as_str() || name != machine.machine.as_str() {
+        bail!("a throw of {site}/{name}, and --machine is {machine}: import each machine alone");
+    }
+    Ok(())
 }
 
 /// Whether the bytes are a single JSON object, over one or more lines.
@@ -244,13 +251,12 @@ struct Exported {
 struct Exports {
     /// The lines of each `throws.csv` that was read, by the file names of their traces.
     lists: HashMap<PathBuf, HashMap<OsString, Exported>>,
-    /// Machine of the first imported trace with a line; all others must be of the same machine.
-    machine: Option<String>,
 }
 
 impl Exports {
-    /// The line of a trace in its `throws.csv`; `None` without such a file or line.
-    fn line(&mut self, trace: &Path) -> anyhow::Result<Option<&Exported>> {
+    /// The line of a trace in its `throws.csv`; `None` without such a file or line. A line of another machine is an
+    /// error.
+    fn line(&mut self, machine: &MachineId, trace: &Path) -> anyhow::Result<Option<&Exported>> {
         let Ok(full) = fs::canonicalize(trace) else { return Ok(None) };
         let folders = full.ancestors().skip(1).take(EXPORT_FOLDERS);
         let Some(list) = folders.map(|folder| folder.join("throws.csv")).find(|list| list.is_file()) else {
@@ -263,11 +269,7 @@ impl Exports {
             self.lists.insert(list.clone(), lines);
         }
         let Some(line) = full.file_name().and_then(|name| self.lists[&list].get(name)) else { return Ok(None) };
-        let machine = format!("{}/{}", line.site, line.machine);
-        let first = self.machine.get_or_insert_with(|| machine.clone());
-        if machine != *first {
-            bail!("{}: a throw of {machine}, after throws of {first}: import each machine alone", trace.display());
-        }
+        refuse_other(machine, &line.site, &line.machine).with_context(|| trace.display().to_string())?;
         Ok(Some(line))
     }
 }
@@ -302,7 +304,8 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
     let content = recording::bytes(file).with_context(unreadable).or_exit(Exit::NoInput)?;
     let recording =
         recording::from_content(&content).with_context(|| file.display().to_string()).or_exit(Exit::Data)?;
-    let line = if arguments.started_at.is_none() { exports.line(file).or_exit(Exit::Data)? } else { None };
+    let line =
+        if arguments.started_at.is_none() { exports.line(&arguments.machine, file).or_exit(Exit::Data)? } else { None };
     if let Some(line) = line {
         return Ok(Throw {
             id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },

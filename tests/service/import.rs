@@ -115,6 +115,8 @@ fn throws_out_of_order_are_warned_about_and_those_of_another_machine_refused() {
     let named = |names: &str| [b"{", names.as_bytes(), &json[3][1..]].concat();
     fs::write(&file, named(r#""site":"north","machine":"21C","#)).unwrap();
     refused(&rig, &[&file], 65, "a throw of north/21C, and --machine is north/21B");
+    fs::write(&file, named(r#""site":"north","machine":"\u001b[2Jx","#)).unwrap();
+    refused(&rig, &[&file], 65, "a throw of north/\\u{1b}[2Jx, and");
     // One of these fields alone, or the right names, are no reason to refuse.
     fs::write(&file, named(r#""machine":"S700K","#)).unwrap();
     imported(&rig, &[&file], &[]);
@@ -218,7 +220,7 @@ fn exported_traces_are_imported_as_the_same_throws() {
         refused(&Rig::new(), &files, 65, "throws.csv: restore it, or give --started-at");
     }
     fs::write(&list, text.replacen("north,21B,recorded,2,", "north,22,recorded,2,", 1)).unwrap();
-    refused(&Rig::new(), &files, 65, "a throw of north/22, after throws of north/21B");
+    refused(&Rig::new(), &files, 65, "a throw of north/22, and --machine is north/21B");
     fs::write(&list, "throw,trace\n1,of another program\n").unwrap();
     imported(&Rig::new(), &files, &[]);
 
