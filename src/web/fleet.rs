@@ -280,12 +280,11 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         };
         let mut sites: Vec<_> = sites.into_iter().collect();
         sites.sort_by_key(|(_, (count, _))| Reverse(*count));
-        let sites: Vec<String> = sites.into_iter().take(NAMED).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
             summary: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
             example,
-            sites: sites.join(", "),
+            sites: named(sites.into_iter().map(at_site).collect()),
             address: address(&FleetQuery { cause: Some(cause), ..FleetQuery::default() }, 0),
         }
     };
@@ -375,18 +374,23 @@ fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, Stri
 /// Names of configured machines without a throw.
 async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let config = view.config();
-    let named: Vec<&MachineId> = config.machines.named().collect();
-    if named.is_empty() {
+    let configured: Vec<&MachineId> = config.machines.named().collect();
+    if configured.is_empty() {
         return Ok(String::new());
     }
     let known: HashSet<MachineId> = reader.machines().await?.into_iter().collect();
     let mut names: Vec<String> =
-        named.into_iter().filter(|machine| !known.contains(machine)).map(ToString::to_string).collect();
+        configured.into_iter().filter(|machine| !known.contains(machine)).map(ToString::to_string).collect();
     names.sort();
+    Ok(named(names))
+}
+
+/// The first names, and the number of the others.
+fn named(mut names: Vec<String>) -> String {
     let more = names.len().saturating_sub(NAMED);
     names.truncate(NAMED);
     let list = names.join(", ");
-    Ok(if more > 0 { format!("{list} and {} more", page::count(more as u64)) } else { list })
+    if more > 0 { format!("{list} and {} more", page::count(more as u64)) } else { list }
 }
 
 #[cfg(test)]
