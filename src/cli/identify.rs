@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{Exit, Outcome, ResultExt, argument, output, recording};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
     throw::{Direction, Throw},
@@ -58,13 +59,17 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let settings = arguments.settings();
-    settings.check_ranges().or_exit(Exit::Usage)?;
+    settings.check_ranges().map_err(|error| anyhow!(renamed(&error.to_string()))).or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
         supply_v: arguments.supply_v,
         anti_alias_hz: arguments.anti_alias_hz,
         ..Throw::recorded(recording.trace)
     };
+    if let Some(problem) = throw.unused_fields() {
+        let problem = renamed(&problem.replace(", and is not used", ""));
+        return Err(Failure::new(Exit::Usage, anyhow!(problem)));
+    }
     let found = Identifier::default().identify(&throw, &settings);
     let reason = reason(&found, &recording.lines);
     if arguments.json {
@@ -100,18 +105,27 @@ impl Arguments {
 }
 
 /// Names of settings and message fields in the sentences of the estimator, and the options of this command for them.
-const NAMES: [(&str, &str); 6] = [
+const NAMES: [(&str, &str); 10] = [
+    ("half of sample_rate_hz", "half of the sampling rate"),
     ("supply_v in the message and stroke_mm in the configuration", "--supply-v and --stroke-mm"),
     ("sample_rate_hz", "the column time_s"),
     ("supply_v", "--supply-v"),
     ("stroke_mm", "--stroke-mm"),
     ("anti_alias_hz", "--anti-alias-hz"),
     ("neutral_mm", "--neutral-mm"),
+    ("lead_mm", "--lead-mm"),
+    ("current_noise_a", "--current-noise-a"),
+    ("position_noise_mm", "--position-noise-mm"),
 ];
+
+/// A sentence of the estimator with the names of this command.
+fn renamed(text: &str) -> String {
+    NAMES.iter().fold(text.to_owned(), |text, (field, name)| text.replace(field, name))
+}
 
 /// The reason why the throw is rejected or rough, with the line of the file if one sample is the reason.
 fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
-    let detail = NAMES.iter().fold(found.detail()?, |text, (field, name)| text.replace(field, name));
+    let detail = renamed(&found.detail()?);
     let line = match &found.outcome {
         Err(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
         _ => None,

@@ -126,3 +126,22 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
     let wrong = pointsd(&["identify", "/nowhere.csv", "--lead-mm", "0"]);
     assert_eq!(wrong.status.code(), Some(64), "{wrong:?}");
 }
+
+#[test]
+fn an_option_out_of_its_range_is_refused_by_its_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("throw.csv");
+    std::fs::write(&file, csv()).unwrap();
+    for (option, says) in [
+        ("--supply-v=-5", "error: --supply-v is -5, must be 5 to 1000 V\n"),
+        (
+            "--anti-alias-hz=-5",
+            "error: --anti-alias-hz is -5, must be above 0 and up to 500 Hz, half of the sampling rate\n",
+        ),
+        ("--stroke-mm=0", "error: --stroke-mm is 0, must be "),
+    ] {
+        let output = pointsd(&["identify", file.to_str().unwrap(), option]);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(64) && error.starts_with(says), "{option}: {error}");
+    }
+}
