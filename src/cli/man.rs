@@ -2,9 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
-use anyhow::Context;
-
-use super::{Exit, Outcome, ResultExt};
+use super::{Exit, Outcome, output};
 
 /// Writes the manual pages of this program, one for each command, into a folder.
 ///
@@ -22,9 +20,7 @@ pub(super) struct Arguments {
 /// Writes the pages. `program` is the definition of the whole command line.
 pub(super) fn main(arguments: &Arguments, program: clap::Command) -> Outcome {
     let folder = &arguments.folder;
-    fs::create_dir_all(folder)
-        .and_then(|()| clap_mangen::generate_to(program, folder))
-        .with_context(|| format!("the pages cannot be written to {}", folder.display()))
-        .or_exit(Exit::CannotCreate)?;
+    let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(program, folder));
+    output::writable(folder, written)?;
     Ok(Exit::Ok)
 }

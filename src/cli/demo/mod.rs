@@ -5,7 +5,7 @@ mod screen;
 
 use std::{fs, net::Ipv4Addr, path::PathBuf};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{
@@ -119,7 +119,8 @@ async fn demo(arguments: &Arguments) -> Outcome {
             ended = daemon.ended() => return Err(died(ended)),
         }
     } else {
-        output::line("With --keep the daemon, the dashboard and the database stay.")?;
+        let stays = if folder.is_kept { "daemon and the dashboard" } else { "daemon, the dashboard and the database" };
+        output::line(format_args!("With --keep the {stays} stay."))?;
     }
     drop(logger);
     session.close().await.map_err(|error| Failure::new(Exit::Unavailable, anyhow!(error)))?;
@@ -144,9 +145,7 @@ impl Folder {
             Some(path) => path.clone(),
             None => std::env::temp_dir().join(format!("pointsd-demo-{}", boot_id())),
         };
-        fs::create_dir_all(&path)
-            .with_context(|| format!("cannot create the folder {}", path.display()))
-            .or_exit(Exit::CannotCreate)?;
+        output::writable(&path, fs::create_dir_all(&path))?;
         let folder = Self { path, is_kept: arguments.keep || arguments.folder.is_some() };
         if folder.database().exists() {
             let error = anyhow!("{} exists already: name another folder", folder.database().display());

@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Duration};
 
-use comfy_table::{CellAlignment, Table, presets::UTF8_FULL_CONDENSED};
+use comfy_table::Table;
 use jiff::Timestamp;
 
 use super::super::output;
@@ -104,18 +104,9 @@ pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<
 }
 
 pub(super) fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["machine", "injected", "reported", "now (95 %)", "after throws", ""]);
-    for row in rows {
-        table.add_row(row.cells());
-    }
-    for column in [3, 4] {
-        if let Some(column) = table.column_mut(column) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table
+    let mut table = output::table(["machine", "injected", "reported", "now (95 %)", "after throws", ""]);
+    table.add_rows(rows.iter().map(Row::cells));
+    output::numbers(table, 3)
 }
 
 pub(super) fn sentence(rows: &[Row], took: Duration) -> String {
