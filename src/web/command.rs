@@ -21,10 +21,6 @@ use super::{
 };
 use crate::{daemon::clock, diagnose::Command, store::seldom, throw::MachineId};
 
-/// Longest maintenance or shelving that the form accepts \[h\], about ten years. The monitor checks the configured
-/// limit.
-const LONGEST_HOURS: i64 = 24 * 3660;
-
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
     Extension(progress): Extension<Progress>,
@@ -78,9 +74,10 @@ fn command(fields: &HashMap<String, String>, now: Timestamp) -> Result<Command, 
     }
     let cause = || text("cause").parse().map_err(|_| "The form does not name the alarm.".to_owned());
     let until = || {
-        let hours = text("hours").parse::<i64>().ok().filter(|hours| (1..=LONGEST_HOURS).contains(hours));
+        // The monitor checks the configured limit.
+        let hours = text("hours").parse::<u32>().ok().filter(|hours| *hours > 0);
         let hours = hours.ok_or("The number of hours must be a whole number from 1.")?;
-        clock::end_of_window(now, SignedDuration::from_hours(hours)).map_err(|error| error.to_string())
+        clock::end_of_window(now, SignedDuration::from_hours(hours.into())).map_err(|error| error.to_string())
     };
     let why = || Some(text("why")).filter(|why| !why.is_empty()).ok_or("The reason is missing.".to_owned());
     Ok(match text("command").as_str() {
