@@ -5,7 +5,7 @@
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
 //! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`; `machines`: up to 100 with state, present drifts, last throw; `next_page`: number of the next page, or null on the last page. Pages are counted from 0 |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
-//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site, each with the address of its `machines` |
+//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `fault_count`: number of all of them; `common`: numbers of the others by cause and site, each with the address of its `machines` |
 //!
 //! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size
 //! when it was raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw,
@@ -25,7 +25,7 @@ use super::{
     page::{self, Failure},
 };
 use crate::{
-    diagnose::Present,
+    diagnose::{MachineState, Present},
     store::{CommonAlarm, Fault, FleetQuery},
     throw::MachineId,
 };
@@ -72,10 +72,11 @@ pub(super) async fn machine(
     let _permit = web.read_permit().await?;
     let reader = web.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
-    if throws.is_empty() {
+    let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
+    let is_new = throws.is_empty() && state == MachineState::Learning;
+    if is_new && reader.alarm_events_of(&machine, 1).await?.is_empty() {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
-    let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
     Ok(page::json(&json!({
         "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts, "caveats": caveats,
         "alarms": reader.open_alarms(&(&machine).into()).await?,
