@@ -81,7 +81,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
         if is_history && found.len() >= MAX_HISTORY as usize {
-            eprintln!("a daemon sends its newest {MAX_HISTORY} events: older ones may be missing; ask for one machine");
+            eprintln!(
+                "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
+                found.len()
+            );
         }
         let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
         if is_history {

@@ -47,8 +47,8 @@ pub(super) struct Arguments {
     /// Ratio of simulated to real time.
     #[arg(long, value_name = "FACTOR")]
     time_scale: Option<f64>,
-    /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `inertia`), size in %, first throw (from 0), and
-    /// for a ramp the number of throws until the full size. Repeatable.
+    /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `rail_stiffness`, `inertia`), size in %, first
+    /// throw (from 0), and for a ramp the number of throws until the full size. Repeatable.
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]", value_parser = fault)]
     fault: Vec<FleetFault>,
     /// Zenoh endpoint, instead of the configured ones.

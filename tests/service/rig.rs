@@ -408,8 +408,8 @@ async fn client(connect: &str) -> Session {
 }
 
 impl Drop for Daemon {
-    /// Sends SIGTERM; the daemon ends without an error within the time limit of the systemd unit. A test that failed
-    /// must not leave it behind.
+    /// Sends SIGTERM; the daemon ends without an error within ten seconds, a third of the time limit of the systemd unit.
+    /// A test that failed must not leave it behind.
     fn drop(&mut self) {
         if thread::panicking() || self.ended().is_some() {
             let _ = self.child.kill();
