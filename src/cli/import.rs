@@ -40,8 +40,8 @@ const EXPORT_FOLDERS: usize = 4;
 /// parent. Without this line the throw has the time of the file. A throw is refused if its line, or the fields `site`
 /// and `machine` of its JSON, name another machine.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid, or of another machine; 66 a file
-/// cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid, or of another
+/// machine; 66 a file cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
 /// is imported if a file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]

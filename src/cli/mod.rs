@@ -1,5 +1,5 @@
-//! The commands of `pointsd` and `pointsim`. Each command has a file or a folder; `pointsd.rs` and `pointsim.rs` have the command
-//! lines.
+//! The commands of `pointsd` and `pointsim`. Each command has a file or a folder; `pointsd.rs` and `pointsim.rs` have
+//! the command lines.
 
 mod alarms;
 mod argument;
