@@ -187,6 +187,25 @@ impl Machine {
     }
 }
 
+/// Whether each 95 % interval of the size of `cause` contains the true size, from the thirteenth throw after its change
+/// on.
+pub(crate) fn sizes_held(cause: Cause, truth_pct: f64, verdicts: impl Iterator<Item = Verdict>) -> Vec<bool> {
+    let named = |verdict: Verdict| verdict.present.drifts.into_iter().find(|drift| drift.cause == cause);
+    verdicts
+        .skip(12)
+        .filter_map(named)
+        .map(|drift| (drift.change_pct - truth_pct).abs() <= 1.96 * drift.change_pct_sd)
+        .collect()
+}
+
+/// Checks that nine of ten intervals held, in at least `least` throws.
+#[track_caller]
+pub(crate) fn assert_nine_of_ten(held: &[bool], least: usize, what: &str) {
+    let inside = held.iter().filter(|held| **held).count();
+    assert!(held.len() >= least, "{what}: named in {} throws", held.len());
+    assert!(10 * inside >= 9 * held.len(), "{what}: {inside} of {}", held.len());
+}
+
 /// Shift of the logarithms of b0, a1, a0 when the part behind `cause` changes by `pct` percent.
 pub(crate) fn shift(cause: Cause, pct: f64) -> Vector3<f64> {
     let log = (pct / 100.0).ln_1p();

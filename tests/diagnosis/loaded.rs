@@ -8,7 +8,7 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State},
-    fleet::in_parallel,
+    fleet::{assert_nine_of_ten, in_parallel, sizes_held},
 };
 
 /// A loaded motor without a fault. Half of the friction is dry.
@@ -30,18 +30,9 @@ fn texts(events: &[AlarmEvent]) -> Vec<(Cause, Option<&ThrowRef>, &str)> {
 fn assert_size(cause: Cause, before: State, state: State, truth_pct: f64) {
     let of_lives = in_parallel(6, |seed| {
         let mut drive = learned(seed, seed % 2 == 0, before);
-        let mut held = Vec::new();
-        for throw in 0..40 {
-            let drifts = drive.feed(state).present.drifts;
-            let named = drifts.iter().find(|drift| drift.cause == cause).filter(|_| throw >= 12);
-            held.extend(named.map(|drift| (drift.change_pct - truth_pct).abs() <= 1.96 * drift.change_pct_sd));
-        }
-        held
+        sizes_held(cause, truth_pct, (0..40).map(|_| drive.feed(state)))
     });
-    let held = of_lives.concat();
-    let inside = held.iter().filter(|held| **held).count();
-    assert!(held.len() >= 150, "{cause} {truth_pct} %: named in {} of 168 throws", held.len());
-    assert!(10 * inside >= 9 * held.len(), "{cause} {truth_pct} %: {inside} of {}", held.len());
+    assert_nine_of_ten(&of_lives.concat(), 150, &format!("{cause} {truth_pct} %"));
 }
 
 /// Friction slows the motor, and the viscous model shows dry friction larger at a lower speed.

@@ -17,6 +17,7 @@ mod hard;
 mod instruments;
 mod intermittent;
 mod loaded;
+mod logger;
 mod memory;
 mod motor_kind;
 mod operational;

@@ -13,7 +13,7 @@ use pointsd::{
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::fleet::{in_parallel, normal};
+use crate::fleet::{assert_nine_of_ten, in_parallel, normal, sizes_held};
 
 const STEP_S: f64 = 4e-5;
 const INTERVAL_S: f64 = 1e-3;
@@ -243,18 +243,9 @@ fn the_size_of_a_large_loss_of_torque_is_not_larger_by_the_lower_speed() {
     for torque in [0.6, 0.5] {
         let of_lives = in_parallel(9, |seed| {
             let mut machine = machine(seed, |make| make);
-            let mut held = Vec::new();
-            for throw in 0..48 {
-                let drifts = machine.feed(State { torque, ..SOUND }).present.drifts;
-                let motor = drifts.iter().find(|drift| drift.cause == Cause::Kt).filter(|_| throw >= 12);
-                let is_held = |pct: f64, sd: f64| (pct - 100.0 * (torque - 1.0)).abs() <= 1.96 * sd;
-                held.extend(motor.map(|drift| is_held(drift.change_pct, drift.change_pct_sd)));
-            }
-            held
+            let lost = State { torque, ..SOUND };
+            sizes_held(Cause::Kt, 100.0 * (torque - 1.0), (0..48).map(|_| machine.feed(lost)))
         });
-        let held = of_lives.concat();
-        let inside = held.iter().filter(|held| **held).count();
-        assert!(held.len() >= 250, "{torque}: named in {} of 324 throws", held.len());
-        assert!(10 * inside >= 9 * held.len(), "{torque}: {inside} of {}", held.len());
+        assert_nine_of_ten(&of_lives.concat(), 250, &format!("torque {torque}"));
     }
 }
