@@ -66,9 +66,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         anti_alias_hz: arguments.anti_alias_hz,
         ..Throw::recorded(recording.trace)
     };
-    if let Some(problem) = throw.unused_fields() {
-        let problem = renamed(&problem.replace(", and is not used", ""));
-        return Err(Failure::new(Exit::Usage, anyhow!(problem)));
+    let problems: Vec<String> = throw.impossible_fields().iter().map(ToString::to_string).collect();
+    if !problems.is_empty() {
+        return Err(Failure::new(Exit::Usage, anyhow!(renamed(&problems.join("; ")))));
     }
     let found = Identifier::default().identify(&throw, &settings);
     let reason = reason(&found, &recording.lines);

@@ -212,7 +212,7 @@ impl Sensor {
 
 #[expect(
     clippy::expect_used,
-    reason = "the checks keep rate and length in range, and the first sample is never dropped"
+    reason = "the checks keep the rate in range, `record` the length, and the first sample is never dropped"
 )]
 fn recording(sample_rate_hz: f64, time_s: Vec<f64>, current_a: Vec<f64>, position_mm: Vec<f64>) -> Recording {
     let trace = Trace::new(sample_rate_hz, current_a, position_mm).expect("a recorded trace");

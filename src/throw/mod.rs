@@ -131,22 +131,29 @@ impl Throw {
         0.5 * self.trace.sample_rate_hz()
     }
 
-    /// A sentence about the optional fields whose values are not possible and so not used; `None` if there are none.
-    pub fn unused_fields(&self) -> Option<String> {
-        let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
-        let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());
-        let celsius = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius));
-        filter_hz.or(supply_v).or(celsius)?;
-        let unused = |key: &str, value: Option<f64>, must: String| {
-            Some(OutOfRange { key: key.to_owned(), value: rounded(value?), must }.to_string() + ", and is not used")
+    /// The optional fields whose values are not possible.
+    pub fn impossible_fields(&self) -> Vec<OutOfRange> {
+        let mut fields = Vec::new();
+        let mut add = |key: &str, value, must| {
+            fields.push(OutOfRange { key: key.to_owned(), value: rounded(value), must });
         };
-        let half = format!("above 0 and up to {} Hz, half of sample_rate_hz", brief(rounded(self.half_rate_hz())));
-        let (volts, possible) = (POSSIBLE_SUPPLY_V, POSSIBLE_C);
-        let sentences = [
-            unused("anti_alias_hz", filter_hz, half),
-            unused("supply_v", supply_v, format!("{} to {} V", volts.start(), volts.end())),
-            unused("temperature_c", celsius, format!("{} to {} °C", possible.start(), possible.end())),
-        ];
-        Some(sentences.into_iter().flatten().collect::<Vec<_>>().join("; "))
+        if let Some(hz) = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none()) {
+            let half = brief(rounded(self.half_rate_hz()));
+            add("anti_alias_hz", hz, format!("above 0 and up to {half} Hz, half of sample_rate_hz"));
+        }
+        if let Some(volts) = self.supply_v.filter(|_| self.possible_supply_v().is_none()) {
+            add("supply_v", volts, format!("{} to {} V", POSSIBLE_SUPPLY_V.start(), POSSIBLE_SUPPLY_V.end()));
+        }
+        if let Some(celsius) = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius)) {
+            add("temperature_c", celsius, format!("{} to {} °C", POSSIBLE_C.start(), POSSIBLE_C.end()));
+        }
+        fields
+    }
+
+    /// A sentence about [`Self::impossible_fields`], which are not used; `None` if there are none.
+    pub fn unused_fields(&self) -> Option<String> {
+        let sentences: Vec<_> =
+            self.impossible_fields().iter().map(|field| format!("{field}, and is not used")).collect();
+        (!sentences.is_empty()).then(|| sentences.join("; "))
     }
 }

@@ -104,11 +104,7 @@ impl LatestThrow<'_> {
     /// the motor loses torque but no back-EMF, it becomes slower, and the dry part of a1 rises as above.
     fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
         match part.cause {
-            Cause::Friction => {
-                let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
-                let size_sd = part.size_sd.hypot(DRY.1 * value).hypot(DRY.0 * sd);
-                Explanation { size: part.size - DRY.0 * value, size_sd, ..part }
-            }
+            Cause::Friction => self.at_usual_speed(part, 1.0, direction),
             Cause::Kt => self.motor_without_dry_friction(part, direction),
             _ => part,
         }
@@ -123,11 +119,16 @@ impl LatestThrow<'_> {
         let of_torque = (part.weights.x + part.weights.y).clamp(0.0, 1.0);
         let size = part.size + of_torque * (whole.ln() - part.size);
         let size_sd = part.size_sd.hypot(of_torque * DRY_LOAD.1 * load * change / whole);
+        let part = Explanation { size, size_sd, ..part };
         let keeps_back_emf = self.drift.attribution.is_some_and(|of| of.sound_magnets().is_some());
-        let longer = self.gauges.longer(direction).filter(|_| keeps_back_emf);
-        let Some(Level { value, sd }) = longer else { return Explanation { size, size_sd, ..part } };
-        let of_a1 = part.weights.y;
-        let size_sd = size_sd.hypot(of_a1 * DRY.1 * value).hypot(of_a1 * DRY.0 * sd);
-        Explanation { size: size - of_a1 * DRY.0 * value, size_sd, ..part }
+        if keeps_back_emf { self.at_usual_speed(part, part.weights.y, direction) } else { part }
+    }
+
+    /// `part` with its size corrected for the rise of the dry part of a1 at a lower speed; `of_a1` is the weight of ln a1
+    /// in the size.
+    fn at_usual_speed(self, part: Explanation, of_a1: f64, direction: Option<Direction>) -> Explanation {
+        let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
+        let size_sd = part.size_sd.hypot(of_a1 * DRY.1 * value).hypot(of_a1 * DRY.0 * sd);
+        Explanation { size: part.size - of_a1 * DRY.0 * value, size_sd, ..part }
     }
 }

@@ -226,6 +226,15 @@ fn step_response(time_s: f64, hz: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// A current that rises until the end of a long trace must not make the fit longer.
+    #[test]
+    fn the_pulse_is_fitted_to_the_first_half_second_after_the_start() {
+        let (interval_s, foot) = (1e-3, 100);
+        let rising: Vec<f64> = (0..5_000_u32).map(|k| 1e-3 * f64::from(k.saturating_sub(100))).collect();
+        let start = |current: &[f64]| pulse_start(current, 0.0, foot, interval_s, 50.0);
+        assert!((start(&rising) - start(&rising[..600])).abs() < 1e-12);
+    }
+
     #[test]
     fn the_step_response_starts_at_zero_overshoots_and_settles() {
         assert!(step_response(1e-9, 10.0).abs() < 1e-6);
