@@ -104,7 +104,7 @@ pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<
 }
 
 pub(super) fn table(rows: &[Row]) -> Table {
-    let mut table = output::table(["machine", "injected", "reported", "now (95 %)", "after throws", ""]);
+    let mut table = output::table(["machine", "injected", "reported", "now (95 %)", "after\nthrows", ""]);
     table.add_rows(rows.iter().map(Row::cells));
     output::numbers(table, 3)
 }
