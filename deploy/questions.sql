@@ -25,20 +25,26 @@ SELECT mean.throws, mean.good,
            / sum((last.n - mean.n) * (last.n - mean.n)) AS stiffness_per_100
 FROM last, mean;
 
--- 3. What did the last maintenance of a machine change? [mean of 100 throws before and after; rough throws have only the
---    ratios of the coefficients]
+-- 3. What did the last maintenance of a machine change? [mean of 100 throws before and after; many rough throws have only
+--    the ratios of the coefficients. It ends by a command, or at its time]
 WITH visit AS (
-    SELECT unixepoch(max(carried_out_at)) * 1000000 AS at_us FROM operator_commands
-    WHERE site = 'north' AND machine = 'm1' AND command IN ('maintenance_end', 'rebaseline')),
+    SELECT unixepoch(start.carried_out_at) * 1000000 AS from_us,
+           unixepoch(coalesce(min(start.until, (
+               SELECT min(carried_out_at) FROM operator_commands
+               WHERE site = 'north' AND machine = 'm1' AND command = 'maintenance_end'
+                 AND carried_out_at > start.carried_out_at)), start.until)) * 1000000 AS to_us
+    FROM operator_commands AS start
+    WHERE site = 'north' AND machine = 'm1' AND command = 'maintenance_start'
+    ORDER BY carried_out_at DESC LIMIT 1),
 usable AS NOT MATERIALIZED (
     SELECT *, coalesce(a1_per_b0, a1 / b0) AS friction, coalesce(a0_per_b0, a0 / b0) AS stiffness FROM health_history
     WHERE site = 'north' AND machine = 'm1' AND quality IN ('good', 'rough')),
 near AS (
     SELECT * FROM (SELECT 'before' AS side, b0, a1, a0, friction, stiffness FROM usable
-                   WHERE started_at_us < (SELECT at_us FROM visit) ORDER BY started_at_us DESC LIMIT 100)
+                   WHERE started_at_us < (SELECT from_us FROM visit) ORDER BY started_at_us DESC LIMIT 100)
     UNION ALL
     SELECT * FROM (SELECT 'after', b0, a1, a0, friction, stiffness FROM usable
-                   WHERE started_at_us >= (SELECT at_us FROM visit) ORDER BY started_at_us LIMIT 100))
+                   WHERE started_at_us >= (SELECT to_us FROM visit) ORDER BY started_at_us LIMIT 100))
 SELECT side, count(*) AS throws, count(b0) AS good, avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0,
        avg(friction) AS a1_per_b0, avg(stiffness) AS a0_per_b0
 FROM near GROUP BY side;
@@ -56,7 +62,7 @@ SELECT quality, count(*) AS throws, count(DISTINCT site || '/' || machine) AS ma
 FROM throws_not_evaluated GROUP BY quality ORDER BY throws DESC;
 
 -- 6. How many alarms were raised a day? [ISA-18.2: an operator handles about 150 a day]
-SELECT date(event_at) AS day, count(*) AS raised, sum(severity = 'critical') AS critical, count(DISTINCT machine) AS machines
+SELECT date(event_at) AS day, count(*) AS raised, sum(severity = 'critical') AS critical, count(DISTINCT site || '/' || machine) AS machines
 FROM alarm_events WHERE event_no = 1 GROUP BY day ORDER BY day DESC LIMIT 30;
 
 -- 7. How long did alarms wait for somebody who acknowledged them? [h]

@@ -27,27 +27,18 @@ pub struct Observation {
     pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
-    /// (b0, a1, a0) of an estimate that was rejected because one of them is not positive.
-    pub not_positive: Option<[f64; 3]>,
+    /// Why the estimate was rejected; `None` if it was not.
+    pub rejection: Option<Rejection>,
     /// Grade of the estimate. A rough estimate counts for drifts, not for baselines.
     pub grade: Grade,
     /// Whether only the ratios of the coefficients are known, not their common scale.
     pub ratios_only: bool,
     /// The ratios of a complete estimate as an estimate of ratios only gives them.
     pub running: Option<RunningRatios>,
-    /// Whether the points did not complete their movement (obstruction, no detection).
-    pub incomplete: bool,
-    /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the recording is too
-    /// slow.
-    pub faulty: Option<SensorChannel>,
-    /// Whether the throw has no position and no estimate: the machine has a current sensor only.
-    pub features_only: bool,
     /// Duration, currents and travel, measured without the model.
     pub features: Features,
     /// Temperature \[°C\]; `None` if not measured.
     pub temperature_c: Option<f64>,
-    /// Code of the reason why the estimate was rejected; `None` if it was not.
-    pub rejected: Option<&'static str>,
     /// A sentence about fields of the message with impossible values, which are not used.
     pub unused_fields: Option<String>,
     /// The configured stroke \[mm\] of a complete throw whose travel is too short for it; else `None`.
@@ -62,47 +53,55 @@ impl Observation {
 
     /// The observation of a throw, from the result of its identification.
     pub fn of(throw: &Throw, found: &Identification) -> Self {
-        let (estimate, rejection) = (found.outcome.as_ref().ok(), found.outcome.as_ref().err());
+        let estimate = found.outcome.as_ref().ok();
         Self {
             direction: found.direction,
             direction_contradicted: found.direction.map(|_| found.direction_contradicted),
             estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
-            not_positive: rejection.and_then(|reason| match reason {
-                Rejection::NotPositive { b0, a1, a0 } => Some([*b0, *a1, *a0]),
-                _ => None,
-            }),
+            rejection: found.outcome.as_ref().err().cloned(),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
             running: estimate.and_then(|estimate| estimate.running),
-            incomplete: rejection.is_some_and(Rejection::is_incomplete),
-            faulty: rejection.and_then(|reason| match reason {
-                Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
-                _ => reason.faulty_channel().map(Into::into),
-            }),
-            features_only: matches!(rejection, Some(Rejection::NoPosition { .. })),
             features: found.features.clone(),
             temperature_c: throw.temperature_c,
-            rejected: rejection.map(Rejection::code),
             unused_fields: found.unused_fields.clone(),
             short_of_stroke_mm: found.short_of_stroke_mm,
             ..Self::without_trace(throw.id.clone(), throw.started_at)
         }
     }
 
+    /// Whether the points did not complete their movement (obstruction, no detection).
+    pub(super) fn is_incomplete(&self) -> bool {
+        self.rejection.as_ref().is_some_and(Rejection::is_incomplete)
+    }
+
+    /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the movement lasts too
+    /// long.
+    pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
+        match self.rejection.as_ref()? {
+            Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
+            reason => reason.faulty_channel().map(Into::into),
+        }
+    }
+
     /// Whether the recording begins or ends during the movement; its duration and charge are lower bounds then.
     pub(super) fn is_cut_off(&self) -> bool {
-        let cut_off = [Rejection::StartMissing { current_a: 0.0 }, Rejection::EndMissing { travel_mm: 0.0 }];
-        cut_off.iter().any(|reason| self.rejected == Some(reason.code()))
+        matches!(self.rejection, Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }))
     }
 
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
-    pub(super) fn is_too_slow(&self) -> bool {
-        self.rejected == Some(Rejection::Undersampled { interval_s: 0.0, rise_samples: 0 }.code())
+    pub(super) fn is_undersampled(&self) -> bool {
+        matches!(self.rejection, Some(Rejection::Undersampled { .. }))
+    }
+
+    /// Whether the throw has no position and no estimate: the machine has a current sensor only.
+    pub(super) fn has_features_only(&self) -> bool {
+        matches!(self.rejection, Some(Rejection::NoPosition { .. }))
     }
 
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
-        self.features_only || self.estimate.is_some() && self.grade == Grade::CurrentOnly
+        self.has_features_only() || self.estimate.is_some() && self.grade == Grade::CurrentOnly
     }
 }
 
@@ -228,7 +227,7 @@ impl Evaluated {
         const WORST_SD: f64 = 0.5;
         let (estimate, covariance) = observation.estimate.as_ref()?;
         let direction = observation.direction?;
-        if observation.incomplete || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
+        if observation.is_incomplete() || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
             return None;
         }
         let scale = Matrix3::from_diagonal(&Vector3::from(*estimate).map(f64::recip));

@@ -4,6 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, Settings, Severity},
+    estimate::Rejection,
     throw::{Direction, MachineId},
 };
 use proptest::prelude::*;
@@ -43,6 +44,27 @@ fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
     let again = machine.events(10, shift(Cause::Friction, 25.0));
     assert_eq!(states(&again), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
+}
+
+/// The records show who acknowledged an alarm, in whatever state it was.
+#[test]
+fn an_alarm_keeps_who_acknowledged_it() {
+    let ack = Command::Ack { cause: Cause::Friction, by: by() };
+    let (mut machine, _) = alarmed(1);
+    machine.events(60, Vector3::zeros());
+    let [over] = &act(&mut machine, &ack).unwrap()[..] else { panic!("one event") };
+    assert_eq!((over.state, over.acknowledged_by.as_deref()), (AlarmState::Normal, Some("A. Fitter")));
+
+    let (mut machine, _) = alarmed(1);
+    act(&mut machine, &ack).unwrap();
+    let [cleared] = &machine.events(60, Vector3::zeros())[..] else { panic!("one event") };
+    assert_eq!((cleared.state, cleared.acknowledged_by.as_deref()), (AlarmState::Normal, Some("A. Fitter")));
+
+    let (mut machine, _) = alarmed(1);
+    let until = now() + SignedDuration::from_hours(8);
+    act(&mut machine, &Command::Shelve { cause: Cause::Friction, until, by: by(), why: "known".to_owned() }).unwrap();
+    let [shelved] = &act(&mut machine, &ack).unwrap()[..] else { panic!("one event") };
+    assert_eq!((shelved.state, shelved.acknowledged_by.as_deref()), (AlarmState::Shelved, Some("A. Fitter")));
 }
 
 /// Just after a step the levels of the last throws still look healthy. Throws of one direction show nothing about a
@@ -280,7 +302,7 @@ proptest! {
         let mut seen = std::collections::BTreeMap::new();
         for jump in jumps {
             let mut observation = machine.throw(Vector3::zeros());
-            observation.incomplete = jump > 0;
+            observation.rejection = (jump > 0).then_some(Rejection::NoMovement);
             observation.started_at = now() + SignedDuration::from_secs(i64::from(jump % 2));
             let mut events = machine.observe(&observation).events;
             for _ in 0..12 {

@@ -4,8 +4,8 @@
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{MachineMonitor, Observation, SensorChannel, Settings},
-    estimate::{Features, Grade},
+    diagnose::{MachineMonitor, Observation, Settings},
+    estimate::{Channel, Features, Grade, Rejection},
     throw::{Direction, ThrowRef},
 };
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
@@ -98,9 +98,11 @@ impl Degenerate {
                 _ => Grade::Good,
             },
             ratios_only,
-            rejected: is_rejected.then_some("poor_fit"),
-            faulty: (is_rejected && is_rough).then_some(SensorChannel::Position),
-            incomplete: is_rejected && is_current_only,
+            rejection: is_rejected.then_some(match (is_current_only, is_rough) {
+                (true, _) => Rejection::NoMovement,
+                (_, true) => Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 },
+                _ => Rejection::PoorFit { fit_pct: 80.0, floor_pct: 99.0 },
+            }),
             features,
             temperature_c: self.temperature_c.map(|(mean, sd)| mean + sd * normal(&mut self.rng)),
             ..Observation::without_trace(throw, start + SignedDuration::from_mins(after))

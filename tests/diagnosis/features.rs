@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings, Severity},
-    estimate::Features,
+    estimate::{Features, Rejection},
     throw::{Direction, ThrowRef},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -282,7 +282,7 @@ fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> O
         let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed());
         Observation {
             direction: Some(Direction::BOTH[usize::from(throw.is_multiple_of(2))]),
-            features_only: true,
+            rejection: Some(Rejection::NoPosition { sent: String::new(), why: String::new() }),
             features: Features {
                 duration_s: of(0, 4.3),
                 running_current_a: of(1, 0.9),

@@ -7,7 +7,7 @@ use pointsd::{
         AlarmEvent, AlarmState, Cause, Command, MachineMonitor, MachineState, Observation, Parameters, SensorChannel,
         Settings, Severity,
     },
-    estimate::{self, Features},
+    estimate::{self, Channel, Features, Rejection},
     throw::Direction,
 };
 
@@ -18,6 +18,17 @@ use crate::{
 
 pub(crate) fn machine() -> Machine {
     Machine::learned(21, Scatter::USUAL)
+}
+
+/// Makes the throw an incomplete one.
+fn fail(throw: &mut Observation) {
+    (throw.rejection, throw.estimate) = (Some(Rejection::NoMovement), None);
+}
+
+/// Makes the position of the throw useless.
+fn disturb(throw: &mut Observation) {
+    let noisy = Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 };
+    (throw.rejection, throw.estimate) = (Some(noisy), None);
 }
 
 pub(crate) fn feed(machine: &mut Machine, throws: usize, change: impl Fn(&mut Observation)) -> Vec<AlarmEvent> {
@@ -47,7 +58,7 @@ pub(crate) fn summary(events: &[AlarmEvent]) -> Vec<(Cause, Severity, AlarmState
 fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
     use AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
     let mut machine = machine();
-    let failed = feed(&mut machine, 2, |o| (o.incomplete, o.estimate) = (true, None));
+    let failed = feed(&mut machine, 2, fail);
     assert_eq!(
         summary(&failed),
         [
@@ -67,7 +78,7 @@ fn each_incomplete_throw_of_one_direction_has_an_alarm_if_complete_ones_end_it()
     let failing = Direction::BOTH[machine.side()];
     let events = feed(&mut machine, 8, |o| {
         if o.direction == Some(failing) {
-            (o.incomplete, o.estimate) = (true, None);
+            fail(o);
         }
     });
     let raised = events.iter().filter(|event| event.cause == Cause::IncompleteThrow && event.state.is_active());
@@ -78,11 +89,11 @@ fn each_incomplete_throw_of_one_direction_has_an_alarm_if_complete_ones_end_it()
 #[test]
 fn traces_that_show_nothing_do_not_complete_a_throw() {
     let mut machine = machine();
-    let failed = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None));
+    let failed = feed(&mut machine, 1, fail);
     assert_eq!(summary(&failed), [raised(Cause::IncompleteThrow)]);
     let unread = feed(&mut machine, 20, |o| (o.features, o.estimate) = (Features::default(), None));
     assert!(unread.iter().all(|event| event.cause != Cause::IncompleteThrow), "{unread:?}");
-    let failed = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None));
+    let failed = feed(&mut machine, 1, fail);
     assert!(
         summary(&failed).contains(&(Cause::IncompleteThrow, Severity::Critical, AlarmState::ActiveUnacknowledged)),
         "{failed:?}"
@@ -167,7 +178,7 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let mut machine = machine();
     let back = |o: &mut Observation| {
         o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
-        o.rejected = o.estimate.is_none().then_some("misfit");
+        o.rejection = o.estimate.is_none().then_some(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 });
     };
     let events = feed(&mut machine, 60, back);
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
@@ -197,7 +208,7 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
 #[test]
 fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     let mut machine = machine();
-    let lost = feed(&mut machine, 1, |o| (o.incomplete, o.estimate) = (true, None)).remove(0);
+    let lost = feed(&mut machine, 1, fail).remove(0);
     let mut fresh = MachineMonitor::new("21");
     let adopted = fresh.adopt(lost.clone(), lost.event_at).remove(0);
     assert_eq!((adopted.event_no, adopted.state), (lost.event_no + 1, AlarmState::ClearedUnacknowledged));
@@ -223,7 +234,7 @@ fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     let mut second = machine();
     let events = feed(&mut second, 4, |o| {
         if there(o) {
-            (o.incomplete, o.estimate) = (true, None);
+            fail(o);
         }
     });
     let severities: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
@@ -248,8 +259,10 @@ fn without_evaluated_throws_the_present_size_is_unknown() {
 #[test]
 fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let mut machine = machine();
-    let without =
-        |o: &mut Observation| (o.features_only, o.estimate, o.features.running_current_a) = (true, None, Some(2.0));
+    let without = |o: &mut Observation| {
+        let no_position = Rejection::NoPosition { sent: String::new(), why: String::new() };
+        (o.rejection, o.estimate, o.features.running_current_a) = (Some(no_position), None, Some(2.0));
+    };
     let events = feed(&mut machine, 25, without);
     assert_eq!(events[0].channel, Some(SensorChannel::Position));
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
@@ -269,7 +282,7 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
     let hot = |o: &mut Observation| o.temperature_c = Some(850.0);
     let both = |o: &mut Observation| {
         hot(o);
-        (o.faulty, o.estimate) = (Some(SensorChannel::Position), None);
+        disturb(o);
     };
     let sensors = |events: &[AlarmEvent]| -> Vec<_> {
         let sensor = events.iter().filter(|event| event.cause == Cause::Sensor);
@@ -295,7 +308,7 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
 #[test]
 fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
     let mut machine = machine();
-    feed(&mut machine, 5, |o| (o.faulty, o.estimate) = (Some(SensorChannel::Position), None));
+    feed(&mut machine, 5, disturb);
     assert_eq!(machine.monitor.state(), MachineState::Warning);
     let at = machine.throw(Vector3::zeros()).started_at;
     let start = Command::MaintenanceStart {

@@ -57,7 +57,8 @@ pub(crate) async fn large(rig: &Rig, machines: usize, rows: usize) {
          SELECT machine_row, 'normal_to_reverse', 0, json_object('throws', 50, 'complete', json('true')) FROM machine"
             .to_owned(),
         "INSERT INTO command (machine_row, at_us, command, by_whom, payload)
-         SELECT machine_row, (unixepoch('now') - 15768000) * 1000000, 'maintenance_end', 'tester', '{}' FROM machine"
+         SELECT machine_row, (unixepoch('now') - 15768000) * 1000000, 'maintenance_start', 'tester',
+                json_object('until', strftime('%Y-%m-%dT%H:%M:%SZ', unixepoch('now') - 15764400, 'unixepoch')) FROM machine"
             .to_owned(),
     ] {
         rig.change(statement).await;

@@ -101,9 +101,12 @@ async fn a_throw_of_unknown_direction_counts_until_the_next_one() {
     unknown.health.direction = None;
     judge(&store, unknown).await.unwrap();
     assert_eq!(directions().await, [None]);
+    let in_view = async || query::<(String,)>(&store, "SELECT direction FROM machine_health").await;
+    assert_eq!(in_view().await, [("unknown".to_owned(),)]);
     let row = spooled(&store, "21B", "b1", 2).await;
     judge(&store, judgement(row, "21B")).await.unwrap();
     assert_eq!(directions().await, [Some(Direction::NormalToReverse)]);
+    assert_eq!(in_view().await, [("normal_to_reverse".to_owned(),)]);
 }
 
 #[tokio::test]
@@ -135,6 +138,36 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
     assert_eq!(messages.iter().map(read).collect::<Vec<_>>(), [1, 2, 3]);
     store.outbox_sent(&[messages[0].row, messages[1].row]).await.unwrap();
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap()[..], messages[2..]);
+}
+
+/// Also if the alarm was silenced or over at that time, and another operator gave the next command.
+#[tokio::test]
+async fn the_views_have_who_acknowledged_an_alarm_and_when() {
+    let mia = || Some("mia".to_owned());
+    for (state, acknowledged_by) in [
+        (AlarmState::Shelved, mia()),
+        (AlarmState::OutOfService, mia()),
+        (AlarmState::Normal, mia()),
+        // As earlier versions stored it.
+        (AlarmState::Normal, None),
+    ] {
+        let (_folder, store) = fresh().await;
+        let acknowledged = AlarmEvent { by: mia(), acknowledged_by, ..event(2, state) };
+        let mut events = vec![event(1, AlarmState::ActiveUnacknowledged), acknowledged];
+        if state != AlarmState::Normal {
+            let unshelved = AlarmEvent { by: Some("otto".to_owned()), acknowledged_by: mia(), ..events[1].clone() };
+            events.push(AlarmEvent {
+                event_no: 3,
+                event_at: at(30),
+                state: AlarmState::ActiveAcknowledged,
+                ..unshelved
+            });
+        }
+        store.record(outcome("21B", events)).await.unwrap();
+        let found: Vec<(String, String)> =
+            query(&store, "SELECT acknowledged_by, acknowledged_at FROM alarm_history").await;
+        assert_eq!(found, [("mia".to_owned(), "2026-03-01T06:00:20.250000Z".to_owned())], "{state:?}");
+    }
 }
 
 #[tokio::test]

@@ -109,6 +109,9 @@ pub(super) struct Alarm {
     /// The rule that owns the alarm: only this rule may clear it.
     #[serde(default, skip_serializing_if = "is_usual")]
     pub(super) rule: Rule,
+    /// Whether the alarm is from before a maintenance, and no evidence after it has confirmed it yet.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) is_unchecked: bool,
     /// Latest event, with cause, severity and identity.
     pub(super) last: AlarmEvent,
 }
@@ -153,10 +156,14 @@ impl Alarms {
         alarm.last.state = state;
         alarm.last.by = actor.by.map(str::to_owned);
         alarm.last.why = actor.why.map(str::to_owned);
-        alarm.last.acknowledged_by = match alarm.state.beneath() {
-            State::Active { acknowledged: Some(acknowledged) } => Some(acknowledged.by.clone()),
-            _ => None,
-        };
+        match alarm.state.beneath() {
+            State::Active { acknowledged } => {
+                alarm.last.acknowledged_by = acknowledged.as_ref().map(|acknowledged| acknowledged.by.clone());
+            }
+            State::Cleared => alarm.last.acknowledged_by = None,
+            // The alarm ended with its acknowledgement or after it, or was never acknowledged.
+            State::Normal | State::Shelved { .. } => {}
+        }
         if let Some(text) = text {
             // An operator's command may only append a sentence to the text of an earlier event, which keeps its time.
             if actor.by.is_none() || !text.starts_with(&alarm.last.text) {
@@ -182,17 +189,19 @@ impl Alarms {
     }
 
     /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
-    /// not change, with one exception: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
-    /// part. Returns whether the alarm changed.
+    /// not change, with two exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
+    /// part or whose fault was intermittent, and the evidence of an alarm from before a maintenance is replaced. Returns
+    /// whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let cause = event.cause;
-        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
-        if self.is_active(cause) && !takes_over {
+        let yields = |owner: Rule| owner.knows_no_part() || owner == Rule::Intermittent;
+        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(yields);
+        if self.is_active(cause) && !takes_over && !self.is_unchecked(cause) {
             return false;
         }
         let index = self.find(cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
-            self.open.push(Alarm { state: State::Cleared, rule, last });
+            self.open.push(Alarm { state: State::Cleared, rule, is_unchecked: false, last });
             self.open.len() - 1
         });
         self.activate(Some(index), rule, event)
@@ -222,15 +231,16 @@ impl Alarms {
         self.activate(self.find(event.cause).filter(|_| worse), rule, event)
     }
 
-    /// Replaces evidence and severity of an active alarm whose drift changed its sign; the alarm needs a new
-    /// acknowledgement.
-    pub(super) fn change_sign(&mut self, event: AlarmEvent) {
-        self.activate(self.find(event.cause).filter(|_| self.is_active(event.cause)), Rule::Usual, event);
+    /// Raises an alarm that is not active or not checked, and escalates another one.
+    pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
+        let stands = self.is_active(event.cause) && !self.is_unchecked(event.cause);
+        if stands { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
-    /// Raises an alarm that is not active, and escalates one that is.
-    pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
-        if self.is_active(event.cause) { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
+    /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
+    pub(super) fn raise_anew(&mut self, event: AlarmEvent) -> bool {
+        let active = self.find(event.cause).filter(|_| self.is_active(event.cause));
+        if active.is_some() { self.activate(active, Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
     /// Replaces the evidence of an active alarm, and keeps its state.
@@ -252,7 +262,7 @@ impl Alarms {
         let alarm = &mut self.open[index];
         let at = event.event_at;
         let AlarmEvent { raised_at, event_no, .. } = alarm.last;
-        alarm.rule = rule;
+        (alarm.rule, alarm.is_unchecked) = (rule, false);
         alarm.last = AlarmEvent { raised_at, event_no, text_at: Some(at), ..event };
         self.event(index, at, Actor::default(), None);
     }
@@ -261,7 +271,7 @@ impl Alarms {
     /// if its cause has an open alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
         let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
-        self.open.push(Alarm { state, rule: Rule::Usual, last });
+        self.open.push(Alarm { state, rule: Rule::Usual, is_unchecked: false, last });
         self.event(self.open.len() - 1, at, Actor::default(), Some(text));
     }
 
@@ -288,16 +298,17 @@ impl Alarms {
     /// Acknowledges an alarm; a cleared alarm ends with this.
     pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
-        let state = self.open[index].state.beneath_mut();
-        *state = match state {
+        let Alarm { state, last, .. } = &mut self.open[index];
+        match state.beneath_mut() {
             State::Active { acknowledged: Some(before) } => {
                 return Err(CommandError::AlreadyAcknowledged { cause, by: before.by.clone() });
             }
-            State::Active { acknowledged: None } => {
-                State::Active { acknowledged: Some(Acknowledgement { by: by.to_owned(), at }) }
+            State::Active { acknowledged } => *acknowledged = Some(Acknowledgement { by: by.to_owned(), at }),
+            over => {
+                *over = State::Normal;
+                last.acknowledged_by = Some(by.to_owned());
             }
-            _ => State::Normal,
-        };
+        }
         self.event(index, at, Actor { by: Some(by), why: None }, None);
         Ok(())
     }
@@ -328,6 +339,15 @@ impl Alarms {
         Ok(())
     }
 
+    /// Limits the ends of all shelvings to `latest`.
+    pub(super) fn shelve_until_at_most(&mut self, latest: Timestamp) {
+        for alarm in &mut self.open {
+            if let State::Shelved { until, .. } = &mut alarm.state {
+                *until = latest.min(*until);
+            }
+        }
+    }
+
     /// Ends the shelvings that are due.
     pub(super) fn unshelve_due(&mut self, now: Timestamp) {
         let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
@@ -343,8 +363,8 @@ impl Alarms {
         let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
         for cause in open {
             let Some(index) = self.find(cause) else { continue };
-            let Alarm { state, last, .. } = &self.open[index];
-            let is_unchecked = !out && state.is_active();
+            let Alarm { state, is_unchecked, last, .. } = &mut self.open[index];
+            *is_unchecked = !out && state.is_active();
             let text = is_unchecked.then(|| text::before_maintenance(&last.text));
             self.event(index, at, actor, text);
         }
@@ -360,6 +380,11 @@ impl Alarms {
 
     pub(super) fn is_active(&self, cause: Cause) -> bool {
         self.find_active(cause).is_some()
+    }
+
+    /// Whether the active alarm of `cause` is from before a maintenance, and not confirmed since.
+    pub(super) fn is_unchecked(&self, cause: Cause) -> bool {
+        self.active_alarms().any(|alarm| alarm.last.cause == cause && alarm.is_unchecked)
     }
 
     /// The rule that owns the active alarm of `cause`.

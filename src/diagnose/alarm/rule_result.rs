@@ -30,7 +30,8 @@ pub(crate) enum RuleResult {
 }
 
 impl RuleResult {
-    /// Raises, escalates or ends the alarm of `rule`. A fault that an active alarm explains raises no alarm.
+    /// Raises, escalates or ends the alarm of `rule`. A fault without a named part raises no alarm if an active alarm
+    /// explains it.
     pub(crate) fn apply(self, rule: Rule, step: &mut Step) {
         let Step { alarms, name, .. } = step;
         match (alarms.owned_by(rule), self) {
@@ -47,7 +48,8 @@ impl RuleResult {
             }
             (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
             (None, Self::Fault(event) | Self::Larger(event))
-                if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
+                if !rule.knows_no_part()
+                    || !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
             {
                 alarms.raise(rule, *event);
             }

@@ -193,9 +193,8 @@ impl Baseline {
         self.centre = self.centre.map(|log| log - self.centre[0]);
     }
 
-    /// Whether it is a baseline of complete coefficients. In one of ratios, the errors that repeat in every throw
-    /// cancel.
-    pub(super) fn has_coefficients(&self) -> bool {
+    /// Whether errors that repeat in every throw count in a comparison with it. With a baseline of ratios they cancel.
+    pub(super) fn counts_repeating_errors(&self) -> bool {
         self.differing.is_none()
     }
 

@@ -11,10 +11,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::{BaselineRecord, friction_over_spring};
-use crate::diagnose::{
-    Observation,
-    observation::{Evaluated, apparent_friction},
-    statistics::median,
+use crate::{
+    diagnose::{
+        Observation,
+        observation::{Evaluated, apparent_friction},
+        statistics::median,
+    },
+    estimate::Rejection,
 };
 
 /// Number of throws of each direction from which the neutral position is learned: half of those of the earliest
@@ -50,7 +53,12 @@ impl Neutral {
     /// then the throws until now must not be part of a baseline.
     pub(crate) fn learn(&mut self, throw: &Observation) -> bool {
         let Self::Unknown(sides) = self else { return false };
-        let coefficients = throw.estimate.as_ref().map(|(estimate, _)| *estimate).or(throw.not_positive);
+        let coefficients = match (&throw.estimate, &throw.rejection) {
+            (Some((estimate, _)), _) => Some(*estimate),
+            // A wrong neutral position may make a1 negative.
+            (None, Some(Rejection::NotPositive { b0, a1, a0 })) => Some([*b0, *a1, *a0]),
+            _ => None,
+        };
         let (Some(coefficients), Some(direction), Some(duration_s)) =
             (coefficients, throw.direction, throw.features.duration_s)
         else {

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Attribution, Claim, Condition, Course, Drift, Explanation, History, Intermittent, Known, LEVELS_FOLLOW,
-    LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Transition, Window, explained, fit,
-    friction_of_sound_motor,
+    LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Reading, Transition, Window, explained,
+    fit, friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
@@ -83,85 +83,115 @@ pub(crate) struct DriftAlarms {
 impl DriftAlarms {
     /// Applies the latest throw, with its residual.
     pub(crate) fn judge(&mut self, latest: LatestThrow, residual: &Vector3<f64>, step: &mut Step) {
-        let LatestThrow { drift, order, settings, .. } = latest;
-        let name = step.name;
         self.unjudged = 0;
-        self.history.push(residual, order);
+        self.history.push(residual, latest.order);
         self.follow_onset(latest, step);
         let weather = self.beside_weather(latest);
-        let is_rising = self.intermittent.is_rising();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
-            let alarms = &*step.alarms;
-            let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
-            let weather = self.new_part(cause, latest).unwrap_or(weather);
-            if weather != Claim::Named && reading.claim != Claim::None {
-                reading.claim = weather;
-            }
-            let rule = alarms.rule(cause);
-            if is_rising || rule == Some(Rule::Intermittent) {
-                // Two faulty throws in a row are no drift yet, so an alarm waits longer.
-                reading.patience += LEVELS_FOLLOW;
-            }
-            let active = alarms.severity(cause).filter(|_| !rule.is_some_and(Rule::knows_no_part));
-            if reading.claim == Claim::Named
-                && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
-            {
-                let size = now.relevance(settings);
-                let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
-                reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
-                // The window may contain throws with a larger drift, so the present size decides.
-                reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
-                let least = 1.0 - settings.deadband_pct / 100.0;
-                // A part is named only if its change is significant.
-                let has_changed =
-                    now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
-                let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
-                reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
-            }
-            let transition = self.conditions[index].step(reading, active, settings);
+            let active = severity_of_drift(cause, step.alarms);
+            let reading = self.reading(cause, weather, active, latest, step.alarms);
             let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
-            let becomes_one_sided = self.becomes_one_sided(index, direction, alarms);
-            let severity = match transition {
-                Transition::Stay => becomes_one_sided,
-                Transition::Raise(severity) | Transition::Turn(severity) => Some(severity),
-                Transition::Escalate => Some(Severity::Critical),
-                _ => None,
-            };
-            let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
-            match (transition, event) {
-                (Transition::Stay, Some(event)) => {
-                    let text = text::one_direction(&event.text);
-                    step.alarms.update(AlarmEvent { text, ..event });
-                }
-                (Transition::Raise(_), Some(event)) => _ = step.raise(event),
-                (Transition::Turn(_), Some(event)) => step.alarms.change_sign(event),
-                (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-                // An alarm about an intermittent fault ends by its own rule.
-                (Transition::Clear { .. } | Transition::Withdraw, _) if rule != Some(Rule::Usual) => {}
-                (Transition::Clear { at_once }, _) => {
-                    let shared = self.shared_changes().find(|(of, _)| *of == cause);
-                    let text = match shared {
-                        Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                        None => text::cleared(name, cause, at_once),
-                    };
-                    step.clear(cause, text);
-                }
-                // Beside another fault the size is not certain enough for this.
-                (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
-                    step.remark(cause, text::maybe_repaired(name, cause));
-                }
-                (Transition::Withdraw, _) => {
-                    let other = match drift.origin {
-                        Origin::Sensor(_) => Cause::Sensor,
-                        Origin::Supply => Cause::Supply,
-                        _ => drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
-                    };
-                    step.clear(cause, text::withdrawn(name, cause, other));
-                }
-                _ => {}
-            }
+            let transition = self.conditions[index].step(reading, active, latest.settings);
+            let becomes_one_sided = self.becomes_one_sided(index, direction, step.alarms);
+            self.apply(cause, transition, becomes_one_sided, latest, step);
         }
         self.renew(latest, step.alarms);
+    }
+
+    /// The evidence of the latest throw for an alarm about `cause`. `weather`: the strongest claim beside the weather;
+    /// `active`: the severity of an active alarm about a lasting change of this cause.
+    fn reading(
+        &self,
+        cause: Cause,
+        weather: Claim,
+        active: Option<Severity>,
+        latest: LatestThrow,
+        alarms: &Alarms,
+    ) -> Reading {
+        let LatestThrow { drift, settings, .. } = latest;
+        let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+        let weather = self.new_part(cause, latest).unwrap_or(weather);
+        if weather != Claim::Named && reading.claim != Claim::None {
+            reading.claim = weather;
+        }
+        if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
+            // Two faulty throws in a row are no drift yet, so an alarm waits longer.
+            reading.patience += LEVELS_FOLLOW;
+        }
+        reading.unchecked = alarms.is_unchecked(cause);
+        if reading.claim == Claim::Named
+            && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
+        {
+            let size = now.relevance(settings);
+            let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
+            reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
+            // The window may contain throws with a larger drift, so the present size decides.
+            reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
+            let least = 1.0 - settings.deadband_pct / 100.0;
+            // A part is named only if its change is significant.
+            let has_changed =
+                now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
+            let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
+            reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+        }
+        let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
+        if is_intermittent && reading.claim == Claim::Named && reading.undoubted <= settings.critical_factor {
+            // Its text says more than a mean of faulty and sound throws.
+            reading.claim = Claim::Counts;
+        }
+        reading
+    }
+
+    /// Applies the transition of a condition to the alarm about `cause`. `becomes_one_sided`: see
+    /// [`Self::becomes_one_sided`].
+    fn apply(
+        &self,
+        cause: Cause,
+        transition: Transition,
+        becomes_one_sided: Option<Severity>,
+        latest: LatestThrow,
+        step: &mut Step,
+    ) {
+        let name = step.name;
+        let severity = match transition {
+            Transition::Stay => becomes_one_sided,
+            Transition::Raise(severity) | Transition::Turn(severity) => Some(severity),
+            Transition::Escalate => Some(Severity::Critical),
+            _ => None,
+        };
+        let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
+        match (transition, event) {
+            (Transition::Stay, Some(event)) => {
+                let text = text::one_direction(&event.text);
+                step.alarms.update(AlarmEvent { text, ..event });
+            }
+            (Transition::Raise(_), Some(event)) => _ = step.raise(event),
+            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(event),
+            (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
+            // An alarm about an intermittent fault ends by its own rule.
+            (Transition::Clear { .. } | Transition::Withdraw, _) if step.alarms.rule(cause) != Some(Rule::Usual) => {}
+            (Transition::Clear { at_once }, _) => {
+                let shared = self.shared_changes().find(|(of, _)| *of == cause);
+                let text = match shared {
+                    Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
+                    None => text::cleared(name, cause, at_once),
+                };
+                step.clear(cause, text);
+            }
+            // Beside another fault the size is not certain enough for this.
+            (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
+                step.remark(cause, text::maybe_repaired(name, cause));
+            }
+            (Transition::Withdraw, _) => {
+                let other = match latest.drift.origin {
+                    Origin::Sensor(_) => Cause::Sensor,
+                    Origin::Supply => Cause::Supply,
+                    _ => latest.drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
+                };
+                step.clear(cause, text::withdrawn(name, cause, other));
+            }
+            _ => {}
+        }
     }
 
     /// Stores the change `shared` of this throw, which the machine shares with its site; 0 for a coefficient whose
@@ -204,11 +234,14 @@ impl DriftAlarms {
         step: &mut Step,
     ) {
         let settings = step.settings;
-        let is_active = step.alarms.owned_by(Rule::Intermittent).is_some();
-        let states = [self.is_suspicious(step.alarms), is_active];
+        let is_active = step.alarms.owned_by(Rule::Intermittent);
+        let states = [self.is_suspicious(step.alarms), is_active.is_some()];
         self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
-        let found = if is_active {
-            if self.intermittent.is_over() { RuleResult::Nothing } else { RuleResult::Unclear }
+        let found = if is_active.is_some() {
+            // A fault that became permanent is no longer intermittent: the usual rule takes over its alarm.
+            let becomes_permanent = is_active.is_some_and(|cause| self.counts_for(cause));
+            let is_over = self.intermittent.is_over() && !becomes_permanent;
+            if is_over { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
             let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
             found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
@@ -220,6 +253,23 @@ impl DriftAlarms {
             self.intermittent.end();
         }
         found.apply(Rule::Intermittent, step);
+    }
+
+    /// Counts a throw whose departure is not known, as that of a rough throw on a machine with complete ones. After 50
+    /// of them in a row the alarm about an intermittent fault cannot end by its own rule.
+    pub(crate) fn on_unknown_departure(&mut self, step: &mut Step) {
+        if self.intermittent.on_unknown()
+            && let Some(cause) = step.alarms.owned_by(Rule::Intermittent)
+        {
+            self.intermittent.end();
+            step.clear(cause, text::intermittent_unknown(step.name, cause));
+        }
+    }
+
+    /// Whether the last throws speak for an alarm of the usual rule about `cause`.
+    fn counts_for(&self, cause: Cause) -> bool {
+        let condition = DRIFTS.iter().zip(&self.conditions).find(|(own, _)| **own == cause);
+        condition.is_some_and(|(_, condition)| condition.is_beginning())
     }
 
     /// The reason not to add the last throw to a baseline.
@@ -404,6 +454,13 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
         order.then(other_size.total_cmp(size))
     });
     drifts.into_iter().map(|(.., drifting)| drifting).collect()
+}
+
+/// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
+/// if its fault is intermittent.
+fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
+    let is_other = |rule: Rule| rule.knows_no_part() || rule == Rule::Intermittent;
+    alarms.severity(cause).filter(|_| !alarms.rule(cause).is_some_and(is_other))
 }
 
 #[cfg(test)]

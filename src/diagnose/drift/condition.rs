@@ -67,6 +67,8 @@ pub(crate) struct Reading {
     pub(super) other_name: bool,
     /// Whether the drift has this cause and a size above the limit, but the opposite sign to the alarm.
     pub(super) turned: bool,
+    /// Whether the alarm is from before a maintenance, and not confirmed since.
+    pub(super) unchecked: bool,
     /// Size in the last few throws relative to the warning limit; `None` if these throws are of the other direction
     /// than the alarm.
     pub(crate) latest: Option<f64>,
@@ -176,6 +178,8 @@ impl Condition {
         let transition = if ending.turned >= delay {
             ending = Ending { restless: ending.restless, ..Ending::default() };
             Transition::Turn(if is_critical { Severity::Critical } else { Severity::Warning })
+        } else if reading.unchecked && reading.claim == Claim::Named && onset.named >= delay {
+            Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
         } else if severity == Severity::Warning && is_critical {
             Transition::Escalate
         } else {
@@ -185,6 +189,11 @@ impl Condition {
         let since_raised = since_raised.unwrap_or_default();
         *self = Self::Raised { onset, since_raised, ending: Box::new(ending) };
         transition
+    }
+
+    /// Whether the last throw speaks for an alarm that is not active.
+    pub(crate) fn is_beginning(&self) -> bool {
+        matches!(self, Self::Quiet { onset, .. } if onset.named > 0)
     }
 
     /// Throws since the raise of the active alarm; `None` without one.

@@ -31,7 +31,7 @@ use crate::diagnose::{
     AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
     alarm::{Rule, Step, count_over},
     gauges::{Circuit, Gauge, Gauges, Offset, ShownBy},
-    statistics::{Level, WINDOWS, percent, streak},
+    statistics::{LONGEST_WINDOW, Level, WINDOWS, percent, streak},
     text,
 };
 
@@ -62,7 +62,7 @@ const INRUSH_SLACK_SD: f64 = 1.0;
 const MOTOR_OF_CIRCUIT: f64 = 0.12;
 
 /// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
-const LINGERS: u32 = 48;
+const LINGERS: u32 = 2 * LONGEST_WINDOW;
 
 /// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -83,7 +83,7 @@ struct Streaks {
 #[serde(default)]
 pub(crate) struct Instruments {
     pub(crate) gauges: Gauges,
-    /// The sensor that was last named.
+    /// The sensor whose fault the gauges showed last; also before the fault is named.
     channel: Option<SensorChannel>,
     /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f64,

@@ -65,6 +65,14 @@ pub(crate) struct Intermittent {
     tail: (f64, f64),
     /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
     undecided: LastValues<bool, DECIDED_AFTER>,
+    /// Consecutive throws whose departure is not known.
+    #[serde(skip_serializing_if = "is_zero")]
+    unknown: u32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Frequent departures, with their cause.
@@ -91,6 +99,7 @@ impl Intermittent {
         [suspicious, is_active]: [bool; 2],
         settings: &Settings,
     ) {
+        self.unknown = 0;
         let inverse = sym3::inverse(of_one_throw);
         let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
         let decided = self.undecided.push(square(departure) > FAR_OUT);
@@ -129,8 +138,9 @@ impl Intermittent {
         if self.past.1 < KNOWN_FROM {
             return None;
         }
-        let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
-        let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
+        let sizes = [ANY, LARGE];
+        let share = budget * OVERLAP / (sizes.len() * COUNTED.len()) as f64;
+        let mut tests = sizes.into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
         let inverse = sym3::inverse(of_one_throw)?;
         let shows = |(size, throws): (Size, u32)| {
             let counted = f64::from(self.recent.throws().min(throws));
@@ -178,6 +188,14 @@ impl Intermittent {
     /// Discards the departures when their alarm ends.
     pub(crate) fn end(&mut self) {
         self.recent.forget_values();
+        self.unknown = 0;
+    }
+
+    /// Counts a throw whose departure is not known. Returns whether these are too many in a row for the alarm to end by
+    /// its own rule.
+    pub(crate) fn on_unknown(&mut self) -> bool {
+        self.unknown = self.unknown.saturating_add(1);
+        self.unknown >= COUNTED[0]
     }
 
     /// Whether departures are as rare again as in the healthy past.

@@ -45,7 +45,7 @@ use self::{
 };
 use super::{
     Blindness, Cause, Settings,
-    statistics::{Scatter, percent, sym3},
+    statistics::{LONGEST_WINDOW, Scatter, percent, sym3},
 };
 use crate::throw::Direction;
 
@@ -56,9 +56,9 @@ const SAFE: f64 = 10.0;
 const DOUBTED_PATIENCE: u32 = 2;
 /// Number of throws for which an alarm waits longer without a single name: more throws after a step usually give one.
 const UNNAMED_PATIENCE: u32 = 6;
-/// Number of throws for which an alarm waits longer if two explanations are too close to call: the longest window, of
-/// 24 throws, distinguishes most of them.
-const TOO_CLOSE_PATIENCE: u32 = 24;
+/// Number of throws for which an alarm waits longer if two explanations are too close to call: the longest window
+/// distinguishes most of them.
+const TOO_CLOSE_PATIENCE: u32 = LONGEST_WINDOW;
 
 /// Factor on warning limits while a baseline is incomplete, as its few throws do not include the weather yet.
 const PROVISIONAL_WIDENING: f64 = 1.5;
@@ -137,7 +137,8 @@ impl Drift {
         let is_alarmed = self.attribution.is_some_and(|attribution| self.alarmed.contains(&attribution.cause()));
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
-        let other = excused && self.matters()
+        // A past fault of a sensor or the supply raises no alarm, but it ends none either.
+        let other = matches!(self.origin, Origin::Sensor(_) | Origin::Supply) && self.matters()
             || self.attribution.as_ref().is_some_and(|attribution| {
                 matches!(attribution.naming, Naming::One(_))
                     && !attribution.includes(cause)
@@ -193,6 +194,7 @@ impl Drift {
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,
+            unchecked: false,
             latest,
         }
     }

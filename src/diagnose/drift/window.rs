@@ -396,7 +396,7 @@ impl<'a> Stream<'a> {
     /// only with a baseline of complete coefficients.
     fn mean_misfit(&self, throws: usize, baselines: [Option<&Baseline>; 2]) -> Matrix3<f64> {
         let repeats = |(side, throw): &&(usize, &RecentThrow)| {
-            throw.ratios_only && baselines[*side].is_some_and(Baseline::has_coefficients)
+            throw.ratios_only && baselines[*side].is_some_and(Baseline::counts_repeating_errors)
         };
         let rough = self.0[..throws].iter().filter(repeats);
         rough.map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64

@@ -124,13 +124,17 @@ impl MachineMonitor {
     /// Silence is the sum of the times between calls, each at most an hour, so that a jump of the clock is not silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
+        // Later times show that the clock was set back. Otherwise no throw would count until they are reached.
+        let latest = now + settings.longest_shelving();
+        self.alarms.shelve_until_at_most(latest);
         self.alarms.unshelve_due(now);
-        let longest = settings.longest_shelving();
-        let ends = self.maintenance.as_mut().map(|maintenance| *maintenance.until.get_or_insert(now + longest));
+        let ends = self.maintenance.as_mut().map(|maintenance| {
+            let until = maintenance.until.map_or(latest, |until| until.min(latest));
+            *maintenance.until.insert(until)
+        });
         if ends.is_some_and(|until| until <= now) {
             self.end_maintenance(Actor::default(), now);
         }
-        // A later time shows that the clock was set back. Otherwise no throw would count until it is reached.
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
         // Silence counts only after a first throw.
         let in_service = self.maintenance.is_none() && self.order > 0;
@@ -249,6 +253,14 @@ impl MachineMonitor {
     }
 
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) {
+        // These compare with the baseline or with the gauges' normal values, which are learned anew.
+        let compares = |event: &AlarmEvent| match event.cause {
+            Cause::Sensor => matches!(self.alarms.rule(Cause::Sensor), Some(Rule::Gauges | Rule::Offset)),
+            cause => cause.is_drift() || matches!(cause, Cause::Supply | Cause::SlowThrow),
+        };
+        for cause in self.causes(compares) {
+            self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
+        }
         self.forget_recent(now);
         self.operation.forget_channel();
         self.thermometer = Thermometer::default();
@@ -260,9 +272,6 @@ impl MachineMonitor {
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
-        for cause in self.causes(|event| event.cause.is_drift()) {
-            self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
-        }
     }
 
     /// Clears the alarms of rules that lose their last throws, and so could not clear them later.

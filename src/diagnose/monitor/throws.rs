@@ -1,15 +1,15 @@
 //! Effects of a throw on the monitor of its machine. A throw with an estimate changes baseline and drift alarms, a
 //! throw without one changes gauges and features. Both change the operational alarms.
 
-use std::mem;
+use std::{borrow::Cow, mem};
 
 use nalgebra::Vector3;
 
 use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
-        Cause, Common, Observation, Settings, Verdict,
-        alarm::{Rule, RuleResult, Step, rule_result},
+        AlarmEvent, Cause, Common, Observation, Settings, Verdict,
+        alarm::{Alarms, Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, Known, LatestThrow, Origin},
         gauges::Offset,
@@ -40,16 +40,23 @@ impl MachineMonitor {
         self.order += 1;
         let features = &observation.features;
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
-        // The position is wrong, so neither the estimate nor the direction is known.
-        let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
-        let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
+        let temperature = self.thermometer.read(observation.temperature_c, at);
+        let mut observation = Cow::Borrowed(observation);
+        if reversed {
+            // The position is wrong, so neither the estimate nor the direction is known.
+            let observation = observation.to_mut();
+            (observation.direction, observation.estimate) = (None, None);
+        }
+        if observation.temperature_c != temperature.celsius {
+            observation.to_mut().temperature_c = temperature.celsius;
+        }
+        let observation = &*observation;
         // Taken out of the monitor: the step borrows both while the rest of the monitor changes.
         let (name, mut alarms) = (mem::take(&mut self.name), mem::take(&mut self.alarms));
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
-        let temperature = self.thermometer.read(observation.temperature_c, at);
         // A machine that lost its toe sensor cannot be compared with its baseline.
-        let without_position = self.has_position && observation.is_without_position();
+        let without_position = self.has_lost_position(observation);
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
@@ -59,8 +66,7 @@ impl MachineMonitor {
                 Some(shift) => throw.without_shift(shift),
                 None => throw,
             })
-            .map(|throw| self.tracks.compared(throw))
-            .map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
+            .map(|throw| self.tracks.compared(throw));
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
         if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
@@ -75,7 +81,7 @@ impl MachineMonitor {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
             self.operation.on_sensors(implausible, step);
-            let unusable = observation.faulty.map(Unusable::Values);
+            let unusable = observation.faulty_sensor().map(Unusable::Values);
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
             self.operation.on_channel(unusable, step);
@@ -88,10 +94,15 @@ impl MachineMonitor {
         Verdict { change_pct, baselines_taken, events, ..self.verdict(observation, settings) }
     }
 
+    /// Whether the throw has no toe position, and the machine had one before.
+    fn has_lost_position(&self, observation: &Observation) -> bool {
+        self.has_position && observation.is_without_position()
+    }
+
     /// The verdict on a throw without effect: the present of the machine.
     fn verdict(&self, observation: &Observation, settings: &Settings) -> Verdict {
         let baseline = observation.direction.and_then(|direction| {
-            if !observation.features_only {
+            if !observation.has_features_only() {
                 return Some(self.baseline_progress(direction, settings));
             }
             // A machine that has only a current sensor learns its features.
@@ -118,7 +129,7 @@ impl MachineMonitor {
         evaluated: Option<&Evaluated>,
         step: &mut Step,
     ) -> Vec<BaselineRecord> {
-        let Observation { direction, ref features, incomplete, temperature_c, .. } = *observation;
+        let Observation { direction, ref features, temperature_c, .. } = *observation;
         let is_usual_current = direction
             .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
         self.operation.on_throw(observation, is_usual_current, step);
@@ -141,11 +152,12 @@ impl MachineMonitor {
         rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
         self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
-        if let (Some(direction), Some(duration_s), false) = (direction, features.duration_s, incomplete)
+        let is_comparable = !observation.is_incomplete() && !self.has_lost_position(observation);
+        if let (Some(direction), Some(duration_s), true) = (direction, features.duration_s, is_comparable)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
-            let explained = step.alarms.active().any(|event| event.cause.is_drift() || event.cause == Cause::Supply);
+            let explained = step.alarms.active().any(|event| may_lengthen(event, step.alarms));
             self.operation.on_duration(longer_pct, direction, explained, step);
         }
         baselines_taken
@@ -155,11 +167,14 @@ impl MachineMonitor {
     /// direction without a baseline, the normal values are learned from these throws too. If they were not, a change
     /// during a long row of rejected throws would become normal unseen.
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
-        let Observation { features: all, incomplete, faulty, .. } = observation;
-        let features_only = observation.is_without_position();
-        let is_usable = !incomplete && faulty.is_none() && !observation.is_cut_off();
+        let all = &observation.features;
+        let without_position = observation.is_without_position();
+        let is_whole = !observation.is_incomplete() && !observation.is_cut_off();
+        let is_usable = is_whole && observation.faulty_sensor().is_none();
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
-        let features = if features_only {
+        let features = if self.has_lost_position(observation) {
+            without_duration(all)
+        } else if without_position {
             all.clone()
         } else {
             Features {
@@ -173,7 +188,7 @@ impl MachineMonitor {
             }
         };
         let has_baseline = self.tracks.of_one_throw(direction).is_some();
-        let unusual = self.drift.is_suspicious(step.alarms) || !features_only && has_baseline;
+        let unusual = self.drift.is_suspicious(step.alarms) || !without_position && has_baseline;
         self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
         let circuit = self.instruments.gauges.circuit(observation.temperature_c.is_some());
         self.instruments.judge_supply(None, circuit, step);
@@ -187,9 +202,11 @@ impl MachineMonitor {
             self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
         }
-        let is_whole = !observation.incomplete && !observation.is_cut_off();
+        let is_whole = !observation.is_incomplete() && !observation.is_cut_off();
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
-        let features = (&observation.features, observation.temperature_c);
+        let timed = &observation.features;
+        let untimed = self.has_lost_position(observation).then(|| without_duration(timed));
+        let features = (untimed.as_ref().unwrap_or(timed), observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
         // How much a known resistance slows a series-wound motor is unknown, so its alarm explains the features.
         let is_of_circuit = step.alarms.rule(Cause::Supply) == Some(Rule::Circuit);
@@ -198,7 +215,7 @@ impl MachineMonitor {
         found.apply(Rule::Features, step);
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
-            || observation.is_too_slow() && !self.tracks.any_baseline();
+            || observation.is_undersampled() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
         is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
     }
@@ -233,8 +250,9 @@ impl MachineMonitor {
         // The supply changes the inrush current, which accelerates the machine.
         let start_explained = is_instrument || step.alarms.is_active(Cause::Supply);
         self.start.judge(&self.instruments.gauges, start_explained, step).apply(Rule::Start, step);
-        if let Some(departure) = departure {
-            self.drift.judge_departure(departure, is_instrument, step);
+        match departure {
+            Some(departure) => self.drift.judge_departure(departure, is_instrument, step),
+            None => self.drift.on_unknown_departure(step),
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
@@ -244,5 +262,23 @@ impl MachineMonitor {
             self.drift.forget_history();
         }
         taken
+    }
+}
+
+/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which often
+/// runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is from the
+/// duration.
+fn without_duration(all: &Features) -> Features {
+    Features { duration_s: None, back_emf_v_s_per_rad: None, ..all.clone() }
+}
+
+/// Whether the alarm may explain that a throw takes longer.
+fn may_lengthen(event: &AlarmEvent, alarms: &Alarms) -> bool {
+    let is_up = event.change_pct.is_none_or(|pct| pct > 0.0);
+    match event.cause {
+        Cause::Kt => event.change_pct.is_none_or(|pct| pct < 0.0),
+        Cause::Friction | Cause::Stiffness | Cause::Inertia => is_up,
+        Cause::Unattributed => alarms.rule(Cause::Unattributed) != Some(Rule::Start),
+        cause => cause == Cause::Supply,
     }
 }

@@ -9,7 +9,7 @@ use crate::{
     diagnose::{
         AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity, alarm::Step, statistics::streak, text,
     },
-    estimate::Features,
+    estimate::{Features, Rejection},
     throw::Direction,
 };
 
@@ -45,7 +45,7 @@ pub(super) enum Logger {
         for_s: f64,
         /// Whether the loss has raised an alarm.
         alarmed: bool,
-        /// Time of the loss.
+        /// Time of the loss; `None` in snapshots of early versions.
         since: Option<Timestamp>,
     },
 }
@@ -59,10 +59,11 @@ pub(super) struct Streaks {
     slow: u32,
     very_slow: u32,
     pub(super) unevaluated: u32,
-    /// Throws while the temperature hides faults at their warning limit.
+    /// Throws in which the temperature or the scatter hides faults.
     pub(super) blind: u32,
     /// The last 32 throws as bits, 1 for a throw that was not evaluated.
-    lost: u32,
+    #[serde(rename = "lost")]
+    rejections: u32,
     /// Code of the reason for the last rejection.
     #[serde(skip_serializing_if = "Option::is_none")]
     rejected: Option<String>,
@@ -106,11 +107,16 @@ pub(crate) struct Operation {
     /// Time when the last gap was noticed \[s since 1970\]. A throw received before may have been made before the gap.
     pub(super) gap_at_s: u32,
     /// Missing throws since the alarm was raised.
-    pub(super) lost: u64,
+    #[serde(rename = "lost")]
+    pub(super) missing: u64,
     /// Number of them whose messages were refused.
     #[serde(skip_serializing_if = "is_zero")]
     pub(super) refused: u64,
     pub(super) silence_s: f64,
+    /// Whether the alarm [`Cause::NotMonitored`] is about silence, or about throws that cannot be evaluated; `None` before
+    /// the first such alarm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) is_about_silence: Option<bool>,
     pub(super) ticked_at: Option<Timestamp>,
     pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
@@ -131,7 +137,8 @@ impl Operation {
     /// Applies a throw, complete or not. A throw shows that the logger is alive, unless it was received before the loss
     /// of the logger. `is_usual_current`: the current is that of a complete throw.
     pub(crate) fn on_throw(&mut self, observation: &Observation, is_usual_current: bool, step: &mut Step) {
-        let &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. } = observation;
+        let &Observation { direction, received_at, ref unused_fields, .. } = observation;
+        let incomplete = observation.is_incomplete();
         let enough = step.settings.off_delay_throws;
         self.silence_s = 0.0;
         self.logger = match self.logger {
@@ -143,7 +150,7 @@ impl Operation {
         };
         // A trace that shows nothing neither completes a throw nor fails.
         let shows_movement = observation.estimate.is_some() || observation.features.duration_s.is_some();
-        let is_known = incomplete || observation.faulty.is_none() && shows_movement;
+        let is_known = incomplete || observation.faulty_sensor().is_none() && shows_movement;
         if is_known {
             streak(&mut self.incomplete, incomplete);
             streak(&mut self.complete, !incomplete);
@@ -157,8 +164,8 @@ impl Operation {
             if own.incomplete > in_a_row {
                 (in_a_row, in_direction) = (own.incomplete, Some(direction));
             }
-            if let Some(code) = rejected {
-                own.rejected = Some(code.to_owned());
+            if let Some(rejection) = &observation.rejection {
+                own.rejected = Some(rejection.code().to_owned());
             }
         }
         let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
@@ -169,7 +176,7 @@ impl Operation {
             .travel_mm
             .zip(observation.short_of_stroke_mm)
             .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
-        streak(&mut self.without_coefficients, observation.features_only);
+        streak(&mut self.without_coefficients, observation.has_features_only());
         if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
             self.since_gap = self.since_gap.saturating_add(1);
         }
@@ -182,7 +189,7 @@ impl Operation {
         }
         if self.since_gap >= enough {
             step.clear(Cause::DataLoss, text::no_gap(step.name, self.since_gap));
-            (self.lost, self.refused) = (0, 0);
+            (self.missing, self.refused) = (0, 0);
         }
     }
 
@@ -221,7 +228,7 @@ impl Operation {
         step: &mut Step,
     ) {
         let Step { name, settings, .. } = *step;
-        let Observation { direction, rejected, .. } = *observation;
+        let direction = observation.direction;
         let enough = settings.not_monitored_throws;
         streak(&mut self.unevaluated, !evaluated);
         if evaluated {
@@ -229,7 +236,7 @@ impl Operation {
         }
         for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
             let own = &mut self.sides[own.side()];
-            own.lost = own.lost << 1 | u32::from(!evaluated);
+            own.rejections = own.rejections << 1 | u32::from(!evaluated);
             if direction.is_some() {
                 streak(&mut own.unevaluated, !evaluated);
             }
@@ -237,14 +244,15 @@ impl Operation {
                 streak(&mut own.blind, blind.is_some());
             }
         }
-        let is_seen = self.sides.iter().all(|side| (side.lost | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
+        let is_seen = self.sides.iter().all(|side| (side.rejections | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
         } else if self.unevaluated >= enough {
-            text::unevaluated(name, None, self.unevaluated, rejected)
+            let code = observation.rejection.as_ref().map(Rejection::code);
+            text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
             let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
@@ -254,7 +262,16 @@ impl Operation {
             }
             return;
         };
-        step.raise(step.warning(Cause::NotMonitored, text));
+        self.not_monitored(false, text, step);
+    }
+
+    /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
+    /// instead of throws that cannot be evaluated, or the reverse. Returns whether the alarm changed.
+    pub(super) fn not_monitored(&mut self, is_about_silence: bool, text: String, step: &mut Step) -> bool {
+        let event = step.warning(Cause::NotMonitored, text);
+        let before = self.is_about_silence.replace(is_about_silence);
+        let is_other = before.is_some_and(|before| before != is_about_silence);
+        if is_other { step.alarms.raise_anew(event) } else { step.raise(event) }
     }
 
     /// Whether the last throw was not evaluated.
@@ -297,16 +314,16 @@ impl Operation {
     pub(crate) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
-            let Streaks { lost, rejected, .. } = &self.sides[direction.side()];
-            let count = Some(lost.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
+            let Streaks { rejections, rejected, .. } = &self.sides[direction.side()];
+            let count = Some(rejections.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
             Some(text::often_rejected(name, direction, count, u32::BITS, rejected.as_ref()?))
         });
         let short = self.short.filter(|(_, throws)| *throws >= SHORT_IN_A_ROW && !of_sensor);
-        let lost = had_coefficients && self.without_coefficients >= WITHOUT_COEFFICIENTS_IN_A_ROW;
+        let lost_coefficients = had_coefficients && self.without_coefficients >= WITHOUT_COEFFICIENTS_IN_A_ROW;
         let sentences = [
             unused.map(|(sentence, _)| text::unused_fields(name, sentence)),
             short.map(|([travel_mm, stroke_mm], _)| text::short_of_stroke(name, travel_mm, stroke_mm)),
-            lost.then(|| text::lost_coefficients(name, self.without_coefficients)),
+            lost_coefficients.then(|| text::lost_coefficients(name, self.without_coefficients)),
         ];
         sentences.into_iter().flatten().chain(often).collect()
     }
@@ -324,7 +341,7 @@ impl Operation {
             ended_mm: self.ended_mm,
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
-            lost: self.lost,
+            missing: self.missing,
             refused: self.refused,
             logger: self.logger,
             ..Self::default()

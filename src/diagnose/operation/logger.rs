@@ -26,16 +26,20 @@ impl Operation {
             return;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
-        if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
+        if let Logger::Gone { for_s, .. } = &mut self.logger {
             // A longer time is that of a restart of the daemon, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
-                *alarmed |= step.raise(step.warning(Cause::NotMonitored, text::logger_gone(name, *for_s / 60.0)));
+                let text = text::logger_gone(name, *for_s / 60.0);
+                let is_raised = self.not_monitored(true, text, step);
+                if let Logger::Gone { alarmed, .. } = &mut self.logger {
+                    *alarmed |= is_raised;
+                }
                 return;
             }
         }
         if self.is_silent(settings) {
-            step.raise(step.warning(Cause::NotMonitored, text::silent(name, self.silence_s / 3600.0)));
+            self.not_monitored(true, text::silent(name, self.silence_s / 3600.0), step);
         }
     }
 
@@ -82,14 +86,14 @@ impl Operation {
             return;
         }
         (self.since_gap, self.gap_at_s) = (0, unix_s(step.at));
-        let before = self.lost;
-        self.lost = before.saturating_add(missing.throws);
+        let before = self.missing;
+        self.missing = before.saturating_add(missing.throws);
         self.refused = self.refused.saturating_add(missing.refused);
-        let all = Missing { throws: self.lost, refused: self.refused, ..missing };
+        let all = Missing { throws: self.missing, refused: self.refused, ..missing };
         let text = text::gap(step.name, &all, step.at);
         if !step.alarms.is_active(Cause::DataLoss) {
             step.raise(step.warning(Cause::DataLoss, text));
-        } else if before == 0 || before.ilog2() != self.lost.ilog2() {
+        } else if before == 0 || before.ilog2() != self.missing.ilog2() {
             // A flapping link must not make an event of each gap: the sum is reported at each power of two.
             step.remark(Cause::DataLoss, text);
         }

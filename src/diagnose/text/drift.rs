@@ -104,6 +104,14 @@ pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
     format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The other throws are normal. {advice}")
 }
 
+/// Text of the end of an alarm about an intermittent fault that the throws no longer show or exclude.
+pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
+    format!(
+        "Machine {name}: whether single throws still have the fault ({cause}) is not known: the throws give only the ratios \
+         of the coefficients now, and no single one is judged."
+    )
+}
+
 /// Text of a drift that has ended; `at_once`: within a few throws.
 pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     let repair = if at_once {

@@ -112,9 +112,11 @@ struct Mixed {
 }
 
 impl Mixed {
-    /// Every throw tests the mixed stream and that of its direction, so each of the two gets half of the budget.
+    /// Every throw tests the mixed stream, if there is one, and that of its direction: each gets half of the budget.
+    const SHARE: f64 = 0.5;
+
     fn new(scatter: Scatter, settings: &Settings) -> Self {
-        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
+        let thresholds = Thresholds::compute(&scatter, Self::SHARE * settings.false_alarms_per_throw());
         Self { scatter, thresholds }
     }
 }
@@ -261,9 +263,7 @@ impl Tracks {
 
     /// Computes new thresholds after a new baseline, a new stream or a changed budget.
     fn refresh_thresholds(&mut self, settings: &Settings) {
-        // Every throw tests the stream of its direction, and the mixed stream if it exists.
-        let streams = if self.mixed.is_some() { 2.0 } else { 1.0 };
-        let share = settings.false_alarms_per_throw() / streams;
+        let share = if self.mixed.is_some() { Mixed::SHARE } else { 1.0 } * settings.false_alarms_per_throw();
         for track in &mut self.sides {
             if let Some(baseline) = &track.baseline
                 && track.thresholds.is_none_or(|thresholds| !thresholds.are_for(share))
