@@ -8,6 +8,7 @@ use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArgum
 
 use super::{
     batch,
+    retention::Dropped,
     spool::{count, machine_row},
     write::Write,
 };
@@ -167,7 +168,7 @@ impl Judgements {
             }
             if self.drop_traces {
                 sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
-                count(connection, "dropped_traces", 1).await?;
+                count(connection, &Dropped::Traces.counter(), 1).await?;
             }
         }
         Ok(true)

@@ -13,14 +13,16 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::SqliteConnection;
+use parking_lot::Mutex;
+use sqlx::{AssertSqlSafe, SqliteConnection};
+use strum::VariantArray as _;
 
 use super::{spool::count, write::Write};
 use crate::store::{
     database::Store,
     error::StoreError,
     files::disk::DiskLevel,
-    rate_limit::seldom,
+    rate_limit::{RecentCount, seldom},
     settings::{MIB, PAGE_BYTES},
     statements as sql,
     statistics::Statistics,
@@ -40,8 +42,7 @@ const OUTBOX: u64 = 100_000;
 /// again.
 const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a
-/// counter in the database.
+/// Kind of rows that were dropped to keep the database within its bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Dropped {
@@ -61,8 +62,42 @@ pub enum Dropped {
     Pages,
 }
 
+impl Dropped {
+    /// Name of the counter in the database. A trigger counts the notifications.
+    pub fn counter(self) -> String {
+        format!("dropped_{}", self.as_ref())
+    }
+}
+
+/// The rows dropped since the start of the daemon.
+#[derive(Debug, Default)]
+pub(crate) struct DropCounts {
+    /// The counters of the database at the last call of `note`.
+    counters: Mutex<Option<BTreeMap<String, u64>>>,
+    since_start: [RecentCount; Dropped::VARIANTS.len()],
+}
+
+impl DropCounts {
+    /// Adds the increase of the counters of the database. At the first call there is no increase: those rows were
+    /// dropped before this start.
+    fn note(&self, now: &BTreeMap<String, u64>) {
+        let before = self.counters.lock().replace(now.clone()).unwrap_or_else(|| now.clone());
+        for (what, count) in Dropped::VARIANTS.iter().zip(&self.since_start) {
+            let of = |counters: &BTreeMap<String, u64>| counters.get(&what.counter()).copied().unwrap_or(0);
+            if of(now) > of(&before) {
+                count.add(of(now) - of(&before));
+            }
+        }
+    }
+
+    /// Number of dropped rows since the start; `None` if it did not grow in the last hour.
+    pub(crate) fn recent(&self, what: Dropped) -> Option<u64> {
+        self.since_start[what as usize].shown()
+    }
+}
+
 /// Rows that can be dropped.
-struct Kind {
+struct DroppableRows {
     what: Dropped,
     /// Selects the machines with the most rows or bytes, which lose rows first; `None` without a choice of machines.
     largest: Option<&'static str>,
@@ -74,7 +109,7 @@ struct Kind {
     drop: &'static [&'static str],
 }
 
-impl Kind {
+impl DroppableRows {
     /// Rows of the machines that `largest` selects.
     fn of_largest(what: Dropped, largest: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
         Self { what, largest: Some(largest), oldest, arguments: Vec::new(), drop }
@@ -111,20 +146,16 @@ impl Kind {
 
     /// Drops up to `rows` rows; returns the number of dropped rows.
     async fn drop(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<u64> {
-        let dropped = if self.what == Dropped::Pages {
-            sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
-            PAGES
-        } else {
-            let chosen = self.choose(connection, rows).await?;
-            let list = serde_json::Value::from(chosen.as_slice()).to_string();
-            for statement in self.drop.iter().filter(|_| !chosen.is_empty()) {
-                sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
-            }
-            chosen.len() as u64
-        };
-        if dropped > 0 {
-            count(connection, &format!("dropped_{}", self.what.as_ref()), dropped.cast_signed()).await?;
+        let chosen = self.choose(connection, rows).await?;
+        if chosen.is_empty() {
+            return Ok(0);
         }
+        let list = serde_json::Value::from(chosen.as_slice()).to_string();
+        for statement in self.drop {
+            sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
+        }
+        let dropped = chosen.len() as u64;
+        count(connection, &self.what.counter(), dropped.cast_signed()).await?;
         Ok(dropped)
     }
 
@@ -172,19 +203,27 @@ fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
     shares
 }
 
-/// A transaction that drops up to `rows` rows. Rows of a later kind are dropped only if the earlier kinds have too few.
-struct DropRows {
-    kinds: Vec<Kind>,
-    rows: u64,
+/// A transaction of retention.
+enum Drop {
+    /// Drops up to this number of rows. Rows of a later kind are dropped only if the earlier kinds have too few.
+    Rows(Vec<DroppableRows>, u64),
+    /// Returns [`PAGES`] unused pages of the file to the disk.
+    Pages,
 }
 
-impl Write for DropRows {
+impl Write for Drop {
     type Output = BTreeMap<Dropped, u64>;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
         let mut done = BTreeMap::new();
-        let mut rest = self.rows;
-        for kind in &self.kinds {
+        let &Self::Rows(ref kinds, mut rest) = self else {
+            let vacuum = AssertSqlSafe(format!("PRAGMA incremental_vacuum({PAGES})"));
+            sqlx::query(vacuum).execute(&mut *connection).await?;
+            count(connection, &Dropped::Pages.counter(), PAGES.cast_signed()).await?;
+            done.insert(Dropped::Pages, PAGES);
+            return Ok(done);
+        };
+        for kind in kinds {
             let dropped = kind.drop(connection, rest).await?;
             if dropped > 0 {
                 *done.entry(kind.what).or_default() += dropped;
@@ -231,12 +270,12 @@ impl Store {
     }
 
     /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Drop>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
         let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
-        self.disk.note_dropped(&figures.counters());
+        self.drop_counts.note(&figures.counters());
         let available_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
@@ -244,46 +283,46 @@ impl Store {
             // The number of rows is estimated from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
-            let mut kinds = vec![Kind::traces(sql::MOST_TRACE_BYTES)];
+            let mut kinds = vec![DroppableRows::traces(sql::MOST_TRACE_BYTES)];
             // If other programs fill the disk, only traces are dropped.
             if excess > 0 {
                 kinds.extend([
-                    Kind::throws(sql::MOST_THROW_BYTES),
-                    Kind::pending(sql::MOST_THROW_BYTES),
-                    Kind::alarms(),
+                    DroppableRows::throws(sql::MOST_THROW_BYTES),
+                    DroppableRows::pending(sql::MOST_THROW_BYTES),
+                    DroppableRows::alarms(),
                 ]);
             }
-            due.push(DropRows { kinds, rows });
+            due.push(Drop::Rows(kinds, rows));
         }
-        let messages = Kind::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
+        let messages = DroppableRows::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
         let counts = [
             (
                 figures.traces,
                 settings.max_traces,
-                vec![Kind::traces(sql::MOST_TRACES), Kind::pending(sql::MOST_TRACES)],
+                vec![DroppableRows::traces(sql::MOST_TRACES), DroppableRows::pending(sql::MOST_TRACES)],
             ),
             (
                 figures.throws,
                 settings.max_throws,
-                vec![Kind::throws(sql::MOST_THROWS), Kind::pending(sql::MOST_THROWS)],
+                vec![DroppableRows::throws(sql::MOST_THROWS), DroppableRows::pending(sql::MOST_THROWS)],
             ),
-            (figures.closed_alarms, settings.max_alarms, vec![Kind::alarms()]),
+            (figures.closed_alarms, settings.max_alarms, vec![DroppableRows::alarms()]),
             (figures.outbox, OUTBOX, vec![messages]),
         ];
         for (count, most, kinds) in counts {
             let rows = count.saturating_sub(most).min(BATCH);
             if rows > 0 {
-                due.push(DropRows { kinds, rows });
+                due.push(Drop::Rows(kinds, rows));
             }
         }
         if clock_trusted {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
-            let kinds = vec![Kind::aged_traces(before.as_microsecond(), now.as_microsecond())];
-            due.push(DropRows { kinds, rows: BATCH });
+            let kinds = vec![DroppableRows::aged_traces(before.as_microsecond(), now.as_microsecond())];
+            due.push(Drop::Rows(kinds, BATCH));
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
-            due.push(DropRows { kinds: vec![Kind::of_all(Dropped::Pages, "", &[])], rows: PAGES });
+            due.push(Drop::Pages);
         }
         Ok(due)
     }
