@@ -226,7 +226,12 @@ async fn without_space_a_database_without_its_schema_is_read_at_a_later_start() 
     let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
     file.write_all_at(&[0x5a; 4096], 0).unwrap();
     drop(file);
+    // Space for a new database, and none for the copy with a new schema.
+    let size = fs::metadata(&path).unwrap().len();
     disk.fill();
+    let filler = disk.folder().join("filler");
+    let left = fs::metadata(&filler).unwrap().len() - size / 2;
+    fs::OpenOptions::new().write(true).open(filler).unwrap().set_len(left).unwrap();
     for _ in 0..2 {
         let full = Store::open(&settings(disk.folder()), at(0)).await.err();
         assert!(matches!(full, Some(StoreError::Full)), "{full:?}");

@@ -152,18 +152,18 @@ impl Monitors {
             }
             let ThrowRef { boot_id, throw_no } = &stored.id;
             tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
-            // The panic may have left the monitor half changed. The clocks stay: a throw is noted once also if it is
-            // noted twice.
+            // The panic may have left the monitor half changed. The clocks are not restored: a throw that is noted twice
+            // changes them once.
             match &before {
                 Some(before) => self.of_machines.insert(stored.machine.clone(), before.clone()),
                 None => self.of_machines.remove(&stored.machine),
             };
         }
-        // It may have changes of earlier throws of this transaction.
+        // The monitor may have changes by earlier throws of this transaction, which no other judgement stores.
         self.store_again(&stored.machine);
         Judgement {
             row: stored.row,
-            // The state is unknown, as the monitor may panic again.
+            // The state is left out, as the monitor may panic again when it derives its state.
             health: Health { state: None, ..health(stored, None, None, &Verdict::default(), None, 0) },
             identification: None,
             baselines: Vec::new(),
@@ -409,7 +409,7 @@ mod tests {
         let context = JudgementContext { is_last: true, settings: &settings, parameters, at };
         let mut monitors = Monitors::default();
         for is_known in [false, true] {
-            let before = is_known.then(|| monitors.monitor(&machine).clone());
+            let before = is_known.then(|| Box::new(monitors.monitor(&machine).clone()));
             let judgement = monitors.judge_by(
                 |monitors, stored, _, _| {
                     *monitors.monitor(&stored.machine) = MachineMonitor::new("half changed");
@@ -420,10 +420,7 @@ mod tests {
                 context,
             );
             assert_eq!((&*judgement.health.quality, judgement.outcome.monitor), ("estimator_failed", None));
-            assert_eq!(
-                monitors.of_machines.get(&machine).map(|monitor| json(monitor)),
-                before.map(|monitor| json(&monitor))
-            );
+            assert_eq!(monitors.of_machines.get(&machine).map(json), before.as_ref().map(json));
             assert!(monitors.to_store.contains(&machine));
         }
     }

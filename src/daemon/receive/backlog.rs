@@ -296,16 +296,15 @@ impl Querier {
                     new += stored.new;
                     (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
                 }
-                Err(error @ StoreError::Refused(_)) => match part {
-                    [throw] => {
+                Err(error @ StoreError::Refused(_)) => {
+                    if let [throw] = part {
                         let refused = super::unstorable(machine, throw, &error, at);
                         self.intake.quarantine_of_backlog(vec![refused]).await;
-                    }
-                    _ => {
+                    } else {
                         let (first, rest) = part.split_at(part.len() / 2);
                         parts.extend([rest, first]);
                     }
-                },
+                }
                 Err(error) => return Err(error),
             }
         }

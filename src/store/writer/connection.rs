@@ -266,7 +266,9 @@ async fn set_busy_timeout(connection: &mut SqliteConnection, wait: Duration) -> 
 
 /// Answers the jobs of a transaction.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
-    jobs.into_iter().for_each(|job| job.answer(committed()));
+    for job in jobs {
+        job.answer(committed());
+    }
 }
 
 /// Converts an error for the caller.

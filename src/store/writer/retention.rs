@@ -204,14 +204,14 @@ fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
 }
 
 /// A transaction of retention.
-enum Drop {
+enum Retention {
     /// Drops up to this number of rows. Rows of a later kind are dropped only if the earlier kinds have too few.
     Rows(Vec<DroppableRows>, u64),
     /// Returns [`PAGES`] unused pages of the file to the disk.
     Pages,
 }
 
-impl Write for Drop {
+impl Write for Retention {
     type Output = BTreeMap<Dropped, u64>;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
@@ -270,7 +270,7 @@ impl Store {
     }
 
     /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Drop>, StoreError> {
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Retention>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
@@ -292,7 +292,7 @@ impl Store {
                     DroppableRows::alarms(),
                 ]);
             }
-            due.push(Drop::Rows(kinds, rows));
+            due.push(Retention::Rows(kinds, rows));
         }
         let messages = DroppableRows::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
         let counts = [
@@ -312,17 +312,17 @@ impl Store {
         for (count, most, kinds) in counts {
             let rows = count.saturating_sub(most).min(BATCH);
             if rows > 0 {
-                due.push(Drop::Rows(kinds, rows));
+                due.push(Retention::Rows(kinds, rows));
             }
         }
         if clock_trusted {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
             let kinds = vec![DroppableRows::aged_traces(before.as_microsecond(), now.as_microsecond())];
-            due.push(Drop::Rows(kinds, BATCH));
+            due.push(Retention::Rows(kinds, BATCH));
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
-            due.push(Drop::Pages);
+            due.push(Retention::Pages);
         }
         Ok(due)
     }
