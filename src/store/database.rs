@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use tokio::task;
 
 use super::{
+    dropped::DropCounts,
     error::StoreError,
     files::{
         DatabaseFiles,
@@ -22,7 +23,6 @@ use super::{
         cursor::Cursor,
         judgement::{Judgement, Judgements, Outcome},
         quarantine::{Quarantine, QuarantinedMessage, Statement},
-        retention::DropCounts,
         spool::{Spool, Spooled, Spools},
     },
 };

@@ -2,11 +2,11 @@
 
 use super::{
     database::Store,
+    dropped::Dropped,
     files::{
         DatabaseFiles,
         disk::{DiskLevel, Replaced},
     },
-    writer::retention::Dropped,
 };
 use crate::{diagnose::Severity, throw::counted};
 

@@ -8,7 +8,6 @@ use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArgum
 
 use super::{
     batch,
-    retention::Dropped,
     spool::{count, machine_row},
     write::Write,
 };
@@ -16,6 +15,7 @@ use crate::{
     diagnose::{AlarmEvent, BaselineRecord, Command, MachineState, Present},
     estimate::{Estimate, Identification},
     store::{
+        dropped::Dropped,
         rows::{Gap, ThrowRow},
         statements as sql,
     },
