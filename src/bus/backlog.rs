@@ -23,7 +23,7 @@ const MAX_ERROR: usize = 200;
 
 /// The replies of a logger to a query for a page.
 #[derive(Debug, Default)]
-pub(crate) struct Page {
+pub(crate) struct ReplyPage {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
@@ -34,9 +34,9 @@ pub(crate) struct Page {
 }
 
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
-pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max_payload_bytes: usize) -> Page {
+pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max_payload_bytes: usize) -> ReplyPage {
     // The page so far, and its size \[bytes\].
-    let collected = Arc::new(Mutex::new((Page::default(), 0)));
+    let collected = Arc::new(Mutex::new((ReplyPage::default(), 0)));
     // Zenoh drops the callback, and the sender with it, after the last reply.
     let (open, ended) = oneshot::channel::<()>();
     let collecting = Arc::clone(&collected);
@@ -74,5 +74,5 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let (page, _) = std::mem::take(&mut *collected.lock());
-    Page { is_complete: has_ended && page.error.is_none(), ..page }
+    ReplyPage { is_complete: has_ended && page.error.is_none(), ..page }
 }

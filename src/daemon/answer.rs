@@ -16,8 +16,8 @@ use crate::{
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
-/// The answers to one kind of queries.
-pub(super) enum Answers {
+/// Answers one kind of queries.
+pub(super) enum Responder {
     /// To health queries.
     Health(Reader),
     /// To alarm queries. A query that also reaches the queryable on the key expression `elsewhere` is answered there.
@@ -29,7 +29,7 @@ pub(super) enum Answers {
     Status { key: String, sources: StatusSources },
 }
 
-impl Answers {
+impl Responder {
     /// Answers until the session is closed.
     pub(super) async fn run(self, mut questions: QueryQueue) {
         while let Some(question) = questions.next().await {

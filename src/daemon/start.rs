@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
-    answer::Answers,
+    answer::Responder,
     clock,
     config::Config,
     error::StartError,
@@ -292,7 +292,7 @@ impl Starting {
         let links = Links {
             status: Arc::clone(&self.status),
             outlet,
-            spooled: Arc::clone(&self.stored),
+            stored: Arc::clone(&self.stored),
             outbox: Arc::clone(&self.outbox),
             webhook: Arc::clone(&self.webhook),
             watchers,
@@ -339,7 +339,7 @@ impl Starting {
             session: self.session.clone(),
             intake: Arc::clone(&intake),
             is_client: bus::is_client(&self.config.zenoh),
-            spooled: Arc::clone(&self.stored),
+            stored: Arc::clone(&self.stored),
         };
         let backlog = Backlog {
             querier: Arc::new(querier),
@@ -352,7 +352,7 @@ impl Starting {
         let receiver = ReceiveLoop {
             inbox,
             intake,
-            spooled: Arc::clone(&self.stored),
+            stored: Arc::clone(&self.stored),
             missing,
             give_up: self.stops.give_up.clone(),
             undecoded: 0,
@@ -372,11 +372,11 @@ impl Starting {
         let reader = self.store.reader().clone();
         let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
         let status = &sources.status;
-        let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), status: Arc::clone(status), elsewhere };
-        let commands = || Answers::Commands { sender: sender.clone(), itself: itself.clone() };
+        let alarms = |elsewhere| Responder::Alarms { reader: reader.clone(), status: Arc::clone(status), elsewhere };
+        let commands = || Responder::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
-            ("answer status", key.clone(), Answers::Status { key, sources: sources.clone() }),
-            ("answer health", self.scope(Kind::Health), Answers::Health(reader.clone())),
+            ("answer status", key.clone(), Responder::Status { key, sources: sources.clone() }),
+            ("answer health", self.scope(Kind::Health), Responder::Health(reader.clone())),
             ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
             ("answer commands", self.scope(Kind::Command), commands()),
         ];
@@ -387,9 +387,9 @@ impl Starting {
             all.push(("answer own alarms", own(Kind::Alarm), alarms(elsewhere)));
             all.push(("answer own commands", own(Kind::Command), commands()));
         }
-        for (name, key, answers) in all {
+        for (name, key, responder) in all {
             let questions = QueryQueue::declare(&self.session, &key).await?;
-            self.tasks.spawn(name, answers.run(questions));
+            self.tasks.spawn(name, responder.run(questions));
         }
         Ok(())
     }

@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use tokio::task;
 
 use super::{
+    dropped::DropCounts,
     error::StoreError,
     files::{
         DatabaseFiles,
@@ -17,7 +18,7 @@ use super::{
     statements as sql,
     writer::{
         Writer,
-        backlog_page::{Page, PageStored, WriteOff},
+        backlog_page::{BacklogPage, PageStored, WriteOff},
         connection::WritingConnection,
         cursor::Cursor,
         judgement::{Judgement, Judgements, Outcome},
@@ -33,6 +34,7 @@ pub struct Store {
     pub(super) writer: Writer,
     pub(super) reader: Reader,
     pub(super) disk: Arc<Disk>,
+    pub(super) drop_counts: Arc<DropCounts>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
 }
@@ -72,7 +74,8 @@ impl Store {
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files };
+        let store =
+            Self { writer, reader, disk, drop_counts: Arc::default(), settings: Arc::new(settings.clone()), files };
         Ok(Opened { store, report })
     }
 
@@ -128,7 +131,7 @@ impl Store {
     ) -> Result<PageStored, StoreError> {
         let throws = throws.iter().map(|throw| (machine.clone(), throw.clone(), at)).collect();
         let throws = compress(throws).await?;
-        self.writer.write(Page { machine: machine.clone(), after: after.cloned(), throws, at }).await
+        self.writer.write(BacklogPage { machine: machine.clone(), after: after.cloned(), throws, at }).await
     }
 
     /// Writes off the throws of a machine that were missing when the backlog query with `cursor` was sent: the backlog

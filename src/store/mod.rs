@@ -9,9 +9,11 @@
 //! | `writer` | the writing task, and each kind of write |
 //! | `reader` | the read-only connections, and the queries of the pages and commands |
 //! | `rows`, `codec`, `recent` | the stored types, the compression of traces, and the newest throws in memory |
+//! | `dropped` | the kinds of rows that retention drops, and their counts |
 
 mod codec;
 mod database;
+mod dropped;
 mod error;
 mod files;
 mod rate_limit;
@@ -26,6 +28,7 @@ mod writer;
 
 pub use codec::UnreadableTrace;
 pub use database::{Opened, Store};
+pub use dropped::Dropped;
 pub use error::StoreError;
 pub use files::disk::DiskLevel;
 pub(crate) use files::open::refuse_foreign;
@@ -48,5 +51,4 @@ pub use writer::backlog_page::PageStored;
 pub use writer::cursor::Cursor;
 pub use writer::judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use writer::quarantine::QuarantinedMessage;
-pub use writer::retention::Dropped;
 pub use writer::spool::Spooled;

@@ -2,6 +2,7 @@
 
 use super::{
     database::Store,
+    dropped::Dropped,
     files::{
         DatabaseFiles,
         disk::{DiskLevel, Replaced},
@@ -59,21 +60,23 @@ impl Store {
             };
             (Severity::Critical, text)
         });
-        // In the order of the numbers in `lost`.
         let losses = [
             (
+                Dropped::PendingThrows,
                 "throw",
                 "before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly of one \
                  machine. Check the logger that sends so many",
             ),
-            ("alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
+            (Dropped::Messages, "alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
             (
+                Dropped::Notifications,
                 "alarm event",
                 "before the webhook accepted them, as too many were waiting. Check its receiver (webhook.url)",
             ),
         ];
-        let dropped = self.disk.lost().into_iter().zip(losses).filter_map(|(count, (noun, rest))| {
-            Some((Severity::Critical, format!("it dropped {} {rest}", counted(count?, noun))))
+        let dropped = losses.into_iter().filter_map(|(what, noun, rest)| {
+            let count = counted(self.drop_counts.recent(what)?, noun);
+            Some((Severity::Critical, format!("it dropped {count} {rest}")))
         });
         let all: Vec<(Severity, String)> =
             disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();

@@ -198,7 +198,7 @@ fn database(registry: &mut Registry, overview: &Overview) {
     let dropped = Family::<Labels<1>, Counter>::default();
     let counters = statistics.counters();
     for kind in Dropped::VARIANTS {
-        let rows = counters.get(&format!("dropped_{}", kind.as_ref())).copied().unwrap_or(0);
+        let rows = counters.get(&kind.counter()).copied().unwrap_or(0);
         dropped.get_or_create(&[("kind", kind.as_ref().to_owned())]).inc_by(rows);
     }
     registry.register("dropped", "Rows dropped to keep the database within its bounds, since its creation", dropped);

@@ -89,6 +89,7 @@ fn the_page_of_the_installation_has_every_problem_of_the_status() {
             refused: vec!["north/x".to_owned()],
             webhook_fails: true,
             webhook_refused: 2,
+            dropped: 3,
             lost: 3,
             backlog: 40,
             ..StatusReport::default()

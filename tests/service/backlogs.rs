@@ -62,6 +62,34 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
 }
 
+/// A trigger stands for a throw that SQLite refuses for a reason that nobody knows yet. The first page has four throws.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_throw_that_the_database_refuses_holds_up_no_other_of_its_page() {
+    let (rig, daemon) = Rig::running();
+    rig.change(
+        "CREATE TRIGGER refuse BEFORE INSERT ON throw WHEN NEW.throw_no = 4 BEGIN SELECT RAISE(ABORT, 'refused'); END",
+    )
+    .await;
+    let session = daemon.client().await;
+    let of_throw = |throw_no| (id(throw_no), encode_throw(Encoding::Cbor, &stub("boot", throw_no)));
+    keep(&session, KEY, (2..=6).map(of_throw).collect()).await;
+    Sender::of(&session, KEY).await.send([1, 7].map(|throw_no| stub("boot", throw_no))).await;
+    rig.judged(6).await;
+    let gaps = rig.sql("SELECT first_throw_no, last_throw_no FROM data_gaps WHERE missing_throws > 0");
+    assert_eq!(gaps, [serde_json::json!({"first_throw_no": 4, "last_throw_no": 4})]);
+    let quarantined = rig.sql("SELECT reason FROM quarantined_messages");
+    assert!(
+        quarantined.len() == 1 && quarantined[0].to_string().contains("the database rejects it"),
+        "{quarantined:?}"
+    );
+    let status = daemon.status();
+    assert_eq!(
+        (&status["quarantined"], &status["stored"], &status["lost"]),
+        (&1.into(), &6.into(), &0.into()),
+        "{status}"
+    );
+}
+
 /// The logger declares its token before its backlog is ready, as after each cut of its link.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_outage_does_not_count_as_replies_without_the_throws() {

@@ -4,15 +4,18 @@ use std::{fs, os::unix::fs::FileExt, path::Path, time::Duration};
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{Found, Judgement, MonitorRecord, Outcome, Salvaged, Selector, Store},
+    store::{Found, Judgement, MonitorRecord, Outcome, Salvaged, Selector, Store, StoreError},
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::Connection;
 use tokio::time::timeout;
 
-use crate::given::{
-    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, spooled,
+use crate::{
+    given::{
+        alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, settings, spooled,
+    },
+    small_disk::SmallDisk,
 };
 
 const PAGE: u64 = 4096;
@@ -52,6 +55,12 @@ async fn salvaged(folder: &Path) -> (Store, Salvaged) {
     let opened = open(folder).await;
     let Found::SetAside { salvaged, .. } = opened.report.found else { panic!("{:?}", opened.report) };
     (opened.store, salvaged)
+}
+
+/// The unfinished files of a recovery.
+fn leftovers(folder: &Path) -> Vec<String> {
+    let names = fs::read_dir(folder).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
+    names.filter(|name| ["salvage", "grafted", "layout"].iter().any(|part| name.contains(part))).collect()
 }
 
 #[tokio::test]
@@ -179,9 +188,7 @@ async fn an_interrupted_salvage_begins_again_at_the_next_start() {
     assert_eq!(opened.report.found, Found::Clean, "the copy is complete");
     let monitors = opened.store.reader().monitors(None, 100).await.unwrap().len();
     assert_eq!(monitors as u64, salvaged.saved("monitor"));
-    let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
-    let names: Vec<String> = names.filter(|name| name.contains("salvage")).collect();
-    assert!(names.is_empty(), "{names:?}");
+    assert_eq!(leftovers(folder.path()), Vec::<String>::new());
 }
 
 /// The first page holds the start of the schema: without it SQLite cannot read any table.
@@ -206,8 +213,34 @@ async fn without_its_schema_a_database_is_read_where_this_program_puts_its_table
         let saved = ["monitor", "alarm", "throw", "estimate", "trace"].map(|table| salvaged.saved(table));
         assert_eq!(saved, [10, 10, 1000, 1000, 1000], "moved: {moved}, {salvaged:?}");
         assert_eq!(store.reader().open_alarms(&Selector::default()).await.unwrap().len(), 10);
-        let left = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
-        let left: Vec<String> = left.filter(|name| name.contains("-grafted") || name.contains("-layout")).collect();
-        assert!(left.is_empty(), "{left:?}");
+        assert_eq!(leftovers(folder.path()), Vec::<String>::new());
     }
+}
+
+/// Without space for a copy of the broken file, an empty database would hide its baselines for ever.
+#[tokio::test]
+async fn without_space_a_database_without_its_schema_is_read_at_a_later_start() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let path = disk.folder().join("points.db");
+    database(disk.folder()).await;
+    let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
+    file.write_all_at(&[0x5a; 4096], 0).unwrap();
+    drop(file);
+    // Space for a new database, and none for the copy with a new schema.
+    let size = fs::metadata(&path).unwrap().len();
+    disk.fill();
+    let filler = disk.folder().join("filler");
+    let left = fs::metadata(&filler).unwrap().len() - size / 2;
+    fs::OpenOptions::new().write(true).open(filler).unwrap().set_len(left).unwrap();
+    for _ in 0..2 {
+        let full = Store::open(&settings(disk.folder()), at(0)).await.err();
+        assert!(matches!(full, Some(StoreError::Full)), "{full:?}");
+        assert!(!path.exists(), "an empty database takes its place");
+    }
+    disk.free();
+    let (store, salvaged) = salvaged(disk.folder()).await;
+    assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm")), (10, 10), "{salvaged:?}");
+    let (_, said) = store.trouble(None).unwrap();
+    assert!(said.contains("points.db-broken-20260301T060000Z; what could be read"), "{said}");
+    assert_eq!(leftovers(disk.folder()), Vec::<String>::new());
 }

@@ -1,12 +1,12 @@
 //! SQLite can prepare every statement of the store.
 
 use pointsd::{
-    diagnose::Command,
+    diagnose::{AlarmState, Cause, Command, MachineState},
     store::{Outcome, Selector, statements},
 };
 use sqlx::{Column, Executor, Row, SqlSafeStr};
 
-use crate::given::{at, fresh, judged, outcome, outsider, query};
+use crate::given::{alarm, at, fresh, judged, outcome, outsider, query};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -189,6 +189,30 @@ async fn the_end_of_a_window_has_six_digits_of_its_second_as_every_time() {
     let ends: Vec<(Option<String>,)> = query(&store, "SELECT until FROM operator_commands").await;
     let fractions: Vec<_> = ends.iter().map(|(end,)| end.as_deref().map(|end| &end[19..])).collect();
     assert_eq!(fractions, [Some(".250000Z"), Some(".000000Z"), Some(".373456Z"), None]);
+}
+
+/// An alarm that was shelved once is out of service later. Its old shelving is no open window.
+#[tokio::test]
+async fn the_windows_are_the_present_shelvings_and_maintenance() {
+    let (_folder, store) = fresh().await;
+    let (_, windows) = statements::all().find(|(name, _)| *name == "WINDOWS").unwrap();
+    let mut connection = outsider(store.path()).await;
+    let mut commands = async || {
+        let rows = connection.fetch_all(windows).await.unwrap();
+        rows.iter().map(|row| row.get("command")).collect::<Vec<String>>()
+    };
+    let (by, why, until) = ("mia".to_owned(), "greased".to_owned(), at(3_600));
+    let shelve = Command::Shelve { cause: Cause::Friction, until, by: by.clone(), why: why.clone() };
+    let shelved = alarm(1, AlarmState::Shelved);
+    store.record(Outcome { command: Some(shelve), ..shelved }).await.unwrap();
+    assert_eq!(commands().await, ["shelve"]);
+    store.record(alarm(2, AlarmState::ActiveUnacknowledged)).await.unwrap();
+    assert_eq!(commands().await, [""; 0]);
+    let mut repaired = alarm(3, AlarmState::OutOfService);
+    repaired.command = Some(Command::MaintenanceStart { until, by, why });
+    repaired.monitor.as_mut().unwrap().present.state = MachineState::Maintenance;
+    store.record(repaired).await.unwrap();
+    assert_eq!(commands().await, ["maintenance_start"]);
 }
 
 /// The deletion of a row does not search whole tables for rows that refer to it.

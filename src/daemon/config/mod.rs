@@ -313,7 +313,9 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     document.in_section("web", web.check_ranges())?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
-        return Err(document.error_at("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
+        let (least, most) = TOKEN_LENGTH.into_inner();
+        let problem = format!("must have {least} to {most} characters: a short secret can be guessed");
+        return Err(document.error_at("web.token", problem));
     }
     Ok(())
 }

@@ -79,7 +79,7 @@ impl Webhook {
         if let Some(token) = &self.authorization
             && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
         {
-            return invalid("authorization", "must be up to 1024 printable ASCII characters".to_owned());
+            return invalid("authorization", format!("must be up to {AUTHORIZATION} printable ASCII characters"));
         }
         self.authorities().map(drop).or_else(|problem| invalid("ca_file", problem))
     }

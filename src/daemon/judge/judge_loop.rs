@@ -78,7 +78,7 @@ pub(crate) struct Links {
     pub(crate) status: Arc<Status>,
     pub(crate) outlet: Outlet,
     /// Notified when a throw is stored.
-    pub(crate) spooled: Arc<Notify>,
+    pub(crate) stored: Arc<Notify>,
     /// Notified when the outbox has a new message.
     pub(crate) outbox: Arc<Notify>,
     /// Notified too, for the loop that sends alarms to the webhook.
@@ -144,7 +144,7 @@ impl JudgeLoop {
                 Some(pending) = self.links.commands.recv() => self.answer_command(pending).await?,
                 _ = tick.tick() => self.on_tick().await?,
                 () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
-                () = self.links.spooled.notified() => may_be_pending = true,
+                () = self.links.stored.notified() => may_be_pending = true,
                 _ = beat.tick() => may_be_pending = true,
             }
         }

@@ -16,12 +16,12 @@ use crate::{
     daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
     diagnose::{
         AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
-        Settings,
+        Settings, Verdict,
     },
     estimate::{Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name, ThrowRef},
-    wire::{Alarm, json},
+    wire::{Alarm, Health, json},
 };
 
 /// Time between two ticks of the monitors, which need at least one tick a minute.
@@ -132,18 +132,43 @@ impl Monitors {
         identification: Option<Identification>,
         context: JudgementContext,
     ) -> Judgement {
+        self.judge_by(Self::diagnose, stored, identification, context)
+    }
+
+    /// Judges a throw by `diagnose`. After a panic it is repeated without the estimate, so that the monitor counts the
+    /// throw. After a second panic the throw is unknown to the monitor.
+    fn judge_by(
+        &mut self,
+        diagnose: impl Fn(&mut Self, &StoredThrow, Option<Identification>, JudgementContext) -> Judgement,
+        stored: &StoredThrow,
+        identification: Option<Identification>,
+        context: JudgementContext,
+    ) -> Judgement {
         let before = self.of_machines.get(&stored.machine).cloned();
-        let attempt = AssertUnwindSafe(|| self.diagnose(stored, identification, context));
-        catch_unwind(attempt).unwrap_or_else(|_| {
+        for identification in [identification, None] {
+            let attempt = AssertUnwindSafe(|| diagnose(self, stored, identification, context));
+            if let Ok(judgement) = catch_unwind(attempt) {
+                return judgement;
+            }
             let ThrowRef { boot_id, throw_no } = &stored.id;
             tracing::error!(machine = %stored.machine, boot_id, throw_no, "the diagnosis failed on this throw: please report it");
-            // The panic may have left the monitor half changed.
-            match before {
-                Some(before) => self.of_machines.insert(stored.machine.clone(), before),
+            // The panic may have left the monitor half changed. The clocks are not restored: a throw that is noted twice
+            // changes them once.
+            match &before {
+                Some(before) => self.of_machines.insert(stored.machine.clone(), before.clone()),
                 None => self.of_machines.remove(&stored.machine),
             };
-            self.diagnose(stored, None, context)
-        })
+        }
+        // The monitor may have changes by earlier throws of this transaction, which no other judgement stores.
+        self.store_again(&stored.machine);
+        Judgement {
+            row: stored.row,
+            // The state is left out, as the monitor may panic again when it derives its state.
+            health: Health { state: None, ..health(stored, None, None, &Verdict::default(), None, 0) },
+            identification: None,
+            baselines: Vec::new(),
+            outcome: outcome(&stored.machine, None, context.at, Vec::new()),
+        }
     }
 
     fn diagnose(
@@ -356,6 +381,49 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        estimate,
+        store::ThrowRow,
+        throw::{Throw, Trace},
+    };
+
+    #[test]
+    fn a_throw_that_makes_the_diagnosis_panic_twice_changes_no_monitor() {
+        let machine = MachineId::new("north", "21B").unwrap();
+        let id = ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 };
+        let at = Timestamp::UNIX_EPOCH;
+        let throw =
+            Throw { id: id.clone(), ..Throw::recorded(Trace::new(1000.0, vec![0.0; 9], vec![0.0; 9]).unwrap()) };
+        let stored = StoredThrow {
+            row: ThrowRow::START,
+            machine: machine.clone(),
+            id,
+            started_at: at,
+            received_at: at,
+            throw: Ok(throw),
+            repeats: false,
+            renumbered: false,
+        };
+        let settings = Settings::default();
+        let parameters = Parameters::of(&estimate::Settings::default());
+        let context = JudgementContext { is_last: true, settings: &settings, parameters, at };
+        let mut monitors = Monitors::default();
+        for is_known in [false, true] {
+            let before = is_known.then(|| Box::new(monitors.monitor(&machine).clone()));
+            let judgement = monitors.judge_by(
+                |monitors, stored, _, _| {
+                    *monitors.monitor(&stored.machine) = MachineMonitor::new("half changed");
+                    panic!("a defect of the diagnosis");
+                },
+                &stored,
+                None,
+                context,
+            );
+            assert_eq!((&*judgement.health.quality, judgement.outcome.monitor), ("estimator_failed", None));
+            assert_eq!(monitors.of_machines.get(&machine).map(json), before.as_ref().map(json));
+            assert!(monitors.to_store.contains(&machine));
+        }
+    }
 
     #[test]
     fn a_monitor_that_cannot_be_read_is_kept() {

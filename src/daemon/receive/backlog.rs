@@ -203,7 +203,7 @@ impl Backlog {
 }
 
 /// The reply of a logger to the query for a page.
-struct Page {
+struct ThrowPage {
     /// The usable throws, oldest first.
     throws: Vec<Throw>,
     /// Whether all replies arrived.
@@ -217,7 +217,8 @@ pub(crate) struct Querier {
     pub(crate) session: Session,
     pub(crate) intake: Arc<Intake>,
     pub(crate) is_client: bool,
-    pub(crate) spooled: Arc<Notify>,
+    /// Notified when a throw is stored.
+    pub(crate) stored: Arc<Notify>,
 }
 
 impl Querier {
@@ -240,9 +241,10 @@ impl Querier {
         let (mut repeated, mut least, start) = (0, 1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, *size).max(least);
-            let Page { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
-            if throws.is_empty() {
-                // Valid throws may follow after messages that are invalid, or that zenoh drops because of their size.
+            let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
+            let Some((new, next)) = self.store(machine, cursor.after.as_ref(), &throws).await? else {
+                // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
+                // because of their size.
                 if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
                     least = (WIDER * limit).min(wire::MAX_PAGE);
                     continue;
@@ -255,13 +257,10 @@ impl Querier {
                     true if cursor.awaits => QueryEnd::Without(cursor),
                     true => QueryEnd::Complete,
                 });
-            }
-            let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &throws, clock::now()).await?;
-            self.intake.status.edit().stored += stored.new;
-            self.intake.status.edit().duplicates += stored.duplicates;
-            self.spooled.notify_one();
-            cursor = stored.cursor;
-            repeated = if stored.new == 0 { repeated + 1 } else { 0 };
+            };
+            self.stored.notify_one();
+            cursor = next;
+            repeated = if new == 0 { repeated + 1 } else { 0 };
             least = 1;
             if !is_complete {
                 *size = (*size / 2).max(1);
@@ -278,8 +277,42 @@ impl Querier {
         Ok(QueryEnd::More)
     }
 
+    /// Stores the throws of a page; returns the number of new ones and the next cursor, or `None` if none was stored. If
+    /// SQLite refuses the page (constraint, type), it is halved down to the throws that SQLite refuses alone. These go
+    /// to quarantine, and the next stored throw makes their numbers a gap. A retry would fail for ever.
+    async fn store(
+        &self,
+        machine: &MachineId,
+        mut after: Option<&ThrowRef>,
+        throws: &[Throw],
+    ) -> Result<Option<(u64, Cursor)>, StoreError> {
+        let (at, mut new, mut next) = (clock::now(), 0, None);
+        let mut parts: Vec<&[Throw]> = throws.chunks(wire::MAX_PAGE).collect();
+        while let Some(part) = parts.pop() {
+            match self.intake.store.spool_page(machine, after, part, at).await {
+                Ok(stored) => {
+                    self.intake.status.edit().stored += stored.new;
+                    self.intake.status.edit().duplicates += stored.duplicates;
+                    new += stored.new;
+                    (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
+                }
+                Err(error @ StoreError::Refused(_)) => {
+                    if let [throw] = part {
+                        let refused = super::unstorable(machine, throw, &error, at);
+                        self.intake.quarantine_of_backlog(vec![refused]).await;
+                    } else {
+                        let (first, rest) = part.split_at(part.len() / 2);
+                        parts.extend([rest, first]);
+                    }
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(next.map(|cursor| (new, cursor)))
+    }
+
     /// Queries a page of throws after the cursor.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Page {
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> ThrowPage {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer =
             bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.intake.max_payload_bytes)
@@ -299,7 +332,7 @@ impl Querier {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        Page { throws, is_complete: answer.is_complete, is_empty: received == 0 }
+        ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0 }
     }
 }
 

@@ -101,13 +101,19 @@ impl Intake {
                     self.status.count_invalid(machine, is_known, &refused.reason);
                 }
             }
+            self.quarantine(refused).await;
         } else {
-            let all = refused.len();
-            refused.retain(|refused| self.is_first_refusal(refused));
-            self.status.edit().duplicates += (all - refused.len()) as u64;
+            self.quarantine_of_backlog(refused).await;
         }
-        self.quarantine(refused).await;
         throws
+    }
+
+    /// Quarantines messages from a backlog, each only once.
+    async fn quarantine_of_backlog(&self, mut refused: Vec<QuarantinedMessage>) {
+        let all = refused.len();
+        refused.retain(|refused| self.is_first_refusal(refused));
+        self.status.edit().duplicates += (all - refused.len()) as u64;
+        self.quarantine(refused).await;
     }
 
     /// Whether a live throw of a machine was received in the last minute.
@@ -171,7 +177,8 @@ impl Intake {
 pub(super) struct ReceiveLoop {
     pub(super) inbox: Inbox,
     pub(super) intake: Arc<Intake>,
-    pub(super) spooled: Arc<Notify>,
+    /// Notified when a throw is stored.
+    pub(super) stored: Arc<Notify>,
     pub(super) missing: Arc<Notify>,
     /// Cancelled when the daemon must end: unstored messages are then lost, and are logged and counted as lost.
     pub(super) give_up: CancellationToken,
@@ -247,7 +254,7 @@ impl ReceiveLoop {
                     self.quarantine_the_unstorable(&error).await;
                 }
             }
-            self.spooled.notify_one();
+            self.stored.notify_one();
             if self.unstored.is_empty() {
                 // The database has stored or quarantined every throw of the batch.
                 if std::mem::take(&mut self.storing_fails) {
@@ -300,8 +307,7 @@ impl ReceiveLoop {
                     true
                 }
                 Err(error @ StoreError::Refused(_)) => {
-                    let reason = format!("the database rejects it: {error}");
-                    let refused = QuarantinedMessage::throw(machine, throw, reason, *received_at);
+                    let refused = unstorable(machine, throw, &error, *received_at);
                     let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
                     self.intake.status.edit().quarantined += u64::from(is_kept);
                     is_kept
@@ -315,6 +321,11 @@ impl ReceiveLoop {
             }
         }
     }
+}
+
+/// A throw that SQLite refuses to store.
+fn unstorable(machine: &MachineId, throw: &Throw, error: &StoreError, at: Timestamp) -> QuarantinedMessage {
+    QuarantinedMessage::throw(machine, throw, format!("the database rejects it: {error}"), at)
 }
 
 /// Decodes a message. A message that makes the decoder panic goes to quarantine like any invalid message, and the rest

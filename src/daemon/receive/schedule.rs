@@ -9,7 +9,8 @@ use tokio::time::Instant;
 
 use crate::throw::MachineId;
 
-/// Largest number of loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
+/// Largest number of loggers queried at the same time. A page has at most 4 MiB, and its decoded throws take up to four
+/// times as much, so this bounds the memory to 160 MiB.
 pub(super) const AT_A_TIME: usize = 8;
 /// Largest number of slow loggers among them, so that the other loggers always make progress.
 const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;

@@ -107,7 +107,8 @@ pub struct StatusReport {
     pub loggers_behind: usize,
     /// Messages received.
     pub received: u64,
-    /// Messages dropped because the queue of received messages was full.
+    /// Messages dropped because the queue of received messages was full, or its share for their key. The daemon queries
+    /// the logger of a known machine for them, if it has a backlog.
     pub dropped: u64,
     /// Replies of loggers that do not match the query for a backlog.
     #[serde(default)]
@@ -299,8 +300,15 @@ impl StatusReport {
         add(self.webhook_refused > 0, &format!("WEBHOOK REFUSED {refused}: not sent again, look in the log"));
         let rejected = counted(self.alarm_events_lost, "alarm event");
         add(self.alarm_events_lost > 0, &format!("{rejected} LOST: the database rejects them, look in the log"));
-        let lost = self.dropped + self.lost;
-        add(lost > 0, &format!("{} LOST: received and not stored", counted(lost, "message")));
+        let dropped = counted(self.dropped, "message");
+        add(
+            self.dropped > 0,
+            &format!(
+                "{dropped} DROPPED: more arrived than could be stored; throws are fetched from backlogs where possible"
+            ),
+        );
+        let lost = counted(self.lost, "message");
+        add(self.lost > 0, &format!("{lost} LOST: received and not stored"));
         problems
     }
 

@@ -44,8 +44,8 @@ pub(super) struct Notifier {
     server: WebhookServer,
     monitor: MachineId,
     status: Arc<Status>,
-    /// Notified when the outbox has a new message.
-    outbox: Arc<Notify>,
+    /// Notified when an alarm event is stored.
+    wake: Arc<Notify>,
     /// Time in which at most `webhook.max_messages` messages are sent.
     period: Duration,
     /// Start of the present period, and number of messages sent in it.
@@ -61,13 +61,13 @@ impl Notifier {
         store: Store,
         config: &Config,
         status: Arc<Status>,
-        outbox: Arc<Notify>,
+        wake: Arc<Notify>,
     ) -> Result<Option<Self>, StartError> {
         let server = WebhookServer::new(&config.webhook).map_err(StartError::Webhook)?;
         store.set_webhook(server.is_some()).await?;
         let (settings, monitor) = (config.webhook.clone(), config.monitor.as_machine());
         let (period, sent) = (Duration::from_secs_f64(settings.period_s), (clock::monotonic(), 0));
-        Ok(server.map(|server| Self { store, settings, server, monitor, status, outbox, period, sent }))
+        Ok(server.map(|server| Self { store, settings, server, monitor, status, wake, period, sent }))
     }
 
     /// Runs until the future is dropped.
@@ -79,7 +79,7 @@ impl Notifier {
             let is_flood = self.sent.1 >= self.settings.max_messages;
             let mut pending = self.pending(BATCH).await;
             if pending.is_empty() {
-                self.wait(self.outbox.notified()).await;
+                self.wait(self.wake.notified()).await;
                 continue;
             }
             if is_flood {

@@ -30,7 +30,7 @@ pub(super) enum PostError {
     #[error("the receiver answers with status {0}{hint}", hint = redirect_hint(*.0))]
     Status(StatusCode),
     /// No answer within [`LIMIT`].
-    #[error("the receiver does not answer within 10 s")]
+    #[error("the receiver does not answer within {} s", LIMIT.as_secs())]
     Timeout,
     /// The connection failed.
     #[error(transparent)]

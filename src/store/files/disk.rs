@@ -1,7 +1,6 @@
 //! The disk of the database: free space, and the ballast file, which is removed when the disk is full.
 
 use std::{
-    collections::BTreeMap,
     fs::File,
     io::{self, Read as _},
     path::{Path, PathBuf},
@@ -13,15 +12,7 @@ use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
 use super::path::{beside, folder_of};
-use crate::store::{
-    error::StoreError,
-    rate_limit::{RecentCount, SHOWN},
-    settings::MIB,
-};
-
-/// Names of the counters of rows that were dropped too early: throws before they were judged, and alarm events before
-/// they were published or before the webhook accepted them.
-const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
+use crate::store::{error::StoreError, rate_limit::SHOWN, settings::MIB};
 
 /// A copy of the database hangs if it makes no step for this time, which is also the longest time of a loop without a
 /// heartbeat. A step is some hundred rows, which take at most some seconds to read from flash.
@@ -65,8 +56,6 @@ pub(crate) struct Disk {
     ballast_bytes: u64,
     low_bytes: u64,
     state: Mutex<State>,
-    /// Numbers of dropped rows since the start, in the order of [`LOSSES`].
-    lost: [RecentCount; LOSSES.len()],
 }
 
 #[derive(Debug, Default)]
@@ -80,8 +69,6 @@ struct State {
     replaced: Option<(Replaced, Instant)>,
     /// Until this time a copy of the database counts as running: the writer stores nothing else. `None` without a copy.
     copies_until: Option<Instant>,
-    /// The counters of the database at the last call of `note_dropped`.
-    counters: Option<BTreeMap<String, u64>>,
 }
 
 impl Disk {
@@ -132,23 +119,6 @@ impl Disk {
     pub(crate) fn replaced(&self) -> Option<Replaced> {
         let (outcome, at) = self.state.lock().replaced.clone()?;
         (outcome == Replaced::Failed || at.elapsed() < SHOWN).then_some(outcome)
-    }
-
-    /// Adds the increase of the counters of the database to the losses. At the first call there is no increase: those
-    /// rows were dropped before this start.
-    pub(crate) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
-        let before = self.state.lock().counters.replace(now.clone()).unwrap_or_else(|| now.clone());
-        for (name, lost) in LOSSES.iter().zip(&self.lost) {
-            let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
-            if of(now) > of(&before) {
-                lost.add(of(now) - of(&before));
-            }
-        }
-    }
-
-    /// The losses since the start, in the order of [`LOSSES`]; `None` for a number that did not grow in the last hour.
-    pub(crate) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
-        self.lost.each_ref().map(RecentCount::shown)
     }
 
     /// Records a step of a copy of the database.

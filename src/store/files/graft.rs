@@ -8,18 +8,15 @@ use std::{
     fs::{self, OpenOptions},
     io,
     os::unix::fs::FileExt,
-    path::{Path, PathBuf},
+    path::Path,
 };
 
-use sqlx::{AssertSqlSafe, Connection, FromRow, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::{
+    AssertSqlSafe, Connection, FromRow, SqliteConnection,
+    sqlite::{SqliteConnectOptions, SqliteJournalMode},
+};
 
-use super::path::beside;
 use crate::store::{settings::PAGE_BYTES, statements as sql};
-
-/// Suffix of the copy with a new schema.
-pub(super) const GRAFTED: &str = "-grafted";
-/// Suffix of the empty database with the layout of a moved database.
-pub(super) const LAYOUT: &str = "-layout";
 
 /// Adds a row to the schema; needs `PRAGMA writable_schema`.
 const ADD: &str = "INSERT INTO sqlite_schema (type, name, tbl_name, rootpage, sql) VALUES (?1, ?2, ?3, ?4, ?5)";
@@ -34,28 +31,28 @@ struct Entry {
     sql: Option<String>,
 }
 
-/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, depending on which
-/// makes more tables readable. `None` if at most half of the tables are readable with either: in a wrong layout a few
-/// tables fit by chance.
-pub(crate) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
-    let copy = beside(broken, GRAFTED);
-    let pages = fs::copy(broken, &copy)? / PAGE_BYTES as u64;
+/// Copies the broken file to `copy`, and writes the schema table of a new or of a moved database into the copy,
+/// depending on which makes more tables readable. False if at most half of the tables are readable with either: in a
+/// wrong layout a few tables fit by chance. Writes the empty database with the layout of a moved one to `layout`.
+pub(super) async fn graft(
+    fresh: &mut SqliteConnection,
+    broken: &Path,
+    copy: &Path,
+    layout: &Path,
+) -> sqlx::Result<bool> {
+    let pages = fs::copy(broken, copy)? / PAGE_BYTES as u64;
     let mut best = (0, None);
-    for layout in [entries(fresh).await?, moved(fresh, &beside(broken, LAYOUT)).await?] {
-        let sound = apply(&copy, pages, &layout).await?;
+    for layout in [entries(fresh).await?, moved(fresh, layout).await?] {
+        let sound = apply(copy, pages, &layout).await?;
         if sound > best.0 {
             best = (sound, Some(layout));
         }
     }
     match best {
         (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
-            apply(&copy, pages, &layout).await?;
-            Ok(Some(copy))
+            apply(copy, pages, &layout).await.map(|_| true)
         }
-        _ => {
-            fs::remove_file(&copy)?;
-            Ok(None)
-        }
+        _ => Ok(false),
     }
 }
 
@@ -71,8 +68,6 @@ async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> 
 
 /// The layout of a moved or restored database.
 async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
-    // An interrupted start may have left this file; SQLite refuses a file with content.
-    let _ = fs::remove_file(to);
     sqlx::query("VACUUM INTO ?1").bind(to.to_string_lossy()).execute(fresh).await?;
     let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
     let entries = entries(&mut connection).await;
@@ -84,7 +79,8 @@ async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entr
 /// Writes a layout into the copy; returns the number of tables with an undamaged first page.
 async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize> {
     begin_anew(copy, pages)?;
-    let options = SqliteConnectOptions::new().filename(copy);
+    // After an interruption the copy is made again, so it needs no journal.
+    let options = SqliteConnectOptions::new().filename(copy).journal_mode(SqliteJournalMode::Memory);
     let mut connection = SqliteConnection::connect_with(&options).await?;
     sqlx::query("PRAGMA writable_schema = ON").execute(&mut connection).await?;
     sqlx::query("BEGIN").execute(&mut connection).await?;

@@ -25,10 +25,7 @@ use std::{
 
 use jiff::Timestamp;
 
-use self::{
-    graft::{GRAFTED, LAYOUT},
-    path::{beside, folder_of},
-};
+use self::path::{beside, folder_of};
 use super::error::StoreError;
 
 /// Suffixes of the files of one database; the database itself is last.
@@ -46,6 +43,10 @@ const SAVED: &str = "-saved.txt";
 
 /// Suffix of the unfinished copy of the readable rows of a broken database.
 const SALVAGE: &str = "-salvage";
+/// Suffix after [`SALVAGE`] of a copy of the broken file with a new schema.
+const GRAFTED: &str = "-grafted";
+/// Suffix after [`SALVAGE`] of the empty database with the layout of a moved database.
+const LAYOUT: &str = "-layout";
 
 /// The configured path of the database.
 #[derive(Debug, Clone)]
@@ -116,10 +117,21 @@ impl DatabaseFiles {
         self.size("") + self.size("-wal")
     }
 
-    /// Path of the copy of a database that moves. Removes an unfinished copy at this path.
-    pub(super) fn copy_path(&self) -> Result<PathBuf, StoreError> {
-        let copy = beside(&self.path, COPY);
-        remove(&copy).map(|()| copy)
+    /// Path of the copy of a database that moves.
+    pub(super) fn copy_path(&self) -> PathBuf {
+        beside(&self.path, COPY)
+    }
+
+    /// Path of the copy of the readable rows of a broken database.
+    fn salvage_path(&self) -> PathBuf {
+        beside(&self.path, SALVAGE)
+    }
+
+    /// Removes the unfinished files of a move or a recovery that failed or was interrupted.
+    pub(super) fn remove_unfinished(&self) -> Result<(), StoreError> {
+        let salvage = self.salvage_path();
+        let unfinished = [self.copy_path(), beside(&salvage, GRAFTED), beside(&salvage, LAYOUT), salvage];
+        unfinished.iter().try_for_each(|file| remove(file))
     }
 
     /// Switches the configured path to a complete copy, and removes the names of the old file. Returns the new path.
@@ -153,8 +165,7 @@ impl DatabaseFiles {
         if !self.path.exists() {
             return Ok(());
         }
-        self.salvage_path()?;
-        self.copy_path()?;
+        self.remove_unfinished()?;
         let is_in_use = |moved: &PathBuf| std::fs::canonicalize(moved).is_ok_and(|file| file == self.file());
         let (in_use, others): (Vec<_>, Vec<_>) =
             self.files_with(MOVED, &SUFFIXES[..2]).into_iter().partition(is_in_use);
@@ -197,12 +208,6 @@ impl DatabaseFiles {
         self.rename_to(&to).map(|()| to)
     }
 
-    /// Path of the copy of the readable rows of a broken database. Removes an older copy at this path.
-    pub(super) fn salvage_path(&self) -> Result<PathBuf, StoreError> {
-        let copy = beside(&self.path, SALVAGE);
-        remove(&copy).map(|()| copy)
-    }
-
     /// Gives a complete and closed copy the configured path.
     pub(super) fn adopt(&self, copy: &Path) -> Result<(), StoreError> {
         rename(copy, &self.path)?;
@@ -230,7 +235,7 @@ impl DatabaseFiles {
         if !self.is_fresh() {
             return None;
         }
-        let databases = self.files_with(BROKEN, &["-wal", "-shm", SAVED, "-log", GRAFTED, LAYOUT]);
+        let databases = self.files_with(BROKEN, &["-wal", "-shm", SAVED, "-log"]);
         databases.into_iter().filter(|file| !beside(file, SAVED).exists()).max()
     }
 

@@ -46,7 +46,7 @@ const TEXT_BYTES: u64 = 64 * 1024;
 /// Start of the header of SQLite's files.
 const HEADER: &str = "SQLite format 3";
 /// Longest wait for a lock that another program holds.
-const BUSY: Duration = Duration::from_secs(5);
+pub(crate) const BUSY: Duration = Duration::from_secs(5);
 
 /// Condition of the database when it was opened.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -163,7 +163,8 @@ async fn recover(
     let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
     let mut salvaged = Salvaged::default();
     for tables in PARTS.into_iter().skip(usize::from(!with_traces)) {
-        let copy = Settings { path: files.salvage_path()?, ..settings.clone() };
+        files.remove_unfinished()?;
+        let copy = Settings { path: files.salvage_path(), ..settings.clone() };
         match copy_readable(&copy, disk, &to, tables).await {
             Ok(copied) => {
                 files.adopt(&copy.path)?;
@@ -177,13 +178,13 @@ async fn recover(
                 disk.note_failure(is_full);
                 if is_full && tables == PARTS[PARTS.len() - 1] {
                     // No new database is created, so the next start copies the rows of the broken file.
-                    files.salvage_path()?;
+                    files.remove_unfinished()?;
                     return Err(error);
                 }
             }
         }
     }
-    files.salvage_path()?;
+    files.remove_unfinished()?;
     let (connection, report) =
         prepare(settings, disk, files.is_fresh()).await.map_err(|failure| failure.into_error(settings))?;
     tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
@@ -197,7 +198,7 @@ async fn recover(
 async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, OpenFailure> {
     let (mut connection, _) = prepare(copy, disk, true).await?;
     let copied = async {
-        let salvaged = salvage(&mut connection, broken, tables).await?;
+        let salvaged = salvage(&mut connection, broken, &copy.path, tables).await?;
         sqlx::query(sql::SET_CLEAN).bind(true).execute(&mut connection).await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
         Ok(salvaged)

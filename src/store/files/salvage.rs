@@ -4,15 +4,12 @@
 //! key. A range that fails is halved down to single keys, and only the keys that fail are lost. At the end, rows whose
 //! parent row is lost are removed.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::Path};
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
-use super::graft::graft;
-use crate::store::{error::is_full, statements::is_absent};
+use super::{GRAFTED, LAYOUT, graft::graft, path::beside};
+use crate::store::{error::is_full, statements::is_absent, writer::spool::SPACING};
 
 /// Number of keys that one statement copies.
 const RANGE: i64 = 1024;
@@ -70,12 +67,13 @@ const TABLES: [Table; 15] = [
 /// all but the traces; the first eight, which the diagnosis needs.
 pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
 
-/// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws.
+/// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws. A
+/// boot gets a position in the order of the rows, ?1 apart from the next.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
      SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
     "INSERT OR IGNORE INTO main.boot (boot_row, machine_row, boot_id, first_seen_us, position, highest_no) \
-     SELECT boot_row, machine_row, boot_id, 0, boot_row * 1048576, \
+     SELECT boot_row, machine_row, boot_id, 0, boot_row * ?1, \
             coalesce((SELECT max(throw_no) FROM main.throw WHERE throw.boot_row = boot.boot_row), 0) \
      FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
 ];
@@ -150,22 +148,34 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the file `broken` into the database of `connection`.
+/// Copies the readable rows of the first `tables` tables of the file `broken` into the new database `new`, which
+/// `connection` has open.
 ///
 /// # Errors
 /// When the new database cannot be written.
-pub(crate) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
+pub(super) async fn salvage(
+    connection: &mut SqliteConnection,
+    broken: &Path,
+    new: &Path,
+    tables: usize,
+) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
     }
-    // A copy with a new schema needs as much space as all tables.
-    if tables < TABLES.len() {
-        return Ok(Salvaged::default());
+    let grafted = beside(new, GRAFTED);
+    match graft(connection, broken, &grafted, &beside(new, LAYOUT)).await {
+        Ok(true) if attach(connection, &grafted).await => {}
+        Ok(_) => return Ok(Salvaged::default()),
+        // The rows of this file may be readable when there is space for its copy.
+        Err(error) if is_full(&error) => return Err(error),
+        Err(error) => {
+            tracing::error!(%error, "the schema of the broken database cannot be replaced");
+            return Ok(Salvaged::default());
+        }
     }
-    let Some(grafted) = with_new_schema(connection, broken).await else { return Ok(Salvaged::default()) };
-    let salvaged = copy_tables(connection, tables).await;
+    let salvaged = copy_tables(connection, tables).await?;
     std::fs::remove_file(grafted)?;
-    salvaged
+    Ok(salvaged)
 }
 
 /// Copies the readable rows of the attached database.
@@ -180,7 +190,7 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
     }
     for copy in FROM_INDEX {
         // An error is ignored: the index may be broken too.
-        let _ = sqlx::query(copy).execute(&mut *connection).await;
+        let _ = sqlx::query(copy).bind(SPACING).execute(&mut *connection).await;
     }
     // The counters have a text as key, and fit into one page. An error is ignored: they may be lost.
     let _ =
@@ -196,17 +206,6 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
         salvaged.rows.insert(table, rows.cast_unsigned());
     }
     Ok(salvaged)
-}
-
-/// Attaches a copy of the broken file with the schema of the new database; returns its path.
-async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path) -> Option<PathBuf> {
-    let failed = |error: &sqlx::Error| tracing::error!(%error, "the schema of the broken database cannot be replaced");
-    let copy = graft(connection, broken).await.inspect_err(failed).ok().flatten()?;
-    if attach(connection, &copy).await {
-        return Some(copy);
-    }
-    let _ = std::fs::remove_file(copy);
-    None
 }
 
 /// Attaches the broken file read-only; without its log if the log cannot be read.

@@ -92,13 +92,15 @@ statements! {
             sum(alarm.state IN ('active_unacknowledged', 'active_acknowledged')) AS active \
         FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' GROUP BY cause, severity ORDER BY cause, severity";
-    // The newest opening command of each machine in maintenance and of each shelved alarm.
+    // The newest opening command of each machine in maintenance and of each shelved alarm. `state <> 'normal'` is the
+    // condition of the index `alarm_open`. Maintenance hides a shelving: the state of the alarm is then `out_of_service`,
+    // also if an earlier occurrence of the alarm was shelved and this one is not.
     WINDOWS = "
     SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
            by_whom, why
     FROM (SELECT machine_row, 'maintenance_start' AS opened_by, NULL AS of_cause FROM monitor WHERE state = 'maintenance'
           UNION ALL SELECT machine_row, 'shelve', cause FROM alarm INDEXED BY alarm_open
-          WHERE state <> 'normal' AND state IN ('shelved', 'out_of_service')) AS open
+          WHERE state <> 'normal' AND state = 'shelved') AS open
     JOIN machine USING (machine_row)
     JOIN command ON command_row = (SELECT max(command_row) FROM command AS own INDEXED BY command_of_machine
         WHERE own.machine_row = open.machine_row AND own.command = opened_by AND own.payload ->> 'cause' IS of_cause)

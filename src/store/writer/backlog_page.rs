@@ -25,7 +25,7 @@ pub struct PageStored {
 }
 
 /// A page, oldest throw first.
-pub(crate) struct Page {
+pub(crate) struct BacklogPage {
     pub(crate) machine: MachineId,
     /// The throw after which the query asked for the page; `None` for the oldest throws.
     pub(crate) after: Option<ThrowRef>,
@@ -33,7 +33,7 @@ pub(crate) struct Page {
     pub(crate) at: Timestamp,
 }
 
-impl Write for Page {
+impl Write for BacklogPage {
     type Output = PageStored;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<PageStored> {

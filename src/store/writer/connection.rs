@@ -2,10 +2,11 @@
 //!
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
 //! and the result of a failed commit is unknown. Then the group of writes runs once more, as every write is idempotent.
+//! If SQLite refuses the group again, each write runs alone, so that one refused write costs no other.
 
 use std::{path::Path, sync::Arc, time::Duration};
 
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tokio::time::Instant;
 
 use super::write::Job;
@@ -14,6 +15,7 @@ use crate::store::{
     files::{
         DatabaseFiles, Identity,
         disk::{Disk, Replaced},
+        open::BUSY,
     },
     rate_limit::seldom,
     reader::Reader,
@@ -26,6 +28,8 @@ const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
+/// Longest wait of a checkpoint for a reader of an old state: every write waits meanwhile.
+const CHECKPOINT_WAIT: Duration = Duration::from_secs(1);
 
 pub(crate) struct WritingConnection {
     pub(crate) options: SqliteConnectOptions,
@@ -192,23 +196,25 @@ impl WritingConnection {
     async fn reopen_path(&mut self) {
         self.disconnect().await;
         self.reader.reopen(self.files.path());
-        if let Err(error) = self.files.copy_path() {
+        if let Err(error) = self.files.remove_unfinished() {
             tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
     }
 
-    /// Copies the log into the database and truncates it; false if a reader needs the log for more than a second.
+    /// Copies the log into the database and truncates it; false if a reader needs the log for longer than
+    /// [`CHECKPOINT_WAIT`].
     async fn checkpoint(&mut self) -> sqlx::Result<bool> {
         let connection = self.connected().await?;
-        sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;
+        set_busy_timeout(connection, CHECKPOINT_WAIT).await?;
         let (busy, ..): (i64, i64, i64) =
             sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut *connection).await?;
-        sqlx::query("PRAGMA busy_timeout = 5000").execute(connection).await?;
+        set_busy_timeout(connection, BUSY).await?;
         Ok(busy == 0)
     }
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
-        let copy = self.files.copy_path()?;
+        self.files.remove_unfinished()?;
+        let copy = self.files.copy_path();
         tracing::warn!(why, "copying the database to a new file: writes wait");
         self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
         let to = self.files.switch(&copy)?;
@@ -252,10 +258,15 @@ impl WritingConnection {
     }
 }
 
-/// Answers the jobs, the last job first: a caller with several jobs waits for its first one, so it wakes up only once,
-/// when all its answers have arrived.
+/// Sets the longest wait for a lock that another program holds.
+async fn set_busy_timeout(connection: &mut SqliteConnection, wait: Duration) -> sqlx::Result<()> {
+    let set = AssertSqlSafe(format!("PRAGMA busy_timeout = {}", wait.as_millis()));
+    sqlx::query(set).execute(connection).await.map(drop)
+}
+
+/// Answers the jobs of a transaction.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
-    for job in jobs.into_iter().rev() {
+    for job in jobs {
         job.answer(committed());
     }
 }

@@ -15,6 +15,7 @@ use crate::{
     diagnose::{AlarmEvent, BaselineRecord, Command, MachineState, Present},
     estimate::{Estimate, Identification},
     store::{
+        dropped::Dropped,
         rows::{Gap, ThrowRow},
         statements as sql,
     },
@@ -167,7 +168,7 @@ impl Judgements {
             }
             if self.drop_traces {
                 sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
-                count(connection, "dropped_traces", 1).await?;
+                count(connection, &Dropped::Traces.counter(), 1).await?;
             }
         }
         Ok(true)

@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use self::{
     connection::WritingConnection,
-    write::{CommitReceiver, Job, Write, job},
+    write::{Job, QueuedWrite, Write},
 };
 use super::error::StoreError;
 
@@ -45,21 +45,21 @@ impl Writer {
         Self { requests }
     }
 
-    /// Queues a write; the answer comes after the commit.
-    pub(super) async fn submit<W: Write>(&self, write: W) -> Result<CommitReceiver<W::Output>, StoreError> {
-        let (job, answer) = job(write);
-        self.requests.send(Request::Write(job)).await.map_err(|_| StoreError::Closed)?;
-        Ok(answer)
-    }
-
     /// Queues a write and waits for the commit.
     pub(super) async fn write<W: Write>(&self, write: W) -> Result<W::Output, StoreError> {
-        self.submit(write).await?.await.map_err(|_| StoreError::Closed)?
+        self.request(|reply| Request::Write(Box::new(QueuedWrite { write, output: None, reply }))).await
     }
 
     pub(super) async fn close(&self) -> Result<(), StoreError> {
+        self.request(Request::Close).await
+    }
+
+    async fn request<T>(
+        &self,
+        request: impl FnOnce(oneshot::Sender<Result<T, StoreError>>) -> Request,
+    ) -> Result<T, StoreError> {
         let (reply, answer) = oneshot::channel();
-        self.requests.send(Request::Close(reply)).await.map_err(|_| StoreError::Closed)?;
+        self.requests.send(request(reply)).await.map_err(|_| StoreError::Closed)?;
         answer.await.map_err(|_| StoreError::Closed)?
     }
 

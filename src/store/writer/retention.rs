@@ -13,11 +13,12 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::SqliteConnection;
+use sqlx::{AssertSqlSafe, SqliteConnection};
 
 use super::{spool::count, write::Write};
 use crate::store::{
     database::Store,
+    dropped::Dropped,
     error::StoreError,
     files::disk::DiskLevel,
     rate_limit::seldom,
@@ -40,29 +41,8 @@ const OUTBOX: u64 = 100_000;
 /// again.
 const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// Kind of rows that were dropped to keep the database within its bounds. Its name after `dropped_` is the name of a
-/// counter in the database.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
-#[strum(serialize_all = "snake_case")]
-pub enum Dropped {
-    /// Traces.
-    Traces,
-    /// Judged throws with their estimates.
-    Throws,
-    /// Pending throws, which were never judged.
-    PendingThrows,
-    /// Closed alarms with their events.
-    Alarms,
-    /// The oldest messages of the outbox: alarm events that were never published.
-    Messages,
-    /// Alarm events that the webhook had not accepted. A trigger of the database drops them.
-    Notifications,
-    /// Unused pages of the file, returned to a disk with little space.
-    Pages,
-}
-
 /// Rows that can be dropped.
-struct Kind {
+struct DroppableRows {
     what: Dropped,
     /// Selects the machines with the most rows or bytes, which lose rows first; `None` without a choice of machines.
     largest: Option<&'static str>,
@@ -74,7 +54,7 @@ struct Kind {
     drop: &'static [&'static str],
 }
 
-impl Kind {
+impl DroppableRows {
     /// Rows of the machines that `largest` selects.
     fn of_largest(what: Dropped, largest: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
         Self { what, largest: Some(largest), oldest, arguments: Vec::new(), drop }
@@ -111,20 +91,16 @@ impl Kind {
 
     /// Drops up to `rows` rows; returns the number of dropped rows.
     async fn drop(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<u64> {
-        let dropped = if self.what == Dropped::Pages {
-            sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
-            PAGES
-        } else {
-            let chosen = self.choose(connection, rows).await?;
-            let list = serde_json::Value::from(chosen.as_slice()).to_string();
-            for statement in self.drop.iter().filter(|_| !chosen.is_empty()) {
-                sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
-            }
-            chosen.len() as u64
-        };
-        if dropped > 0 {
-            count(connection, &format!("dropped_{}", self.what.as_ref()), dropped.cast_signed()).await?;
+        let chosen = self.choose(connection, rows).await?;
+        if chosen.is_empty() {
+            return Ok(0);
         }
+        let list = serde_json::Value::from(chosen.as_slice()).to_string();
+        for statement in self.drop {
+            sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
+        }
+        let dropped = chosen.len() as u64;
+        count(connection, &self.what.counter(), dropped.cast_signed()).await?;
         Ok(dropped)
     }
 
@@ -172,19 +148,27 @@ fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
     shares
 }
 
-/// A transaction that drops up to `rows` rows. Rows of a later kind are dropped only if the earlier kinds have too few.
-struct DropRows {
-    kinds: Vec<Kind>,
-    rows: u64,
+/// A transaction of retention.
+enum Retention {
+    /// Drops up to this number of rows. Rows of a later kind are dropped only if the earlier kinds have too few.
+    Rows(Vec<DroppableRows>, u64),
+    /// Returns [`PAGES`] unused pages of the file to the disk.
+    Pages,
 }
 
-impl Write for DropRows {
+impl Write for Retention {
     type Output = BTreeMap<Dropped, u64>;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
         let mut done = BTreeMap::new();
-        let mut rest = self.rows;
-        for kind in &self.kinds {
+        let &Self::Rows(ref kinds, mut rest) = self else {
+            let vacuum = AssertSqlSafe(format!("PRAGMA incremental_vacuum({PAGES})"));
+            sqlx::query(vacuum).execute(&mut *connection).await?;
+            count(connection, &Dropped::Pages.counter(), PAGES.cast_signed()).await?;
+            done.insert(Dropped::Pages, PAGES);
+            return Ok(done);
+        };
+        for kind in kinds {
             let dropped = kind.drop(connection, rest).await?;
             if dropped > 0 {
                 *done.entry(kind.what).or_default() += dropped;
@@ -231,12 +215,12 @@ impl Store {
     }
 
     /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Retention>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
         let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
-        self.disk.note_dropped(&figures.counters());
+        self.drop_counts.note(&figures.counters());
         let available_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
@@ -244,46 +228,46 @@ impl Store {
             // The number of rows is estimated from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
-            let mut kinds = vec![Kind::traces(sql::MOST_TRACE_BYTES)];
+            let mut kinds = vec![DroppableRows::traces(sql::MOST_TRACE_BYTES)];
             // If other programs fill the disk, only traces are dropped.
             if excess > 0 {
                 kinds.extend([
-                    Kind::throws(sql::MOST_THROW_BYTES),
-                    Kind::pending(sql::MOST_THROW_BYTES),
-                    Kind::alarms(),
+                    DroppableRows::throws(sql::MOST_THROW_BYTES),
+                    DroppableRows::pending(sql::MOST_THROW_BYTES),
+                    DroppableRows::alarms(),
                 ]);
             }
-            due.push(DropRows { kinds, rows });
+            due.push(Retention::Rows(kinds, rows));
         }
-        let messages = Kind::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
+        let messages = DroppableRows::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
         let counts = [
             (
                 figures.traces,
                 settings.max_traces,
-                vec![Kind::traces(sql::MOST_TRACES), Kind::pending(sql::MOST_TRACES)],
+                vec![DroppableRows::traces(sql::MOST_TRACES), DroppableRows::pending(sql::MOST_TRACES)],
             ),
             (
                 figures.throws,
                 settings.max_throws,
-                vec![Kind::throws(sql::MOST_THROWS), Kind::pending(sql::MOST_THROWS)],
+                vec![DroppableRows::throws(sql::MOST_THROWS), DroppableRows::pending(sql::MOST_THROWS)],
             ),
-            (figures.closed_alarms, settings.max_alarms, vec![Kind::alarms()]),
+            (figures.closed_alarms, settings.max_alarms, vec![DroppableRows::alarms()]),
             (figures.outbox, OUTBOX, vec![messages]),
         ];
         for (count, most, kinds) in counts {
             let rows = count.saturating_sub(most).min(BATCH);
             if rows > 0 {
-                due.push(DropRows { kinds, rows });
+                due.push(Retention::Rows(kinds, rows));
             }
         }
         if clock_trusted {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
-            let kinds = vec![Kind::aged_traces(before.as_microsecond(), now.as_microsecond())];
-            due.push(DropRows { kinds, rows: BATCH });
+            let kinds = vec![DroppableRows::aged_traces(before.as_microsecond(), now.as_microsecond())];
+            due.push(Retention::Rows(kinds, BATCH));
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         if disk_low && figures.free_bytes > PAGES * PAGE_BYTES as u64 {
-            due.push(DropRows { kinds: vec![Kind::of_all(Dropped::Pages, "", &[])], rows: PAGES });
+            due.push(Retention::Pages);
         }
         Ok(due)
     }

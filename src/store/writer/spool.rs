@@ -366,7 +366,7 @@ pub(crate) async fn boot(
 const FIRST_NO: i64 = 1;
 
 /// Distance between the positions of live boots. Boots that only the backlog has get positions in between.
-const SPACING: i64 = 1 << 20;
+pub(crate) const SPACING: i64 = 1 << 20;
 
 /// The position of a new boot after the position `after` (`None`: after all boots), and whether it is the last boot.
 async fn new_position(

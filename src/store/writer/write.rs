@@ -20,9 +20,6 @@ pub(crate) trait Write: Send + Sync + 'static {
     ) -> impl Future<Output = sqlx::Result<Self::Output>> + Send;
 }
 
-/// Receives the result of a write after the commit.
-pub(crate) type CommitReceiver<T> = oneshot::Receiver<Result<T, StoreError>>;
-
 type Running<'a> = Pin<Box<dyn Future<Output = sqlx::Result<()>> + Send + 'a>>;
 
 /// A [`Write`] with its caller, without the type of its result: so that a queue can hold different writes.
@@ -33,16 +30,12 @@ pub(crate) trait Job: Send {
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
-struct QueuedWrite<W: Write> {
-    write: W,
-    output: Option<W::Output>,
-    reply: oneshot::Sender<Result<W::Output, StoreError>>,
-}
-
-/// Makes a job from a write, with the receiver of its result.
-pub(super) fn job<W: Write>(write: W) -> (Box<dyn Job>, CommitReceiver<W::Output>) {
-    let (reply, answer) = oneshot::channel();
-    (Box::new(QueuedWrite { write, output: None, reply }), answer)
+/// A write in the queue.
+pub(super) struct QueuedWrite<W: Write> {
+    pub(super) write: W,
+    /// Result of the last run, for the answer after the commit.
+    pub(super) output: Option<W::Output>,
+    pub(super) reply: oneshot::Sender<Result<W::Output, StoreError>>,
 }
 
 impl<W: Write> Job for QueuedWrite<W> {
