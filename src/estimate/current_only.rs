@@ -169,7 +169,7 @@ pub(super) fn estimate(
         return Err(NO_MODEL);
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
-    let mut estimate = ratios.estimate(&window, (0.0, 0), None);
+    let mut estimate = ratios.estimate(&window, None, None);
     estimate.end_s = (start + last - 1) as f64 * interval_s;
     // An error of ln b0 is common to all three; the ratios have additional errors.
     let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {

@@ -65,14 +65,22 @@ pub struct Estimate {
     /// the model fits roughly, both have other errors. So a machine that is compared by ratios compares these.
     #[serde(skip)]
     pub running: Option<RunningRatios>,
-    /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
-    pub fit_pct: f64,
-    /// Number of SRIV iterations.
-    pub iterations: usize,
+    /// Fit of the model of all three coefficients; `None` if the estimate is from the current alone, or this model has
+    /// no solution.
+    pub fit: Option<Fit>,
     /// First sample used, from the start of the trace \[s\].
     pub start_s: f64,
     /// Last sample used, from the start of the trace \[s\].
     pub end_s: f64,
+}
+
+/// The fit of a model to a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
+    pub pct: f64,
+    /// Number of SRIV iterations.
+    pub iterations: usize,
 }
 
 /// The ratios of a throw from its movement after the start.

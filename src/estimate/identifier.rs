@@ -4,7 +4,7 @@ use super::{
     acceptance::{self, brake, start},
     armature, current_only,
     features::Features,
-    identification::{Estimate, Grade, Identification},
+    identification::{Estimate, Fit, Grade, Identification},
     motor_kind,
     ratios::{self, Ratios},
     rejection::{Channel, Rejection},
@@ -254,16 +254,16 @@ impl Buffers {
         if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
     }
 
-    /// Fits the full model to the window. Returns fit \[%\] and iterations of the solution, 0 without one, and the
-    /// estimate or the reason why the solution is not accepted.
-    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> ((f64, usize), Result<Estimate, Rejection>) {
+    /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate or the
+    /// reason why the solution is not accepted.
+    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> (Option<Fit>, Result<Estimate, Rejection>) {
         let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
         let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });
         let found = model.and_then(|model| Some((model.identify(&window.problem(), workspace).ok()?, model)));
-        let Some((solution, model)) = found else { return ((0.0, 0), Err(Rejection::Singular)) };
-        let full = (100.0 * solution.fit, solution.iterations);
-        (full, acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
+        let Some((solution, model)) = found else { return (None, Err(Rejection::Singular)) };
+        let fit = Fit { pct: 100.0 * solution.fit, iterations: solution.iterations };
+        (Some(fit), acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
     }
 }
 

@@ -30,7 +30,7 @@ pub mod sriv;
 mod trace;
 
 pub use features::Features;
-pub use identification::{Estimate, Grade, Identification, RunningRatios};
+pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use midpoint::midpoint;
 pub use rejection::{Channel, Rejection};

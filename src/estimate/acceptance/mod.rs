@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    identification::{Estimate, Grade},
+    identification::{Estimate, Fit, Grade},
     rejection::Rejection,
     settings::Settings,
     sriv::{Solution, Sriv, Workspace, covariance::Noise},
@@ -145,8 +145,7 @@ pub(super) fn estimate(
         offset,
         reason: None,
         running: None,
-        fit_pct: 100.0 * solution.fit,
-        iterations: solution.iterations,
+        fit: Some(Fit { pct: 100.0 * solution.fit, iterations: solution.iterations }),
         start_s: window.from as f64 * window.interval_s,
         end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
     })
