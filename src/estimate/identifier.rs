@@ -11,7 +11,9 @@ use super::{
     settings::{Motor, Settings},
     sriv::{Sriv, Workspace},
     trace::{
-        completeness, damage, decimate, held, hum, missing,
+        completeness, damage, decimate,
+        held::{self, Resampled},
+        hum, missing,
         movement::{Movement, start_of_motor},
         noise, release,
         samples::{Level, every, peak, second_difference_noise},
@@ -67,12 +69,24 @@ impl Identifier {
     /// time.
     pub(crate) fn identify_for(&mut self, throw: &Throw, settings: &Settings, compares_ratios: bool) -> Identification {
         self.buffers.with_running = compares_ratios;
-        match held::resampled(&throw.trace) {
-            None => self.identify_sampled(throw, 1.0, settings),
-            Some((trace, position_every)) => {
-                self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings)
+        let Some(Resampled { trace, first, every, position_every }) = held::resampled(&throw.trace) else {
+            return self.identify_sampled(throw, 1.0, settings);
+        };
+        let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
+        // The reader of a result has the trace of the logger, not the resampled one.
+        found.unused_fields = throw.unused_fields();
+        let first_s = first as f64 / throw.trace.sample_rate_hz();
+        match &mut found.outcome {
+            Ok(estimate) => {
+                estimate.start_s += first_s;
+                estimate.end_s += first_s;
+                if let Some(reason) = &mut estimate.reason {
+                    reason.refer_to_logger(first_s, first, every);
+                }
             }
+            Err(reason) => reason.refer_to_logger(first_s, first, every),
         }
+        found
     }
 
     /// Identifies a throw whose current has a new value in each sample, and whose position has a new value in one of

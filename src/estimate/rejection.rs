@@ -389,6 +389,27 @@ impl Rejection {
         self.into()
     }
 
+    /// Changes times and sample of a reason from a trace that begins at the sample `first` of the logger's trace, at
+    /// `first_s` \[s\], and has one of `every` samples, to those of the logger's trace.
+    pub(super) fn refer_to_logger(&mut self, first_s: f64, first: usize, every: usize) {
+        if let Self::NotFinite { sample, .. } = self {
+            *sample = first + every * *sample;
+        }
+        if let Self::NotFinite { at_s, .. }
+        | Self::ImplausibleValue { at_s, .. }
+        | Self::Clipped { at_s, .. }
+        | Self::Stuck { at_s, .. }
+        | Self::PositionJump { at_s, .. }
+        | Self::CurrentJump { at_s, .. }
+        | Self::Spike { at_s, .. }
+        | Self::Misfit { at_s, .. } = self
+        {
+            *at_s += first_s;
+        } else if let Self::TooSlow { rate_hz, .. } = self {
+            *rate_hz *= every as f64;
+        }
+    }
+
     /// Whether the reason is a jump or a spike between `from_s` and `to_s` \[s from the start of the trace\].
     pub(super) fn is_between(&self, from_s: f64, to_s: f64) -> bool {
         match self {
