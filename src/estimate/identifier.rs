@@ -260,12 +260,13 @@ impl Buffers {
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
+        let refuted = reason.refutes_the_model();
         let reason = noisy.unwrap_or(reason);
         let ratios = ratios::of(&self.window).ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
         let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
         let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
-        if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
+        if are_known || !refuted { Ok(estimate) } else { Err(reason) }
     }
 
     /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate or the
