@@ -267,9 +267,11 @@ fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
 fn identify(identifier: &mut Identifier, machine: &Parameters, trace: &Trace) -> Result<Estimate, Rejection> {
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
     let throw = Throw { direction: Some(DIRECTION), ..Throw::recorded(trace.clone()) };
-    // The table needs the coefficients. An estimate with ratios only counts as rejected.
-    let is_whole = |estimate: Estimate| if estimate.ratios_only { Err(Rejection::Singular) } else { Ok(estimate) };
-    identifier.identify(&throw, &settings).outcome.and_then(is_whole)
+    match identifier.identify(&throw, &settings).outcome {
+        // The table needs the coefficients. An estimate with ratios only counts as rejected.
+        Ok(Estimate { ratios_only: true, reason: Some(reason), .. }) => Err(reason),
+        outcome => outcome,
+    }
 }
 
 fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
