@@ -33,7 +33,7 @@ use super::{
 use crate::throw::{Direction, Throw};
 
 /// Lowest sampling rate that resolves the inrush well enough for the coefficients \[Hz\].
-pub(super) const LEAST_RATE_HZ: f64 = 500.0;
+const LEAST_RATE_HZ: f64 = 500.0;
 /// Length of the part of the inrush from which the armature's constants are estimated \[s\].
 const INRUSH_S: f64 = 0.2;
 /// Number of corrections of the terms with a1 and a0. Each is smaller than the previous one by the factor a1 L / R, a
@@ -99,12 +99,12 @@ pub(super) fn estimate(
     throw: &Throw,
     settings: &Settings,
     features: &mut Features,
-) -> Result<Estimate, &'static str> {
+) -> Result<Estimate, String> {
     let Movement { current_a: current, interval_s, .. } = *movement;
     let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
     let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
     if interval_s * LEAST_RATE_HZ > 1.0001 {
-        return Err("the coefficients need at least 500 samples/s");
+        return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
     }
     let start = movement.start();
     let off = end_of_voltage(movement).ok_or(NOT_ENDED)?;
@@ -152,7 +152,7 @@ pub(super) fn estimate(
             |k: usize| supply_v * (k as f64 * interval_s) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
-            return Err(NO_ARMATURE);
+            return Err(NO_ARMATURE.to_owned());
         }
         window.output.clear();
         window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
@@ -166,7 +166,7 @@ pub(super) fn estimate(
     }
     let (b0, ratios, back_emf) = found.ok_or(NO_MODEL)?;
     if !(b0.is_finite() && b0 > 0.0) {
-        return Err(NO_MODEL);
+        return Err(NO_MODEL.to_owned());
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
     let mut estimate = ratios.estimate(&window, None, None);

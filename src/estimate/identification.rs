@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
+/// Length of the longest window of the diagnosis \[throws\].
+pub(crate) const LONGEST_WINDOW: u32 = 24;
+
 /// How far an estimate can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -104,9 +107,8 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// Length of the longest window of the diagnosis \[throws\], the factor of the covariance of ratios in
-    /// [`Self::drift_covariance`].
-    pub const LONGEST_WINDOW: f64 = 24.0;
+    /// [`LONGEST_WINDOW`], as the factor of the covariance of ratios in [`Self::drift_covariance`].
+    pub const LONGEST_WINDOW: f64 = LONGEST_WINDOW as f64;
 
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///

@@ -7,7 +7,7 @@ use super::{
     identification::{Estimate, Fit, Grade, Identification},
     motor_kind,
     ratios::{self, Ratios},
-    rejection::{Channel, Rejection},
+    rejection::{Channel, MIN_RISE_SAMPLES, Rejection},
     settings::{Motor, Settings},
     sriv::{Sriv, Workspace},
     trace::{
@@ -25,8 +25,6 @@ use crate::throw::{Direction, Throw, Trace};
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
 /// the remaining error is below a thousandth of a standard deviation of the estimate.
 const TOLERANCE: f64 = 1e-4;
-/// Least number of samples in the rise of an unfiltered current.
-const MIN_RISE_SAMPLES: usize = 4;
 /// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
 /// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains
 /// (100 Hz and its multiples) becomes a constant current.
@@ -299,7 +297,7 @@ fn identify_current(
         .and_then(|()| usable(movement, settings))
         .and_then(|()| {
             current_only::estimate(movement, throw, settings, &mut features)
-                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
+                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why })
         });
     Identification {
         direction: throw.direction,

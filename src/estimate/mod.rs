@@ -30,6 +30,7 @@ pub mod sriv;
 mod trace;
 
 pub use features::Features;
+pub(crate) use identification::LONGEST_WINDOW;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use midpoint::midpoint;
@@ -37,3 +38,4 @@ pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;
 pub use sriv::filter::Hold;
+pub(crate) use trace::samples::SD_PER_MEDIAN;

@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::throw::{CENTIMETRE_MM, INCH_MM, brief, rounded};
 
+/// Least number of samples in the rise of an unfiltered current.
+pub(super) const MIN_RISE_SAMPLES: usize = 4;
+
 /// One of the two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
 #[serde(rename_all = "snake_case")]
@@ -262,8 +265,9 @@ pub enum Rejection {
     },
     /// The rise of the current was not sampled well enough, and no anti-alias filter is declared.
     #[error(
-        "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least 4 are \
-         needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)", 1e3 * interval_s
+        "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least {} are \
+         needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)",
+        1e3 * interval_s, MIN_RISE_SAMPLES
     )]
     Undersampled {
         /// Time between samples \[s\].
