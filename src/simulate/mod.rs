@@ -29,10 +29,7 @@ mod sensors;
 mod supply;
 
 pub use fault::{Condition, Fault, Part, Shape};
-pub use fleet::{
-    Climate, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, SimulatedThrow,
-    Spread,
-};
+pub use fleet::{Climate, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, Spread};
 pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};

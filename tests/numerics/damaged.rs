@@ -274,6 +274,16 @@ fn every_damaged_trace_has_its_quality_or_its_reason() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Noise above the configured one must not switch off the check of the ratios' error.
+#[test]
+fn a_position_that_has_nothing_to_do_with_the_current_gives_no_ratios_with_noise_either() {
+    let (_, _, damage) = TABLE.iter().find(|(what, ..)| what.contains("nothing to do with the current")).unwrap();
+    let mut channels = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 5);
+    damage(&mut channels);
+    let settings = Settings { current_noise_a: 0.002, ..settings_of(&Parameters::default()) };
+    assert_eq!(channels.identify(&mut Identifier::default(), &settings).quality(), "noisy");
+}
+
 /// A logger that samples a slow sensor at 1 kHz repeats each value five times. The reader looks for the damage in the
 /// trace that the logger sent.
 #[test]
