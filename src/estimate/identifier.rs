@@ -2,7 +2,8 @@
 
 use super::{
     acceptance::{self, brake, start},
-    armature, current_only,
+    armature::{Armature, LEAST_RATE_HZ},
+    current_only,
     features::Features,
     identification::{Estimate, Fit, Grade, Identification},
     motor_kind,
@@ -149,10 +150,13 @@ impl Identifier {
             _ => {}
         }
         add_supply(&mut features, throw);
-        if undamaged && movement.sign != 0.0 && interval_s * armature::LEAST_RATE_HZ <= 1.0 {
-            let motor = (settings.motor, settings.lead_mm);
-            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, motor);
-            features.motor = motor_kind::shown(&movement);
+        if undamaged
+            && movement.sign != 0.0
+            && interval_s * LEAST_RATE_HZ <= 1.0
+            && let Some(armature) = Armature::of(&movement, settings.lead_mm)
+        {
+            armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
+            features.motor = motor_kind::shown(&movement, &armature);
         }
         if let Ok(estimate) = &outcome {
             (features.start_delay_s, features.start_gain) =

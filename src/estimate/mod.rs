@@ -12,6 +12,7 @@
 //! | `acceptance` | whether the fitted model describes the movement, and how uncertain it is |
 //! | `ratios`, `current_only` | estimates from throws whose start is unusable, and from throws without a toe position |
 //! | `armature`, `motor_kind`, `load` | what a throw shows of motor and load beside the coefficients |
+//! | `model` | the movement that the model gives for a current |
 
 mod acceptance;
 mod armature;
@@ -21,7 +22,7 @@ mod identification;
 mod identifier;
 mod load;
 mod matrix;
-mod midpoint;
+mod model;
 mod motor_kind;
 mod ratios;
 mod rejection;
@@ -33,7 +34,7 @@ pub use features::Features;
 pub(crate) use identification::LONGEST_WINDOW;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
-pub(crate) use midpoint::midpoint;
+pub(crate) use model::{midpoint, modelled_position_mm};
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;

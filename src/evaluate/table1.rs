@@ -14,7 +14,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
-use crate::estimate::{Estimate, Identifier, Rejection, Settings, midpoint};
+use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
 
@@ -286,23 +286,6 @@ fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
     let square = |values: &[f64], mean: f64| values.iter().map(|x| (x - mean).powi(2) + scatter * scatter).sum::<f64>();
     let scale = (square(a, mean_a) * square(b, mean_b)).sqrt();
     if scale > 0.0 { product / scale } else { 0.0 }
-}
-
-impl Test {
-    /// Toe position of the identified model, equation (12), for the recorded current \[mm\]: one value for each sample,
-    /// from the start of the motor. The current is interpolated between samples.
-    pub fn modelled_position_mm(&self) -> Vec<f64> {
-        let [b0, a1, a0] = self.coefficients;
-        let h = self.trace.sample_rate_hz().recip();
-        let mm_per_radian = Parameters::default().lead_mm / std::f64::consts::TAU;
-        let mut state = [0.0; 2];
-        let step = |[before, after]: &[f64; 2]| {
-            let acceleration = |current: f64| move |[angle, speed]: [f64; 2]| b0 * current - a1 * speed - a0 * angle;
-            state = midpoint(state, h, acceleration(*before), acceleration(0.5 * (before + after)));
-            state[0] * mm_per_radian
-        };
-        std::iter::once(0.0).chain(self.trace.current_a().array_windows().map(step)).collect()
-    }
 }
 
 impl CaseResult {
