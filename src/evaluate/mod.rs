@@ -80,7 +80,7 @@ pub use picture::picture;
 pub use plan::{Amount, Outcome, Plan};
 pub use report::{Budget, Healthy, Report, Row, Tally};
 pub use scatter::Scatter;
-pub use scenario::{Depth, Noise, Shape};
+pub use scenario::{Depth, Growth, Noise};
 
 /// Kinds of runs; each kind has its own random streams.
 mod domain {

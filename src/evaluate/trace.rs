@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     observation::{observation, started_at},
-    scenario::{Instrument, Noise, Shape, Situation},
-    timeline::{Fault, Timeline},
+    scenario::{Growth, Instrument, Noise, Situation},
+    timeline::{LifeFault, Timeline},
 };
 use crate::{
     diagnose::Observation,
@@ -94,10 +94,10 @@ fn sensors(situation: Situation, noise: Noise) -> Sensors {
 }
 
 /// The fault for the simulator; `None` if it is a fault of an instrument.
-fn simulated(fault: &Fault) -> Option<simulate::Fault> {
+fn simulated(fault: &LifeFault) -> Option<simulate::Fault> {
     let part = fault.part.as_str().parse().ok()?;
     let shape = match fault.shape {
-        Shape::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
+        Growth::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
         // The rows at trace depth have steps and ramps only.
         _ => simulate::Shape::Step,
     };

@@ -69,7 +69,9 @@ impl Logger {
         let mut simulated = fleet.build(settings.seed.unwrap_or(SEED))?;
         if settings.seed.is_none() {
             let seed = RandomState::new().hash_one(&boot_id);
-            simulated.iter_mut().for_each(|machine| machine.reseed(seed));
+            for machine in &mut simulated {
+                machine.reseed(seed);
+            }
         }
         let machines: Vec<_> = (0..simulated.len()).map(|number| settings.machine_id(number)).collect();
         let published = Arc::new(AtomicU64::new(0));

@@ -33,9 +33,9 @@ settings! {
         /// Differences between machines.
         pub spread: Spread = Spread::default();
         /// Differences between the throws of one machine.
-        pub scatter: Scatter = Scatter::default();
+        pub scatter: FleetScatter = FleetScatter::default();
         /// Temperature of the machines over their throws.
-        pub climate: Climate = Climate::default();
+        pub climate: FleetClimate = FleetClimate::default();
         /// Faults, each of one machine. Several faults of the same machine add up.
         pub faults: Vec<FleetFault> = Vec::new();
         /// Incidents, each in some throws of one machine.
@@ -63,7 +63,7 @@ settings! {
     /// Natural scatter from throw to throw: standard deviations \[%\] of first-order autoregressive processes.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Scatter {
+    pub struct FleetScatter {
         /// Scatter of the torque per ampere.
         pub kt_pct: f64 = 0.5, Within(0.0, 30.0, "%");
         /// Scatter of all friction, by moisture, dirt and grease.
@@ -81,7 +81,7 @@ settings! {
     /// Temperature over the throws of a machine.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Climate {
+    pub struct FleetClimate {
         /// Mean temperature \[°C\].
         pub mean_c: f64 = 20.0, Within(-50.0, 60.0, "°C");
         /// Half the difference between day and night \[K\].
@@ -93,7 +93,7 @@ settings! {
     }
 }
 
-impl Climate {
+impl FleetClimate {
     /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
@@ -148,8 +148,8 @@ pub enum IncidentKind {
 pub struct SimulatedMachine {
     parameters: Parameters,
     sensors: Sensors,
-    climate: Climate,
-    scatter: Scatter,
+    climate: FleetClimate,
+    scatter: FleetScatter,
     /// The faults, each with the sum of the steps of its random walk so far.
     faults: Vec<(Fault, f64)>,
     incidents: Vec<Incident>,

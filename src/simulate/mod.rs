@@ -29,7 +29,9 @@ mod sensors;
 mod supply;
 
 pub use fault::{Condition, Fault, Part, Shape};
-pub use fleet::{Climate, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, Spread};
+pub use fleet::{
+    FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind, SimulatedMachine, Spread,
+};
 pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};

@@ -3,8 +3,8 @@
 use jiff::Timestamp;
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
-    Channel, Climate, Condition, Fault, FleetFault, FleetSettings, Incident, IncidentKind, Parameters, Part, RailModel,
-    Scatter, Sensor, Sensors, Shape, Stuck, Waveform,
+    Channel, Condition, Fault, FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind,
+    Parameters, Part, RailModel, Sensor, Sensors, Shape, Stuck, Waveform,
 };
 use pointsd::throw::{Direction, Throw};
 
@@ -168,7 +168,7 @@ fn machines_do_not_depend_on_the_size_of_their_fleet() {
 
 #[test]
 fn throws_scatter_as_much_and_as_correlated_as_set() {
-    let scatter = Scatter { correlation: 0.6, ..Scatter::default() };
+    let scatter = FleetScatter { correlation: 0.6, ..FleetScatter::default() };
     let settings = FleetSettings { machines: 1, machine: lumped(), scatter, ..FleetSettings::default() };
     let mut machine = settings.build(5).unwrap().remove(0);
     let (b0, a1): (Vec<f64>, Vec<f64>) = (0..600)
@@ -213,7 +213,7 @@ fn faults_and_incidents_happen_when_they_are_set() {
 
 #[test]
 fn cold_grease_and_strong_magnets_show_in_winter() {
-    let climate = Climate { mean_c: 10.0, yearly_swing_k: 15.0, daily_swing_k: 5.0, throws_per_day: 40.0 };
+    let climate = FleetClimate { mean_c: 10.0, yearly_swing_k: 15.0, daily_swing_k: 5.0, throws_per_day: 40.0 };
     let quarter = 365.25 / 4.0 * 40.0;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a throw number of this test")]
     let at = |quarters: f64| climate.at((quarters * quarter) as u64);

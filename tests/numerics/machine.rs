@@ -2,8 +2,8 @@
 
 use jiff::Timestamp;
 use pointsd::simulate::{
-    Conditions, Fault, FleetFault, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Scatter, Sensor, Sensors,
-    Shape, SimulatedMachine, Spread,
+    Conditions, Fault, FleetFault, FleetScatter, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Sensor,
+    Sensors, Shape, SimulatedMachine, Spread,
 };
 use pointsd::throw::Direction;
 use rand_chacha::rand_core::SeedableRng;
@@ -50,8 +50,8 @@ pub(crate) fn lumped() -> Parameters {
     Parameters { rails: Rails { model: RailModel::Lumped, ..Rails::default() }, ..Parameters::default() }
 }
 
-pub(crate) const NO_SCATTER: Scatter =
-    Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
+pub(crate) const NO_SCATTER: FleetScatter =
+    FleetScatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
 const NO_SPREAD: Spread = Spread { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, inertia_pct: 0.0 };
 
 #[test]
