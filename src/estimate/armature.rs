@@ -40,9 +40,8 @@ pub(super) struct Armature {
 
 impl Armature {
     /// `None` if the toe does not move.
-    pub(super) fn of(movement: &Movement<'_>, lead_mm: f64) -> Option<Self> {
+    pub(super) fn of(movement: &Movement<'_>, radians_per_mm: f64) -> Option<Self> {
         let interval_s = movement.interval_s;
-        let radians_per_mm = std::f64::consts::TAU / lead_mm;
         let drive = movement.drive();
         let (start, end) = (movement.start(), movement.near_end);
         let amperes = |k: usize| drive * (movement.current_a[k] - movement.current.mean);

@@ -8,7 +8,7 @@ use super::{
     identification::{Estimate, Fit, Grade, Identification},
     motor_kind,
     ratios::{self, Ratios},
-    rejection::{Channel, MIN_RISE_SAMPLES, Rejection},
+    rejection::{MIN_RISE_SAMPLES, Rejection},
     settings::{Motor, Settings},
     sriv::{Sriv, Workspace},
     trace::{
@@ -21,7 +21,7 @@ use super::{
         window::{Window, long_enough},
     },
 };
-use crate::throw::{Direction, Throw, Trace};
+use crate::throw::{Channel, Direction, Throw, Trace};
 
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
 /// the remaining error is below a thousandth of a standard deviation of the estimate.
@@ -153,7 +153,7 @@ impl Identifier {
         if undamaged
             && movement.sign != 0.0
             && interval_s * LEAST_RATE_HZ <= 1.0
-            && let Some(armature) = Armature::of(&movement, settings.lead_mm)
+            && let Some(armature) = Armature::of(&movement, settings.radians_per_mm())
         {
             armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
             features.motor = motor_kind::shown(&movement, &armature);

@@ -35,7 +35,7 @@ pub(crate) use identification::LONGEST_WINDOW;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use model::{midpoint, modelled_position_mm};
-pub use rejection::{Channel, Rejection};
+pub use rejection::Rejection;
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;
 pub use sriv::filter::Hold;

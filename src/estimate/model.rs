@@ -1,7 +1,5 @@
 //! The movement that the model, equation (12), gives for a current.
 
-use std::f64::consts::TAU;
-
 use super::settings::{Motor, Settings};
 use crate::throw::Trace;
 
@@ -20,7 +18,7 @@ pub(crate) fn modelled_position_mm(
     let peak = current.iter().copied().fold(0.0_f64, |peak, it| if it.abs() > peak.abs() { it } else { peak });
     // The current rises from the sample before the first one that shows it.
     let start = current.iter().position(|it| it.abs() > RUNNING_SHARE * peak.abs()).unwrap_or(0).saturating_sub(1);
-    let (step_s, mm_per_rad) = (trace.sample_rate_hz().recip(), settings.lead_mm / TAU);
+    let (step_s, mm_per_rad) = (trace.sample_rate_hz().recip(), settings.radians_per_mm().recip());
     let driven = (0..current.len() - start).take_while(|after| *after as f64 * step_s <= duration_s);
     let end = start + driven.count();
     let neutral_rad = settings.neutral_mm / mm_per_rad;

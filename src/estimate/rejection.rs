@@ -2,29 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{CENTIMETRE_MM, INCH_MM, brief, rounded};
+use crate::throw::{CENTIMETRE_MM, Channel, INCH_MM, brief, rounded};
 
 /// Least number of samples in the rise of an unfiltered current.
 pub(super) const MIN_RISE_SAMPLES: usize = 4;
 
-/// One of the two channels of a trace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
-#[serde(rename_all = "snake_case")]
-#[strum(serialize_all = "snake_case")]
-pub enum Channel {
-    /// Motor current.
-    Current,
-    /// Toe position.
-    Position,
-}
-
-impl Channel {
-    /// The field of the message and its unit, for the text of a rejection.
-    fn field(self) -> &'static str {
-        match self {
-            Self::Current => "current_a is in A",
-            Self::Position => "position_mm is in mm",
-        }
+/// The field of a channel in the message and its unit, for the text of a rejection.
+fn field(channel: Channel) -> &'static str {
+    match channel {
+        Channel::Current => "current_a is in A",
+        Channel::Position => "position_mm is in mm",
     }
 }
 
@@ -81,7 +68,7 @@ pub enum Rejection {
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
-         unit ({field})", brief(rounded(*.value)), field = .channel.field()
+         unit ({field})", brief(rounded(*.value)), field = field(*.channel)
     )]
     ImplausibleValue {
         /// Which channel.

@@ -35,5 +35,5 @@ pub use fleet::{
 pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};
-pub use sensors::{Channel, Recording, Sensor, Sensors, Stuck};
+pub use sensors::{Recording, Sensor, Sensors, Stuck};
 pub use supply::Waveform;

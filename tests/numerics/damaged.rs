@@ -1,8 +1,8 @@
 //! Damaged traces: each is rejected with its reason, or its damage does no harm.
 
-use pointsd::estimate::{Channel, Identification, Identifier, Rejection, Settings};
+use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
-use pointsd::throw::{Direction, Throw, Trace};
+use pointsd::throw::{Channel, Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 

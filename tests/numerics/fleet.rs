@@ -3,10 +3,10 @@
 use jiff::Timestamp;
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
-    Channel, Condition, Fault, FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind,
-    Parameters, Part, RailModel, Sensor, Sensors, Shape, Stuck, Waveform,
+    Condition, Fault, FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind, Parameters, Part,
+    RailModel, Sensor, Sensors, Shape, Stuck, Waveform,
 };
-use pointsd::throw::{Direction, Throw};
+use pointsd::throw::{Channel, Direction, Throw};
 
 use super::identify::{assert_near, simulated};
 use super::machine::{NO_SCATTER, lumped};
