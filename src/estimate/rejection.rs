@@ -16,15 +16,13 @@ fn field(channel: Channel) -> &'static str {
 }
 
 /// A hint at the unit if the travel is a whole stroke in centimetres or inches; else empty.
-fn likely_unit(travel_mm: f64, stroke_mm: f64) -> &'static str {
+fn likely_unit(travel_mm: f64, stroke_mm: f64) -> String {
     let is_stroke = |unit_mm: f64| (0.9..1.1).contains(&(unit_mm * travel_mm / stroke_mm));
-    if is_stroke(CENTIMETRE_MM) {
-        ", as in a complete throw with the position in centimetres; it must be in millimetres (position_mm)"
-    } else if is_stroke(INCH_MM) {
-        ", as in a complete throw with the position in inches; it must be in millimetres (position_mm)"
-    } else {
-        ""
-    }
+    let units = [(CENTIMETRE_MM, "centimetres"), (INCH_MM, "inches")];
+    let text = |(_, unit)| {
+        format!(", as in a complete throw with the position in {unit}; it must be in millimetres (position_mm)")
+    };
+    units.into_iter().find(|(unit_mm, _)| is_stroke(*unit_mm)).map(text).unwrap_or_default()
 }
 
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
