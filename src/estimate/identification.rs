@@ -107,7 +107,8 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// [`LONGEST_WINDOW`], as the factor of the covariance of ratios in [`Self::drift_covariance`].
+    /// Length of the longest window of the diagnosis \[throws\], as the factor of the covariance of ratios in
+    /// [`Self::drift_covariance`].
     pub const LONGEST_WINDOW: f64 = LONGEST_WINDOW as f64;
 
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.

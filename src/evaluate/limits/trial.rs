@@ -91,7 +91,6 @@ impl Bench {
                 }
             }
         }
-        row.finish();
         Ok(row)
     }
 }
