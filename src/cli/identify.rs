@@ -142,6 +142,7 @@ fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serd
     let coefficients = scaled.map_or([None; 3], |estimate| estimate.coefficients().map(Some));
     let sd = scaled.map_or([None; 3], |estimate| estimate.sd().map(Some));
     let covariance = scaled.map(|estimate| <[[f64; 3]; 3]>::from(estimate.total_covariance()));
+    let fit = estimate.and_then(|estimate| estimate.fit);
     let ratios = estimate.map_or([None; 2], |estimate| estimate.ratios().map(Some));
     let ratios_sd = estimate.map_or([None; 2], |estimate| estimate.ratios_sd().map(Some));
     let mut report = json!({
@@ -159,8 +160,8 @@ fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serd
         "a1_per_b0_sd": ratios_sd[0],
         "a0_per_b0": ratios[1],
         "a0_per_b0_sd": ratios_sd[1],
-        "fit_pct": estimate.map(|e| e.fit_pct),
-        "iterations": estimate.map(|e| e.iterations),
+        "fit_pct": fit.map(|fit| fit.pct),
+        "iterations": fit.map(|fit| fit.iterations),
         "start_s": estimate.map(|e| e.start_s),
         "end_s": estimate.map(|e| e.end_s),
         "direction": found.direction.map(Direction::as_str),
@@ -191,12 +192,7 @@ fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> St
         row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
         row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),
         "± is the half width of the 95 % interval\n".to_owned(),
-        if estimate.iterations > 0 {
-            format!("fit {:.4} % in {} iterations, ", estimate.fit_pct, estimate.iterations)
-        } else {
-            // The estimate is from the current alone, or without a fit of the full model.
-            String::new()
-        },
+        estimate.fit.map(|fit| format!("fit {:.4} % in {} iterations, ", fit.pct, fit.iterations)).unwrap_or_default(),
         format!("from {:.3} s to {:.3} s\n", estimate.start_s, estimate.end_s),
         features_text(found),
     ]

@@ -207,7 +207,8 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::simulate::{Channel, Sensor, Stuck};
+    use crate::simulate::{Sensor, Stuck};
+    use crate::throw::Channel;
 
     fn shipped() -> String {
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/pointsim.toml")).unwrap()

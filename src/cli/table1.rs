@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, output};
+use crate::estimate::{Settings, modelled_position_mm};
 use crate::evaluate::limits::NAMES;
 use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
 use crate::report::{Panel, Sheet};
@@ -154,11 +155,9 @@ fn pulse_response(test: &Test) -> Sheet {
     // The model is shown only until the current ends. Afterwards the stock rail and the brake hold the toe; the model
     // includes neither.
     let running = test.trace.current_a().iter().rposition(|current| current.abs() > RUNNING_A).unwrap_or(0);
-    let mut model = test.modelled_position_mm();
+    let mut model = modelled_position_mm(&test.trace, test.coefficients, f64::INFINITY, &Settings::default());
     model.truncate(running);
-    let start_mm = test.trace.position_mm()[0];
-    let error: Vec<f64> =
-        test.trace.position_mm().iter().zip(&model).map(|(is, model)| is - start_mm - model).collect();
+    let error: Vec<f64> = test.trace.position_mm().iter().zip(&model).map(|(is, model)| is - model).collect();
     Sheet::new("Pulse response of the nominal machine")
         .panel(
             Panel::curves("Motor current", "time [s]", "current [A]").line("recorded", samples(test.trace.current_a())),

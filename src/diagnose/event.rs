@@ -10,10 +10,7 @@ use super::{
     drift::LimitForecast,
     statistics::{Correlation, Level},
 };
-use crate::{
-    estimate::Channel,
-    throw::{Direction, MachineId, ThrowRef},
-};
+use crate::throw::{Channel, Direction, MachineId, ThrowRef};
 
 /// Cause of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]

@@ -27,57 +27,69 @@ use super::{features::Features, settings::Motor, trace::movement::Movement};
 pub(super) const LEAST_RATE_HZ: f64 = 200.0;
 /// The toe counts as moving after this share of its travel (0.3 mm of 115 mm), and after this many standard deviations
 /// of the position's noise.
-pub(super) const MOVES_SHARE: f64 = 0.0026;
-pub(super) const MOVES_SD: f64 = 5.0;
+const MOVES_SHARE: f64 = 0.0026;
+const MOVES_SD: f64 = 5.0;
 
-/// Adds the no-load speed to the features of a throw; with a supply voltage, also resistance and back-EMF constant. For
-/// a series-wound motor, adds the resistance only.
-pub(super) fn add_constants(
-    features: &mut Features,
-    supply_v: Option<f64>,
-    movement: &Movement<'_>,
-    (motor, lead_mm): (Motor, f64),
-) {
-    let interval_s = movement.interval_s;
-    let radians_per_mm = std::f64::consts::TAU / lead_mm;
-    let drive = movement.drive();
-    let (start, end) = (movement.start(), movement.near_end);
-    let amperes = |i: &f64| drive * (i - movement.current.mean);
-    let channels = (movement.current_a.get(start..=end), movement.position_mm.get(start..=end));
-    let (Some([first, current @ ..]), Some([_, position @ ..])) = channels else { return };
-    let moved_mm = |x: &f64| movement.sign * (x - movement.position.mean);
-    let least_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
-    let Some(moves) = position.iter().position(|x| moved_mm(x) > least_mm) else { return };
-    // Sums over the samples of the products of charge, current, angle (series-wound: ∫i dθ), 1 and time.
-    let (mut sums, mut charge, mut before) = ([[0.0; 5]; 4], 0.0, amperes(first));
-    let (mut turned, mut angle_before) = (0.0, 0.0);
-    for (k, (i, x)) in current.iter().zip(position).enumerate() {
-        let (now, angle) = (amperes(i), moved_mm(x) * radians_per_mm);
-        let mean = 0.5 * (before + now);
-        charge += mean * interval_s;
-        turned += (angle - angle_before) * if motor == Motor::Series { mean } else { 1.0 };
-        (before, angle_before) = (now, angle);
-        if k < moves {
-            continue;
-        }
-        let row = [charge, now, turned, 1.0, (k + 1) as f64];
-        for i in 0..4 {
-            // The matrix is symmetric, but a complete row is faster: the compiler computes two products at a time.
-            for j in 0..5 {
-                sums[i][j] += row[i] * row[j];
+/// Sums over the samples from the first movement of the toe to the end of the travel.
+pub(super) struct Armature {
+    /// Products of charge, current, 1, angle θ, ∫i dθ and time \[s\]. The matrix is symmetric, but complete rows are
+    /// faster: the compiler computes several products at a time.
+    sums: [[f64; 6]; 6],
+    samples: f64,
+}
+
+impl Armature {
+    /// `None` if the toe does not move.
+    pub(super) fn of(movement: &Movement<'_>, radians_per_mm: f64) -> Option<Self> {
+        let interval_s = movement.interval_s;
+        let drive = movement.drive();
+        let (start, end) = (movement.start(), movement.near_end);
+        let amperes = |k: usize| drive * (movement.current_a[k] - movement.current.mean);
+        let least_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
+        let moves = (start + 1..=end).find(|&k| movement.progress_mm(k) > least_mm)?;
+        let (mut sums, mut charge, mut turned) = ([[0.0; 6]; 6], 0.0, 0.0);
+        let (mut before, mut angle_before) = (amperes(start), 0.0);
+        for k in start + 1..=end {
+            let (now, angle) = (amperes(k), movement.progress_mm(k) * radians_per_mm);
+            let mean = 0.5 * (before + now);
+            charge += mean * interval_s;
+            turned += mean * (angle - angle_before);
+            (before, angle_before) = (now, angle);
+            if k < moves {
+                continue;
+            }
+            let row = [charge, now, 1.0, angle, turned, (k - start) as f64 * interval_s];
+            for i in 0..6 {
+                for j in 0..6 {
+                    sums[i][j] += row[i] * row[j];
+                }
             }
         }
+        Some(Self { sums, samples: (end + 1 - moves) as f64 })
     }
-    let normal = Matrix4::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
-    let right = Vector4::from_fn(|i, _| interval_s * sums[i][4]);
-    let solved = normal.try_inverse().map(|inverse: Matrix4<f64>| inverse * right);
-    if let Some(solved) = solved.filter(|found| found[0] > 0.0 && found[2] > 0.0 && found.iter().all(|v| v.is_finite()))
-    {
-        features.resistance_ohm = supply_v.map(|volts| volts * solved[0]);
-        if motor == Motor::Series {
+
+    /// R, L, c and K (series-wound: k), each divided by V, and the root mean square residual of the equation \[s\].
+    /// `None` if the samples do not determine them, or K is not positive.
+    pub(super) fn solve(&self, motor: Motor) -> Option<(Vector4<f64>, f64)> {
+        let terms = [0, 1, 2, if motor == Motor::Series { 4 } else { 3 }];
+        let normal = Matrix4::from_fn(|i, j| self.sums[terms[i]][terms[j]]);
+        let right = Vector4::from_fn(|i, _| self.sums[terms[i]][5]);
+        let found: Vector4<f64> = normal.try_inverse()? * right;
+        let squares = self.sums[5][5] - 2.0 * found.dot(&right) + found.dot(&(normal * found));
+        (found[3] > 0.0).then_some((found, (squares / self.samples).sqrt()))
+    }
+
+    /// Adds the no-load speed to the features of a throw; with a supply voltage, also resistance and back-EMF constant.
+    /// For a series-wound motor, adds the resistance only.
+    pub(super) fn add_constants(&self, features: &mut Features, supply_v: Option<f64>, motor: Motor) {
+        let Some((found, _)) = self.solve(motor) else { return };
+        if !(found[0] > 0.0 && found.iter().all(|v| v.is_finite())) {
             return;
         }
-        features.back_emf_v_s_per_rad = supply_v.map(|volts| volts * solved[2]);
-        features.no_load_speed_rad_per_s = Some(solved[2].recip());
+        features.resistance_ohm = supply_v.map(|volts| volts * found[0]);
+        if motor == Motor::PermanentMagnet {
+            features.back_emf_v_s_per_rad = supply_v.map(|volts| volts * found[3]);
+            features.no_load_speed_rad_per_s = Some(found[3].recip());
+        }
     }
 }

@@ -22,7 +22,6 @@ use super::{
     identification::{Estimate, Grade},
     matrix::unit_diagonal,
     ratios,
-    rejection::Channel,
     settings::{Motor, Settings},
     trace::{
         movement::{Movement, NEAR_END_SHARE},
@@ -30,10 +29,10 @@ use super::{
         window::{self, Window},
     },
 };
-use crate::throw::{Direction, Throw};
+use crate::throw::{Channel, Direction, Throw};
 
 /// Lowest sampling rate that resolves the inrush well enough for the coefficients \[Hz\].
-pub(super) const LEAST_RATE_HZ: f64 = 500.0;
+const LEAST_RATE_HZ: f64 = 500.0;
 /// Length of the part of the inrush from which the armature's constants are estimated \[s\].
 const INRUSH_S: f64 = 0.2;
 /// Number of corrections of the terms with a1 and a0. Each is smaller than the previous one by the factor a1 L / R, a
@@ -99,12 +98,12 @@ pub(super) fn estimate(
     throw: &Throw,
     settings: &Settings,
     features: &mut Features,
-) -> Result<Estimate, &'static str> {
+) -> Result<Estimate, String> {
     let Movement { current_a: current, interval_s, .. } = *movement;
     let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
     let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
     if interval_s * LEAST_RATE_HZ > 1.0001 {
-        return Err("the coefficients need at least 500 samples/s");
+        return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
     }
     let start = movement.start();
     let off = end_of_voltage(movement).ok_or(NOT_ENDED)?;
@@ -125,7 +124,7 @@ pub(super) fn estimate(
     let triple = integral(&double);
     let integrals = [amperes, charge, double, triple];
     let [amperes, charge, ..] = &integrals;
-    let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
+    let angle = stroke_mm * settings.radians_per_mm();
     // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
     let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
     let inrush = samples_in(INRUSH_S, interval_s).min(last);
@@ -134,7 +133,7 @@ pub(super) fn estimate(
         Some(Direction::NormalToReverse) | None => settings.neutral_mm,
     };
     let mut window = Window {
-        equilibrium: from_start_mm * std::f64::consts::TAU / settings.lead_mm,
+        equilibrium: from_start_mm * settings.radians_per_mm(),
         from: start,
         interval_s,
         offsets: [window::current_offset_variance(movement), 0.0],
@@ -152,7 +151,7 @@ pub(super) fn estimate(
             |k: usize| supply_v * (k as f64 * interval_s) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
-            return Err(NO_ARMATURE);
+            return Err(NO_ARMATURE.to_owned());
         }
         window.output.clear();
         window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
@@ -166,25 +165,29 @@ pub(super) fn estimate(
     }
     let (b0, ratios, back_emf) = found.ok_or(NO_MODEL)?;
     if !(b0.is_finite() && b0 > 0.0) {
-        return Err(NO_MODEL);
+        return Err(NO_MODEL.to_owned());
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
-    let mut estimate = ratios.estimate(&window, (0.0, 0), None);
-    estimate.end_s = (start + last - 1) as f64 * interval_s;
     // An error of ln b0 is common to all three; the ratios have additional errors.
     let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
         let of_ratios = Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios;
         ratios::covariance([b0, a1, a0], scale_sd, of_ratios)
     };
-    estimate.covariance = covariance(SCALE_SD, RATIO_SD, ratios.log_covariance);
-    // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
-    estimate.systematic = covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
-    // The errors of a1 and a0 were for b0 = 1.
-    estimate.offset = estimate.offset.map(|error| b0 * error);
-    (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
-    estimate.grade = Grade::CurrentOnly;
-    estimate.ratios_only = false;
-    Ok(estimate)
+    let estimate = ratios.estimate(&window, None, None);
+    Ok(Estimate {
+        grade: Grade::CurrentOnly,
+        b0,
+        a1,
+        a0,
+        ratios_only: false,
+        covariance: covariance(SCALE_SD, RATIO_SD, ratios.log_covariance),
+        // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
+        systematic: covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic),
+        // The errors of a1 and a0 were for b0 = 1.
+        offset: estimate.offset.map(|error| b0 * error),
+        end_s: (start + last - 1) as f64 * interval_s,
+        ..estimate
+    })
 }
 
 /// The reason why the coefficients are not estimated from the current: a missing value, or the kind of motor.

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{rejection::Channel, settings::Motor};
+use super::settings::Motor;
+use crate::throw::Channel;
 
 /// Features of a throw; `None` if the trace does not show them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
+/// Length of the longest window of the diagnosis \[throws\].
+pub(crate) const LONGEST_WINDOW: u32 = 24;
+
 /// How far an estimate can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -65,14 +68,22 @@ pub struct Estimate {
     /// the model fits roughly, both have other errors. So a machine that is compared by ratios compares these.
     #[serde(skip)]
     pub running: Option<RunningRatios>,
-    /// Fit of the model, `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
-    pub fit_pct: f64,
-    /// Number of SRIV iterations.
-    pub iterations: usize,
+    /// Fit of the model of all three coefficients; `None` if the estimate is from the current alone, or this model has
+    /// no solution.
+    pub fit: Option<Fit>,
     /// First sample used, from the start of the trace \[s\].
     pub start_s: f64,
     /// Last sample used, from the start of the trace \[s\].
     pub end_s: f64,
+}
+
+/// The fit of a model to a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
+    pub pct: f64,
+    /// Number of SRIV iterations.
+    pub iterations: usize,
 }
 
 /// The ratios of a throw from its movement after the start.
@@ -96,9 +107,9 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// Length of the longest window of the diagnosis \[throws\], the factor of the covariance of ratios in
+    /// Length of the longest window of the diagnosis \[throws\], as the factor of the covariance of ratios in
     /// [`Self::drift_covariance`].
-    pub const LONGEST_WINDOW: f64 = 24.0;
+    pub const LONGEST_WINDOW: f64 = LONGEST_WINDOW as f64;
 
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///

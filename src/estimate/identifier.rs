@@ -2,29 +2,30 @@
 
 use super::{
     acceptance::{self, brake, start},
-    armature, current_only,
+    armature::{Armature, LEAST_RATE_HZ},
+    current_only,
     features::Features,
-    identification::{Estimate, Grade, Identification},
+    identification::{Estimate, Fit, Grade, Identification},
     motor_kind,
     ratios::{self, Ratios},
-    rejection::{Channel, Rejection},
+    rejection::{MIN_RISE_SAMPLES, Rejection},
     settings::{Motor, Settings},
     sriv::{Sriv, Workspace},
     trace::{
-        completeness, damage, decimate, held, hum, missing,
+        completeness, damage, decimate,
+        held::{self, Resampled},
+        hum, missing,
         movement::{Movement, start_of_motor},
         noise, release,
         samples::{Level, every, peak, second_difference_noise},
         window::{Window, long_enough},
     },
 };
-use crate::throw::{Direction, Throw, Trace};
+use crate::throw::{Channel, Direction, Throw, Trace};
 
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
 /// the remaining error is below a thousandth of a standard deviation of the estimate.
 const TOLERANCE: f64 = 1e-4;
-/// Least number of samples in the rise of an unfiltered current.
-const MIN_RISE_SAMPLES: usize = 4;
 /// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
 /// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains
 /// (100 Hz and its multiples) becomes a constant current.
@@ -67,12 +68,24 @@ impl Identifier {
     /// time.
     pub(crate) fn identify_for(&mut self, throw: &Throw, settings: &Settings, compares_ratios: bool) -> Identification {
         self.buffers.with_running = compares_ratios;
-        match held::resampled(&throw.trace) {
-            None => self.identify_sampled(throw, 1.0, settings),
-            Some((trace, position_every)) => {
-                self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings)
+        let Some(Resampled { trace, first, every, position_every }) = held::resampled(&throw.trace) else {
+            return self.identify_sampled(throw, 1.0, settings);
+        };
+        let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
+        // The reader of a result has the trace of the logger, not the resampled one.
+        found.unused_fields = throw.unused_fields();
+        let first_s = first as f64 / throw.trace.sample_rate_hz();
+        match &mut found.outcome {
+            Ok(estimate) => {
+                estimate.start_s += first_s;
+                estimate.end_s += first_s;
+                if let Some(reason) = &mut estimate.reason {
+                    reason.refer_to_logger(first_s, first, every);
+                }
             }
+            Err(reason) => reason.refer_to_logger(first_s, first, every),
         }
+        found
     }
 
     /// Identifies a throw whose current has a new value in each sample, and whose position has a new value in one of
@@ -137,10 +150,13 @@ impl Identifier {
             _ => {}
         }
         add_supply(&mut features, throw);
-        if undamaged && movement.sign != 0.0 && interval_s * armature::LEAST_RATE_HZ <= 1.0 {
-            let motor = (settings.motor, settings.lead_mm);
-            armature::add_constants(&mut features, throw.possible_supply_v(), &movement, motor);
-            features.motor = motor_kind::shown(&movement);
+        if undamaged
+            && movement.sign != 0.0
+            && interval_s * LEAST_RATE_HZ <= 1.0
+            && let Some(armature) = Armature::of(&movement, settings.radians_per_mm())
+        {
+            armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
+            features.motor = motor_kind::shown(&movement, &armature);
         }
         if let Ok(estimate) = &outcome {
             (features.start_delay_s, features.start_gain) =
@@ -246,24 +262,25 @@ impl Buffers {
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
+        let refuted = reason.refutes_the_model();
         let reason = noisy.unwrap_or(reason);
         let ratios = ratios::of(&self.window).ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
         let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
         let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
-        if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
+        if are_known || !refuted { Ok(estimate) } else { Err(reason) }
     }
 
-    /// Fits the full model to the window. Returns fit \[%\] and iterations of the solution, 0 without one, and the
-    /// estimate or the reason why the solution is not accepted.
-    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> ((f64, usize), Result<Estimate, Rejection>) {
+    /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate or the
+    /// reason why the solution is not accepted.
+    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> (Option<Fit>, Result<Estimate, Rejection>) {
         let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
         let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });
         let found = model.and_then(|model| Some((model.identify(&window.problem(), workspace).ok()?, model)));
-        let Some((solution, model)) = found else { return ((0.0, 0), Err(Rejection::Singular)) };
-        let full = (100.0 * solution.fit, solution.iterations);
-        (full, acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
+        let Some((solution, model)) = found else { return (None, Err(Rejection::Singular)) };
+        let fit = Fit { pct: 100.0 * solution.fit, iterations: solution.iterations };
+        (Some(fit), acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
     }
 }
 
@@ -284,7 +301,7 @@ fn identify_current(
         .and_then(|()| usable(movement, settings))
         .and_then(|()| {
             current_only::estimate(movement, throw, settings, &mut features)
-                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
+                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why })
         });
     Identification {
         direction: throw.direction,

@@ -12,6 +12,7 @@
 //! | `acceptance` | whether the fitted model describes the movement, and how uncertain it is |
 //! | `ratios`, `current_only` | estimates from throws whose start is unusable, and from throws without a toe position |
 //! | `armature`, `motor_kind`, `load` | what a throw shows of motor and load beside the coefficients |
+//! | `model` | the movement that the model gives for a current |
 
 mod acceptance;
 mod armature;
@@ -21,7 +22,7 @@ mod identification;
 mod identifier;
 mod load;
 mod matrix;
-mod midpoint;
+mod model;
 mod motor_kind;
 mod ratios;
 mod rejection;
@@ -30,10 +31,12 @@ pub mod sriv;
 mod trace;
 
 pub use features::Features;
-pub use identification::{Estimate, Grade, Identification, RunningRatios};
+pub(crate) use identification::LONGEST_WINDOW;
+pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
-pub(crate) use midpoint::midpoint;
-pub use rejection::{Channel, Rejection};
+pub(crate) use model::{midpoint, modelled_position_mm};
+pub use rejection::Rejection;
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;
 pub use sriv::filter::Hold;
+pub(crate) use trace::samples::SD_PER_MEDIAN;

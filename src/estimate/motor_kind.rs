@@ -21,10 +21,8 @@
 //! Two effects resemble a series motor: in the second part, a voltage that falls during the throw; in the first part,
 //! play or a soft drive.
 
-use nalgebra::{Matrix4, Vector4};
-
 use super::{
-    armature::{MOVES_SD, MOVES_SHARE},
+    armature::Armature,
     settings::Motor,
     trace::{
         movement::Movement,
@@ -55,22 +53,20 @@ const SKIPPED_SHARE: f64 = 0.3;
 const BLOCKS: usize = 12;
 /// Time over which the inrush is a mean: a period of the ripple of rectified mains \[s\].
 const RIPPLE_S: f64 = 0.01;
-/// Samples in the sums of the first part. More samples would not help, as their errors are correlated.
-const ROWS: usize = 250;
 
 /// The kind of motor; `None` if the throw does not decide it.
-pub(super) fn shown(movement: &Movement<'_>) -> Option<Motor> {
+pub(super) fn shown(movement: &Movement<'_>, armature: &Armature) -> Option<Motor> {
     let (start, end) = (movement.start(), movement.near_end);
     if end < start + 2 * BLOCKS {
         return None;
     }
-    let current_a = &movement.current_a[start..=end];
-    let way = Way { movement, drive: movement.drive(), current_a, position_mm: &movement.position_mm[start..=end] };
-    let [magnets, series] = way.residuals()?;
+    let way = Way { movement, drive: movement.drive(), start, len: end - start };
+    let (_, magnets) = armature.solve(Motor::PermanentMagnet)?;
+    let (_, series) = armature.solve(Motor::Series)?;
     let inrush = way.inrush_of_standstill()?;
     let is_series = series < LARGEST_OF_SERIES * magnets && inrush > INRUSH_OF_SERIES
         || series < magnets && inrush > INRUSH_OF_MAGNETS;
-    if magnets.min(series) > LARGEST_RESIDUAL * way.len() as f64 * movement.interval_s {
+    if magnets.min(series) > LARGEST_RESIDUAL * way.len as f64 * movement.interval_s {
         None
     } else if is_series {
         Some(Motor::Series)
@@ -86,78 +82,30 @@ struct Way<'a> {
     movement: &'a Movement<'a>,
     /// Sign of the driving current.
     drive: f64,
-    /// The channels on this way.
-    current_a: &'a [f64],
-    position_mm: &'a [f64],
+    start: usize,
+    /// Number of samples after the start.
+    len: usize,
 }
 
 impl Way<'_> {
-    /// Number of samples after the first one.
-    fn len(&self) -> usize {
-        self.current_a.len() - 1
-    }
-
-    /// Current \[A\], positive if it drives.
+    /// Current \[A\] at a sample after the start, positive if it drives.
     fn current(&self, sample: usize) -> f64 {
-        self.drive * (self.current_a[sample] - self.movement.current.mean)
-    }
-
-    /// Travelled part of the whole, which is proportional to the angle of the motor.
-    fn done(&self, sample: usize) -> f64 {
-        self.movement.sign * (self.position_mm[sample] - self.movement.position.mean) / self.movement.travel_mm
-    }
-
-    /// Root mean square residuals of the armature's equation with magnets and with a series motor \[s\].
-    fn residuals(&self) -> Option<[f64; 2]> {
-        let interval_s = self.movement.interval_s;
-        let moves = MOVES_SHARE.max(MOVES_SD * self.movement.position.sd / self.movement.travel_mm);
-        let every = (self.len() / ROWS).max(1);
-        // Sums of the products of charge, current, 1, angle, ∫i dθ and time; only i <= j.
-        let (mut sums, mut charge, mut turned, mut rows) = ([[0.0; 6]; 6], 0.0, 0.0, 0.0);
-        let mut last = [self.current(0), self.done(0)];
-        let mut has_moved = false;
-        for k in 1..=self.len() {
-            let now = [self.current(k), self.done(k)];
-            let between = f64::midpoint(last[0], now[0]);
-            charge += between * interval_s;
-            turned += between * (now[1] - last[1]);
-            last = now;
-            has_moved |= now[1] > moves;
-            if !has_moved || k % every != 0 {
-                continue;
-            }
-            let row = [charge, now[0], 1.0, now[1], turned, k as f64 * interval_s];
-            for (i, sums) in sums.iter_mut().enumerate() {
-                for (sum, b) in sums[i..].iter_mut().zip(&row[i..]) {
-                    *sum += row[i] * b;
-                }
-            }
-            rows += 1.0;
-        }
-        let residual = |back_emf: usize| {
-            let of = [0, 1, 2, back_emf];
-            let normal = Matrix4::from_fn(|i, j| sums[of[i.min(j)]][of[i.max(j)]]);
-            let right = Vector4::from_fn(|i, _| sums[of[i]][5]);
-            let found: Vector4<f64> = normal.try_inverse()? * right;
-            let squares = sums[5][5] - 2.0 * found.dot(&right) + found.dot(&(normal * found));
-            (found[3] > 0.0 && squares > 0.0).then(|| (squares / rows).sqrt())
-        };
-        Some([residual(3)?, residual(4)?])
+        self.drive * (self.movement.current_a[self.start + sample] - self.movement.current.mean)
     }
 
     /// The inrush over the current at which the running motor would stand still, by the line through its speed and
     /// current; `None` if they have no such line.
     fn inrush_of_standstill(&self) -> Option<f64> {
         let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
-        let place = |from: usize, to: usize| mean((from..to).map(|k| self.done(k)));
-        let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len());
+        let place = |from: usize, to: usize| mean((from..to).map(|k| self.movement.progress_mm(self.start + k)));
+        let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len);
         let (mut inrush, mut sum) = (0.0_f64, 0.0);
-        for k in 0..=self.len() {
+        for k in 0..=self.len {
             sum += self.current(k) - if k < ripple { 0.0 } else { self.current(k - ripple) };
             inrush = inrush.max(sum / ripple as f64);
         }
-        let from = samples_in(SKIPPED_SHARE * self.len() as f64, 1.0);
-        let length = (self.len() - from) / BLOCKS;
+        let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
+        let length = (self.len - from) / BLOCKS;
         let quarter = (length / 4).max(1);
         if length <= quarter {
             return None;

@@ -15,7 +15,7 @@
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
-    identification::{Estimate, Grade, RunningRatios},
+    identification::{Estimate, Fit, Grade, RunningRatios},
     load::{DRY_SHARE, Load, STEPS},
     matrix::unit_diagonal,
     rejection::Rejection,
@@ -58,14 +58,8 @@ impl Ratios {
         RunningRatios { values: self.values, log_covariance: self.log_covariance + self.log_systematic }
     }
 
-    /// A rough estimate with these ratios and the arbitrary b0 = 1. `fit_pct` and `iterations` are those of the full
-    /// model.
-    pub(super) fn estimate(
-        &self,
-        window: &Window,
-        (fit_pct, iterations): (f64, usize),
-        reason: Option<Rejection>,
-    ) -> Estimate {
+    /// A rough estimate with these ratios and the arbitrary b0 = 1; `fit` is that of the full model.
+    pub(super) fn estimate(&self, window: &Window, fit: Option<Fit>, reason: Option<Rejection>) -> Estimate {
         let [a1, a0] = self.values;
         Estimate {
             grade: Grade::Rough,
@@ -78,8 +72,7 @@ impl Ratios {
             offset: [0.0, a1 * self.log_offset[0], a0 * self.log_offset[1]],
             reason,
             running: None,
-            fit_pct,
-            iterations,
+            fit,
             start_s: (window.from + self.from) as f64 * window.interval_s,
             end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
         }

@@ -2,39 +2,27 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{CENTIMETRE_MM, INCH_MM, brief, rounded};
+use crate::throw::{CENTIMETRE_MM, Channel, INCH_MM, brief, rounded};
 
-/// One of the two channels of a trace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
-#[serde(rename_all = "snake_case")]
-#[strum(serialize_all = "snake_case")]
-pub enum Channel {
-    /// Motor current.
-    Current,
-    /// Toe position.
-    Position,
-}
+/// Least number of samples in the rise of an unfiltered current.
+pub(super) const MIN_RISE_SAMPLES: usize = 4;
 
-impl Channel {
-    /// The field of the message and its unit, for the text of a rejection.
-    fn field(self) -> &'static str {
-        match self {
-            Self::Current => "current_a is in A",
-            Self::Position => "position_mm is in mm",
-        }
+/// The field of a channel in the message and its unit, for the text of a rejection.
+fn field(channel: Channel) -> &'static str {
+    match channel {
+        Channel::Current => "current_a is in A",
+        Channel::Position => "position_mm is in mm",
     }
 }
 
 /// A hint at the unit if the travel is a whole stroke in centimetres or inches; else empty.
-fn likely_unit(travel_mm: f64, stroke_mm: f64) -> &'static str {
+fn likely_unit(travel_mm: f64, stroke_mm: f64) -> String {
     let is_stroke = |unit_mm: f64| (0.9..1.1).contains(&(unit_mm * travel_mm / stroke_mm));
-    if is_stroke(CENTIMETRE_MM) {
-        ", as in a complete throw with the position in centimetres; it must be in millimetres (position_mm)"
-    } else if is_stroke(INCH_MM) {
-        ", as in a complete throw with the position in inches; it must be in millimetres (position_mm)"
-    } else {
-        ""
-    }
+    let units = [(CENTIMETRE_MM, "centimetres"), (INCH_MM, "inches")];
+    let text = |(_, unit)| {
+        format!(", as in a complete throw with the position in {unit}; it must be in millimetres (position_mm)")
+    };
+    units.into_iter().find(|(unit_mm, _)| is_stroke(*unit_mm)).map(text).unwrap_or_default()
 }
 
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
@@ -78,7 +66,7 @@ pub enum Rejection {
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
-         unit ({field})", brief(rounded(*.value)), field = .channel.field()
+         unit ({field})", brief(rounded(*.value)), field = field(*.channel)
     )]
     ImplausibleValue {
         /// Which channel.
@@ -262,8 +250,9 @@ pub enum Rejection {
     },
     /// The rise of the current was not sampled well enough, and no anti-alias filter is declared.
     #[error(
-        "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least 4 are \
-         needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)", 1e3 * interval_s
+        "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least {} are \
+         needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)",
+        1e3 * interval_s, MIN_RISE_SAMPLES
     )]
     Undersampled {
         /// Time between samples \[s\].
@@ -387,6 +376,27 @@ impl Rejection {
     /// The code of the reason, as in the column `quality`.
     pub fn code(&self) -> &'static str {
         self.into()
+    }
+
+    /// Changes times and sample of a reason from a trace that begins at the sample `first` of the logger's trace, at
+    /// `first_s` \[s\], and has one of `every` samples, to those of the logger's trace.
+    pub(super) fn refer_to_logger(&mut self, first_s: f64, first: usize, every: usize) {
+        if let Self::NotFinite { sample, .. } = self {
+            *sample = first + every * *sample;
+        }
+        if let Self::NotFinite { at_s, .. }
+        | Self::ImplausibleValue { at_s, .. }
+        | Self::Clipped { at_s, .. }
+        | Self::Stuck { at_s, .. }
+        | Self::PositionJump { at_s, .. }
+        | Self::CurrentJump { at_s, .. }
+        | Self::Spike { at_s, .. }
+        | Self::Misfit { at_s, .. } = self
+        {
+            *at_s += first_s;
+        } else if let Self::TooSlow { rate_hz, .. } = self {
+            *rate_hz *= every as f64;
+        }
     }
 
     /// Whether the reason is a jump or a spike between `from_s` and `to_s` \[s from the start of the trace\].

@@ -44,3 +44,10 @@ settings! {
         pub refined: bool = false;
     }
 }
+
+impl Settings {
+    /// Angle of the screw for 1 mm of toe travel \[rad/mm\].
+    pub(super) fn radians_per_mm(&self) -> f64 {
+        std::f64::consts::TAU / self.lead_mm
+    }
+}

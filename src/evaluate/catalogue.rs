@@ -1,6 +1,6 @@
 //! The rows of the table, in order.
 
-use super::scenario::{Depth, Instrument, Limits, Noise, Scenario, Shape, Situation};
+use super::scenario::{Depth, Growth, Instrument, Limits, Noise, Scenario, Situation};
 use crate::{diagnose::Cause, simulate::Parameters};
 
 /// Sizes of the faults as multiples of the warning limit.
@@ -25,10 +25,10 @@ const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
 ];
 
 /// Rows with an intermittent fault: the part, the size in the throws with the fault as a fraction, and how often.
-const INTERMITTENT: [(Cause, f64, Shape); 3] = [
-    (Cause::Friction, 0.60, Shape::EveryFifth),
-    (Cause::Kt, -0.15, Shape::EveryFifth),
-    (Cause::Friction, 1.00, Shape::EveryTenth),
+const INTERMITTENT: [(Cause, f64, Growth); 3] = [
+    (Cause::Friction, 0.60, Growth::EveryFifth),
+    (Cause::Kt, -0.15, Growth::EveryFifth),
+    (Cause::Friction, 1.00, Growth::EveryTenth),
 ];
 
 /// Friction at the end of the row with wear, as a fraction of nominal: 240 throws with 0.25 % each.
@@ -43,7 +43,7 @@ pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
 }
 
 /// A row with default noise; hard unless its situation is plain.
-fn row(depth: Depth, situation: Situation, faults: Vec<(Cause, f64)>, shape: Shape) -> Scenario {
+fn row(depth: Depth, situation: Situation, faults: Vec<(Cause, f64)>, shape: Growth) -> Scenario {
     let hard = situation != Situation::Plain;
     Scenario { depth, situation, faults, earlier: None, shape, noise: Noise::Default, hard }
 }
@@ -57,7 +57,7 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
     let parts = || Cause::PHYSICAL.into_iter().zip(limits);
     let mut rows = Vec::new();
     for (part, limit) in parts() {
-        for shape in [Shape::Step, Shape::Ramp] {
+        for shape in [Growth::Step, Growth::Ramp] {
             for multiple in MULTIPLES {
                 let faults = vec![(part, multiple * limit)];
                 rows.push(row(Situation::Plain, faults, shape, Noise::Default, multiple < PLAIN_FROM));
@@ -71,7 +71,7 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
         for second in first + 1..Cause::PHYSICAL.len() {
             for multiple in [2.0, 6.0] {
                 let faults = [first, second].map(|part| (Cause::PHYSICAL[part], multiple * limits[part])).to_vec();
-                rows.push(row(Situation::Pair, faults, Shape::Step, Noise::Default, true));
+                rows.push(row(Situation::Pair, faults, Growth::Step, Noise::Default, true));
             }
         }
     }
@@ -84,10 +84,10 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
     ];
     for situation in alone {
         for (part, limit) in parts() {
-            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Shape::Step, Noise::Default, true));
+            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Growth::Step, Noise::Default, true));
         }
     }
-    for shape in [Shape::Step, Shape::Ramp] {
+    for shape in [Growth::Step, Growth::Ramp] {
         rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape, Noise::Default, true));
     }
     rows
@@ -97,16 +97,16 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, fault, shape| row(Depth::Trace, situation, vec![fault], shape);
     let mut rows = Vec::new();
     for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
-        for shape in [Shape::Step, Shape::Ramp] {
+        for shape in [Growth::Step, Growth::Ramp] {
             rows.push(row(Situation::Plain, (part, PLAIN_FROM * limit), shape));
         }
     }
     for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
-        rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
+        rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Growth::Step));
     }
-    rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
+    rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Growth::Step));
     for (which, volts, cause, size) in INSTRUMENTS {
-        rows.push(row(Situation::Instrument { which, volts }, (cause, size), Shape::Step));
+        rows.push(row(Situation::Instrument { which, volts }, (cause, size), Growth::Step));
     }
     rows
 }
@@ -116,7 +116,7 @@ fn field_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, fault, shape| Scenario { hard: true, ..row(Depth::Parameter, situation, vec![fault], shape) };
     let [kt, friction, stiffness, _] = limits.map(|limit| PLAIN_FROM * limit);
     let mut rows = Vec::new();
-    for (situation, shape) in [(Situation::Season, Shape::Step), (Situation::Plain, Shape::Accelerating)] {
+    for (situation, shape) in [(Situation::Season, Growth::Step), (Situation::Plain, Growth::Accelerating)] {
         for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
             rows.push(row(situation, (part, PLAIN_FROM * limit), shape));
         }
@@ -124,11 +124,11 @@ fn field_rows(limits: Limits) -> Vec<Scenario> {
     for (part, size, shape) in INTERMITTENT {
         rows.push(row(Situation::Plain, (part, size), shape));
     }
-    rows.push(row(Situation::Wear, (Cause::Friction, WORN_FRICTION), Shape::Wear));
+    rows.push(row(Situation::Wear, (Cause::Friction, WORN_FRICTION), Growth::Wear));
     for (first, second) in
         [((Cause::Friction, friction), (Cause::Kt, kt)), ((Cause::Kt, kt), (Cause::Stiffness, stiffness))]
     {
-        rows.push(Scenario { earlier: Some(first), ..row(Situation::OnTop, second, Shape::Step) });
+        rows.push(Scenario { earlier: Some(first), ..row(Situation::OnTop, second, Growth::Step) });
     }
     rows
 }

@@ -1,8 +1,8 @@
 //! Checks whether the published sizes and forecasts of a drift are true.
 
 use super::{
-    scenario::Shape,
-    timeline::{Fault, Timeline},
+    scenario::Growth,
+    timeline::{LifeFault, Timeline},
 };
 use crate::diagnose::{AlarmEvent, AlarmState, Cause, Settings, Verdict};
 
@@ -75,8 +75,8 @@ impl Coverage {
 
 /// Whether the fault has one true size at each throw. An intermittent fault has two. For wear from the first throw, the
 /// size depends on the throws that became the baseline.
-fn has_one_size(fault: &Fault) -> bool {
-    Cause::PHYSICAL.contains(&fault.part) && matches!(fault.shape, Shape::Step | Shape::Ramp | Shape::Accelerating)
+fn has_one_size(fault: &LifeFault) -> bool {
+    Cause::PHYSICAL.contains(&fault.part) && matches!(fault.shape, Growth::Step | Growth::Ramp | Growth::Accelerating)
 }
 
 /// The published size and its standard deviation \[%\], if the event raises an alarm about `part`.
@@ -87,10 +87,10 @@ fn raised(event: &AlarmEvent, part: Cause) -> Option<(f64, f64)> {
 
 /// Throws from throw `at` until a growing fault reaches its critical limit. `None` for a step, for a fault beyond the
 /// limit, and for a fault that never reaches it.
-fn throws_left(fault: &Fault, at: usize, settings: &Settings) -> Option<f64> {
+fn throws_left(fault: &LifeFault, at: usize, settings: &Settings) -> Option<f64> {
     let critical = settings.critical_factor * settings.limit_pct(fault.part)? / 100.0 - ROUNDING;
     let beyond = |throw: usize| fault.size_at(throw).abs() >= critical;
-    if fault.shape == Shape::Step || beyond(at) {
+    if fault.shape == Growth::Step || beyond(at) {
         return None;
     }
     (at..fault.onset + fault.shape.throws()).find(|&throw| beyond(throw)).map(|throw| (throw - at) as f64)
@@ -107,7 +107,7 @@ mod tests {
     /// of friction to 90 % over 100 throws.
     fn checked(at: usize, change_pct: f64, ahead: (f64, f64)) -> Coverage {
         let part = Cause::Friction;
-        let fault = Fault { part, size: 0.9, onset: ONSET, repaired: None, shape: Shape::Ramp };
+        let fault = LifeFault { part, size: 0.9, onset: ONSET, repaired: None, shape: Growth::Ramp };
         let mut life = Timeline::healthy(400);
         (life.faults, life.onset) = (vec![fault], ONSET);
         let limit_in_throws = Some(LimitForecast { low: ahead.0, mid: ahead.0, high: ahead.1 });

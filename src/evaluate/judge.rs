@@ -101,14 +101,14 @@ mod tests {
     use super::*;
     use crate::evaluate::{
         random::stream,
-        scenario::{Depth, Noise, Scenario, Shape, Situation},
+        scenario::{Depth, Growth, Noise, Scenario, Situation},
     };
 
     const BASELINE: usize = 100;
 
     fn life(situation: Situation, parts: &[Cause]) -> Timeline {
         let faults = parts.iter().map(|&part| (part, 0.2)).collect();
-        let shape = if situation == Situation::Wear { Shape::Wear } else { Shape::Step };
+        let shape = if situation == Situation::Wear { Growth::Wear } else { Growth::Step };
         let (depth, noise, hard) = (Depth::Parameter, Noise::Default, false);
         let earlier = (situation == Situation::OnTop).then_some((Cause::Friction, 0.3));
         let scenario = Scenario { depth, situation, faults, earlier, shape, noise, hard };

@@ -33,10 +33,11 @@
 //! **Delay** is the number of throws of the machine, in both directions, from the first throw with the fault (1) to the
 //! name. A ramp takes 100 throws to its full size, so its delay includes the time until it is relevant.
 //!
-//! **Interval** and **forecast**: the share of true statements about steps and ramps. The 95 % interval of the size has
-//! to contain the true size when the alarm is raised, and at every tenth throw of the fault while the alarm is active.
-//! A forecast has to contain the true number of throws to the critical limit, at every tenth throw before a ramp
-//! reaches the limit. Ramps that end below the limit have no true forecast and are left out.
+//! **Interval** and **forecast**: the share of true statements about steps, ramps and accelerating faults. The 95 %
+//! interval of the size has to contain the true size when the alarm is raised, and at every tenth throw of the fault
+//! while the alarm is active. A forecast has to contain the true number of throws to the critical limit, at every tenth
+//! throw before a growing fault reaches the limit. Faults that end below the limit have no true forecast and are left
+//! out.
 //!
 //! **Plain** rows have steady weather, a full baseline, default or lower sensor noise, and a size of at least twice the
 //! warning limit. All others are `hard`.
@@ -79,7 +80,7 @@ pub use picture::picture;
 pub use plan::{Amount, Outcome, Plan};
 pub use report::{Budget, Healthy, Report, Row, Tally};
 pub use scatter::Scatter;
-pub use scenario::{Depth, Noise, Shape};
+pub use scenario::{Depth, Growth, Noise};
 
 /// Kinds of runs; each kind has its own random streams.
 mod domain {

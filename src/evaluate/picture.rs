@@ -2,7 +2,7 @@
 
 use super::{
     report::{Report, Row, Tally},
-    scenario::{Depth, Noise, Shape, Situation},
+    scenario::{Depth, Growth, Noise, Situation},
 };
 use crate::{
     diagnose::Cause,
@@ -29,7 +29,7 @@ const RIGHT: [Curve; 3] = [
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);
     let mut sheet = Sheet::new(title).columns(Cause::PHYSICAL.len()).panel_size(460.0, 300.0);
-    for shape in [Shape::Step, Shape::Ramp] {
+    for shape in [Growth::Step, Growth::Ramp] {
         for (quantity, curves) in [("throws to the name", DELAYS.as_slice()), ("named right [%]", RIGHT.as_slice())] {
             for part in Cause::PHYSICAL {
                 let rows: Vec<&Row> = report.rows.iter().filter(|row| shown(row, part.as_str(), shape)).collect();
@@ -44,7 +44,7 @@ pub fn picture(report: &Report) -> String {
     sheet.to_svg()
 }
 
-fn shown(row: &Row, part: &str, shape: Shape) -> bool {
+fn shown(row: &Row, part: &str, shape: Growth) -> bool {
     let plain = row.case == Situation::Plain.label() && row.depth == Depth::Parameter && row.noise == Noise::Default;
     plain && row.cause == part && row.shape == shape
 }

@@ -101,12 +101,23 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// Numbers of alarms, as in [`super::life::Calls::alarms`].
-    Healthy([usize; 4]),
+    /// `alarms`: their numbers, as in [`super::life::Calls::alarms`].
+    Healthy {
+        depth: Depth,
+        fleet: Option<usize>,
+        throws: usize,
+        alarms: [usize; 4],
+    },
     /// The judgements of the monitor, the paper's rule and the CUSUM; whether the monitor named a healthy part at
     /// critical severity; and the correctness of its sizes and forecasts.
-    Row([Judgement; 3], bool, Coverage),
+    Row {
+        row: usize,
+        judgements: [Judgement; 3],
+        wrong_critical: bool,
+        coverage: Coverage,
+    },
     Budget {
+        phi: usize,
         throws: usize,
         alarmed: bool,
     },
@@ -151,7 +162,8 @@ impl Plan {
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
             Task::Healthy { depth, fleet, machine, throws } => {
-                Kind::Healthy(self.healthy(depth, fleet, machine, 2 * self.baseline + throws))
+                let alarms = self.healthy(depth, fleet, machine, 2 * self.baseline + throws);
+                Kind::Healthy { depth, fleet, throws, alarms }
             }
             Task::Row { row, trial } => self.row(row, trial),
             Task::Budget { phi, machine } => self.budget(phi, machine),
@@ -163,18 +175,17 @@ impl Plan {
         let mut healthy = Vec::new();
         let mut lives = vec![Lives::default(); self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
-        for (task, outcome) in self.tasks.iter().zip(outcomes) {
-            match (*task, outcome.0) {
-                (Task::Healthy { depth, fleet, throws, .. }, Kind::Healthy(alarms)) => {
+        for Outcome(kind) in outcomes {
+            match *kind {
+                Kind::Healthy { depth, fleet, throws, alarms } => {
                     add(&mut healthy, depth, fleet.map(|fleet| FLEETS[fleet].label), throws, alarms);
                 }
-                (Task::Row { row, .. }, Kind::Row(three, is_wrong, coverage)) => {
-                    lives[row].judgements.push(three);
+                Kind::Row { row, judgements, wrong_critical, coverage } => {
+                    lives[row].judgements.push(judgements);
                     lives[row].coverage.merge(coverage);
-                    lives[row].wrong_critical += usize::from(is_wrong);
+                    lives[row].wrong_critical += usize::from(wrong_critical);
                 }
-                (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
-                _ => {}
+                Kind::Budget { phi, throws, alarmed } => budget[phi].add(throws, alarmed),
             }
         }
         healthy.sort_by_key(|healthy: &Healthy| (healthy.fleet.is_some(), healthy.depth as u8));
@@ -205,7 +216,8 @@ impl Plan {
         let calls = live(source, &life, self.rules(scenario.situation, scenario.noise));
         let rules = [(&calls.monitor, calls.trend), (&calls.paper, None), (&calls.cusum, None)];
         let judgements = rules.map(|(calls, trend)| judge(calls, trend, &life));
-        Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
+        let wrong_critical = names_wrongly(&calls.monitor, &life);
+        Kind::Row { row, judgements, wrong_critical, coverage: calls.coverage }
     }
 
     /// Simulates a healthy life until its first drift alarm. The warning limits are near 0, so only the false-alarm
@@ -222,10 +234,10 @@ impl Plan {
             let alarmed = events.iter().any(|event| event.cause.is_drift());
             if alarmed {
                 let throws = (at + 1).saturating_sub(2 * self.baseline);
-                return Kind::Budget { throws, alarmed };
+                return Kind::Budget { phi, throws, alarmed };
             }
         }
-        Kind::Budget { throws: BUDGET_LIFE, alarmed: false }
+        Kind::Budget { phi, throws: BUDGET_LIFE, alarmed: false }
     }
 
     fn rules(&self, situation: Situation, noise: Noise) -> Rules<'_> {

@@ -5,7 +5,7 @@ use serde::{Serialize, Serializer};
 use super::{
     coverage::Coverage,
     judge::Judgement,
-    scenario::{Depth, Noise, Scenario, Shape},
+    scenario::{Depth, Growth, Noise, Scenario},
 };
 
 /// Goal: least share of lives that are named right in a plain row.
@@ -71,7 +71,7 @@ pub struct Row {
     /// The faulty part; two are joined by `+`.
     pub cause: String,
     /// Growth of the fault.
-    pub shape: Shape,
+    pub shape: Growth,
     /// Magnitude of the fault \[% of nominal\]; with two faults, of the first.
     pub size_pct: f64,
     /// Noise of the current sensor.
@@ -202,7 +202,7 @@ impl Row {
             shortfalls.push(format!("{} of {} named right", self.monitor.right, self.trials));
         }
         let late = self.monitor.delay_median.filter(|delay| *delay > GOAL_STEP_DELAY);
-        if let Some(delay) = late.filter(|_| !self.hard && self.shape == Shape::Step) {
+        if let Some(delay) = late.filter(|_| !self.hard && self.shape == Growth::Step) {
             shortfalls.push(format!("median delay {delay} throws"));
         }
         if self.wrong_critical > 0 && self.cause.contains('+') {

@@ -21,7 +21,7 @@ pub enum Depth {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
-pub enum Shape {
+pub enum Growth {
     /// Full size from the first throw on.
     Step,
     /// Linear growth over 100 throws of the machine.
@@ -36,7 +36,7 @@ pub enum Shape {
     EveryTenth,
 }
 
-impl Shape {
+impl Growth {
     /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is complete at once;
     /// it is followed for this number of throws, so that even one in ten throws is a usable sample.
     pub(super) fn throws(self) -> usize {
@@ -165,7 +165,7 @@ pub(super) struct Scenario {
     pub(super) faults: Vec<(Cause, f64)>,
     /// Part and size of a fault that begins earlier and still exists.
     pub(super) earlier: Option<(Cause, f64)>,
-    pub(super) shape: Shape,
+    pub(super) shape: Growth,
     pub(super) noise: Noise,
     pub(super) hard: bool,
 }

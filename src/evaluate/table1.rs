@@ -14,7 +14,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
-use crate::estimate::{Estimate, Identifier, Rejection, Settings, midpoint};
+use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
 
@@ -267,9 +267,11 @@ fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
 fn identify(identifier: &mut Identifier, machine: &Parameters, trace: &Trace) -> Result<Estimate, Rejection> {
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
     let throw = Throw { direction: Some(DIRECTION), ..Throw::recorded(trace.clone()) };
-    // The table needs the coefficients. An estimate with ratios only counts as rejected.
-    let is_whole = |estimate: Estimate| if estimate.ratios_only { Err(Rejection::Singular) } else { Ok(estimate) };
-    identifier.identify(&throw, &settings).outcome.and_then(is_whole)
+    match identifier.identify(&throw, &settings).outcome {
+        // The table needs the coefficients. An estimate with ratios only counts as rejected.
+        Ok(Estimate { ratios_only: true, reason: Some(reason), .. }) => Err(reason),
+        outcome => outcome,
+    }
 }
 
 fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
@@ -284,23 +286,6 @@ fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
     let square = |values: &[f64], mean: f64| values.iter().map(|x| (x - mean).powi(2) + scatter * scatter).sum::<f64>();
     let scale = (square(a, mean_a) * square(b, mean_b)).sqrt();
     if scale > 0.0 { product / scale } else { 0.0 }
-}
-
-impl Test {
-    /// Toe position of the identified model, equation (12), for the recorded current \[mm\]: one value for each sample,
-    /// from the start of the motor. The current is interpolated between samples.
-    pub fn modelled_position_mm(&self) -> Vec<f64> {
-        let [b0, a1, a0] = self.coefficients;
-        let h = self.trace.sample_rate_hz().recip();
-        let mm_per_radian = Parameters::default().lead_mm / std::f64::consts::TAU;
-        let mut state = [0.0; 2];
-        let step = |[before, after]: &[f64; 2]| {
-            let acceleration = |current: f64| move |[angle, speed]: [f64; 2]| b0 * current - a1 * speed - a0 * angle;
-            state = midpoint(state, h, acceleration(*before), acceleration(0.5 * (before + after)));
-            state[0] * mm_per_radian
-        };
-        std::iter::once(0.0).chain(self.trace.current_a().array_windows().map(step)).collect()
-    }
 }
 
 impl CaseResult {

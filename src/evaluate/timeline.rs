@@ -5,7 +5,7 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    scenario::{Scenario, Shape, Situation, displacement},
+    scenario::{Growth, Scenario, Situation, displacement},
     weather::{Climate, SEASON_THROWS, SWING_THROWS, WetSpells},
 };
 use crate::diagnose::Cause;
@@ -26,7 +26,7 @@ const WORN: f64 = 0.15;
 
 /// A fault of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fault {
+pub(super) struct LifeFault {
     pub(super) part: Cause,
     /// Final change, as a fraction of nominal.
     pub(super) size: f64,
@@ -34,10 +34,10 @@ pub(super) struct Fault {
     pub(super) onset: usize,
     /// First throw after the repair; `None` if the fault stays.
     pub(super) repaired: Option<usize>,
-    pub(super) shape: Shape,
+    pub(super) shape: Growth,
 }
 
-impl Fault {
+impl LifeFault {
     /// The change at throw `at`, as a fraction of nominal.
     pub(super) fn size_at(&self, at: usize) -> f64 {
         if at < self.onset || self.repaired.is_some_and(|end| at >= end) {
@@ -50,7 +50,7 @@ impl Fault {
 /// Timeline of a life: faults, weather and length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
-    pub(super) faults: Vec<Fault>,
+    pub(super) faults: Vec<LifeFault>,
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
     /// Number of throws.
@@ -74,7 +74,7 @@ impl Timeline {
 
     /// First throw at which a statement about wear from the first throw is too late; `None` for other faults.
     pub(super) fn deadline(&self) -> Option<usize> {
-        let wear = self.faults.iter().find(|fault| fault.shape == Shape::Wear)?;
+        let wear = self.faults.iter().find(|fault| fault.shape == Growth::Wear)?;
         (wear.onset..self.throws).find(|&at| wear.size_at(at).abs() >= WORN)
     }
 
@@ -106,16 +106,16 @@ impl Timeline {
         if situation == Situation::Repaired {
             let before = other_part(scenario.faults[0].0, trial);
             let repaired = Some(start + REPAIR_ACT_THROWS);
-            faults.push(Fault { part: before, size: REPAIRED_SIZE, onset: start, repaired, shape: Shape::Step });
+            faults.push(LifeFault { part: before, size: REPAIRED_SIZE, onset: start, repaired, shape: Growth::Step });
             onset = start + 2 * REPAIR_ACT_THROWS;
         }
         if let Some((part, size)) = scenario.earlier {
             let size = sign(scenario.faults.len(), size) * size;
-            faults.push(Fault { part, size, onset: start, repaired: None, shape: Shape::Step });
+            faults.push(LifeFault { part, size, onset: start, repaired: None, shape: Growth::Step });
             onset = start + EARLIER_THROWS;
         }
         for (bit, &(part, size)) in scenario.faults.iter().enumerate() {
-            faults.push(Fault { part, size: sign(bit, size) * size, onset, repaired: None, shape: scenario.shape });
+            faults.push(LifeFault { part, size: sign(bit, size) * size, onset, repaired: None, shape: scenario.shape });
         }
         let climate = match situation {
             Situation::Temperature { measured } => Some(Climate::swing(measured, random)),
@@ -153,7 +153,7 @@ impl Timeline {
 
     /// The part whose earlier fault still exists. Its name is right before the onset, and no error after it.
     pub(super) fn lasting(&self) -> Option<Cause> {
-        let lasts = |fault: &&Fault| fault.onset < self.onset && fault.repaired.is_none();
+        let lasts = |fault: &&LifeFault| fault.onset < self.onset && fault.repaired.is_none();
         self.faults.iter().find(lasts).map(|fault| fault.part)
     }
 }

@@ -5,15 +5,13 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     observation::{observation, started_at},
-    scenario::{Instrument, Noise, Shape, Situation},
-    timeline::{Fault, Timeline},
+    scenario::{Growth, Instrument, Noise, Situation},
+    timeline::{LifeFault, Timeline},
 };
 use crate::{
     diagnose::Observation,
     estimate::{Identifier, Settings},
-    simulate::{
-        self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Sensors, SimulatedMachine, SimulatedThrow,
-    },
+    simulate::{self, FleetFault, FleetSettings, Incident, IncidentKind, Sensors, SimulatedMachine},
     throw::Trace,
 };
 
@@ -52,20 +50,14 @@ impl TraceMachine {
             }
         }
         let settings = Settings { lead_mm: fleet.machine.lead_mm, ..Settings::default() };
-        let machine = Fleet::new(&fleet, random.random()).ok().and_then(|fleet| fleet.into_machines().pop());
+        let machine = fleet.build(random.random()).ok().and_then(|mut machines| machines.pop());
         Self { machine, identifier: Identifier::default(), settings, volts, faulty }
     }
 
     /// The observation of throw `at`; without an estimate if the simulation fails.
     pub(super) fn observe(&mut self, at: usize) -> Observation {
-        match self.machine.as_mut().map(SimulatedMachine::next_throw) {
-            Some(Ok(simulated)) => self.identify(at, simulated),
-            _ => observation(at, None, None),
-        }
-    }
-
-    fn identify(&mut self, at: usize, simulated: SimulatedThrow) -> Observation {
-        let mut throw = simulated.into_throw("evaluate", started_at(at));
+        let simulated = self.machine.as_mut().and_then(|machine| machine.next_throw("evaluate", started_at(at)).ok());
+        let Some(mut throw) = simulated else { return observation(at, None, None) };
         throw.trace = self.recorded(at, throw.trace);
         throw.supply_v = throw.supply_v.filter(|_| self.volts);
         let found = self.identifier.identify(&throw, &self.settings);
@@ -102,10 +94,10 @@ fn sensors(situation: Situation, noise: Noise) -> Sensors {
 }
 
 /// The fault for the simulator; `None` if it is a fault of an instrument.
-fn simulated(fault: &Fault) -> Option<simulate::Fault> {
+fn simulated(fault: &LifeFault) -> Option<simulate::Fault> {
     let part = fault.part.as_str().parse().ok()?;
     let shape = match fault.shape {
-        Shape::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
+        Growth::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
         // The rows at trace depth have steps and ramps only.
         _ => simulate::Shape::Step,
     };

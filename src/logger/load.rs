@@ -10,6 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use jiff::Timestamp;
 use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,8 +23,8 @@ use zenoh::{
 use super::{error::LoggerError, publish::publisher};
 use crate::{
     daemon::clock,
-    simulate::{Fleet, FleetSettings, SimulatedThrow},
-    throw::{MachineId, Trace},
+    simulate::FleetSettings,
+    throw::{MachineId, Throw, ThrowRef, Trace},
     wire::{self, Alarm, Encoding, Health, Kind},
 };
 
@@ -138,10 +139,12 @@ impl LoadTest {
         Ok(LoadResult { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
 
-    fn prepare(&self) -> Result<Vec<Vec<SimulatedThrow>>, LoggerError> {
+    fn prepare(&self) -> Result<Vec<Vec<Throw>>, LoggerError> {
         let settings = FleetSettings { machines: MODELS.min(self.machines.len()), ..FleetSettings::default() };
-        let machines = Fleet::new(&settings, self.seed)?.into_machines().into_iter();
-        let throws = machines.map(|mut machine| (0..PREPARED_THROWS).map(|_| machine.next_throw()).collect());
+        let throws = settings.build(self.seed)?.into_iter().map(|mut machine| {
+            // Boot and time are those of the publication.
+            (0..PREPARED_THROWS).map(|_| machine.next_throw("", Timestamp::UNIX_EPOCH)).collect()
+        });
         Ok(throws.collect::<Result<_, _>>()?)
     }
 
@@ -215,14 +218,12 @@ fn index(number: u64, count: usize) -> usize {
 fn message(
     boot_id: &str,
     throw_no: u64,
-    simulated: &SimulatedThrow,
+    prepared: &Throw,
     is_blocked: bool,
     noise: &mut Noise,
 ) -> Result<Vec<u8>, LoggerError> {
-    let mut throw = simulated.clone().into_throw(boot_id, clock::now());
-    throw.id.throw_no = throw_no;
-    throw.trace = noise.add_to(&throw.trace, is_blocked)?;
-    Ok(wire::encode_throw(Encoding::Cbor, &throw))
+    let (id, trace) = (ThrowRef { boot_id: boot_id.to_owned(), throw_no }, noise.add_to(&prepared.trace, is_blocked)?);
+    Ok(wire::encode_throw(Encoding::Cbor, &Throw { id, started_at: clock::now(), trace, ..prepared.clone() }))
 }
 
 /// Prepared sensor noise.

@@ -29,7 +29,7 @@ pub use settings::LoggerSettings;
 
 use crate::{
     bus,
-    simulate::{Fleet, FleetSettings},
+    simulate::FleetSettings,
     throw::MachineId,
     wire::{self, Health, Kind},
 };
@@ -66,11 +66,13 @@ impl Logger {
         boot_id: String,
     ) -> Result<Self, LoggerError> {
         // A daemon rejects a trace that the machine has sent before, so each boot needs other throws.
-        let simulated = match settings.seed {
-            Some(seed) => Fleet::new(fleet, seed)?,
-            None => Fleet::new(fleet, SEED)?.with_throws_of(RandomState::new().hash_one(&boot_id)),
-        };
-        let simulated = simulated.into_machines();
+        let mut simulated = fleet.build(settings.seed.unwrap_or(SEED))?;
+        if settings.seed.is_none() {
+            let seed = RandomState::new().hash_one(&boot_id);
+            for machine in &mut simulated {
+                machine.reseed(seed);
+            }
+        }
         let machines: Vec<_> = (0..simulated.len()).map(|number| settings.machine_id(number)).collect();
         let published = Arc::new(AtomicU64::new(0));
         let stop = CancellationToken::new();

@@ -21,7 +21,7 @@ use zenoh::{
 use super::{backlog::Backlog, error::LoggerError, settings::LoggerSettings};
 use crate::{
     daemon::clock,
-    simulate::{SimulatedMachine, SimulatedThrow},
+    simulate::SimulatedMachine,
     throw::{MachineId, ThrowRef},
     wire::{self, Encoding, Kind},
 };
@@ -69,7 +69,7 @@ impl Publishing {
                 // The machines throw one after the other, evenly distributed over the interval.
                 let share = number as f64 / count;
                 let due = (round as f64 + share) * interval.as_secs_f64();
-                let (throw, message) = self.message(source.machine.next_throw()?, started_at, round as f64 + share);
+                let (throw, message) = self.message(&mut source.machine, started_at, round as f64 + share)?;
                 if !self.wait_until(start + Duration::from_secs_f64(due)) {
                     return Ok(round);
                 }
@@ -105,11 +105,16 @@ impl Publishing {
         }
     }
 
-    fn message(&self, simulated: SimulatedThrow, started_at: Timestamp, intervals: f64) -> (ThrowRef, ZBytes) {
+    fn message(
+        &self,
+        machine: &mut SimulatedMachine,
+        started_at: Timestamp,
+        intervals: f64,
+    ) -> Result<(ThrowRef, ZBytes), LoggerError> {
         let elapsed = SignedDuration::try_from_secs_f64(intervals * self.settings.interval_s).unwrap_or_default();
         let started_at = started_at.saturating_add(elapsed).unwrap_or(started_at);
-        let throw = simulated.into_throw(&self.boot_id, started_at);
+        let throw = machine.next_throw(&self.boot_id, started_at)?;
         let message = wire::encode_throw(Encoding::Cbor, &throw).into();
-        (throw.id, message)
+        Ok((throw.id, message))
     }
 }

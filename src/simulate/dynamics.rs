@@ -5,12 +5,14 @@
 //! position x are 0 at the neutral position. p is the toe travel for a screw angle of 1 rad.
 //!
 //! ```text
-//! (J_M + J_L) n² psi'' = n T_motor - B_M n² psi' - T_gh            (3), with the gearhead's torque opposing the motor
+//! (J_M + J_L) n² psi'' = n T_motor - B_M n² psi' - T_gh            (3)
 //! T_gh = K_gh (psi - theta) + C_gh (psi' - theta')
 //! J_bs theta'' = T_gh - B_bs theta' - K_bs theta - p F             (6)
-//! F = K_fs (p theta - x - s) + C_fs (p theta' - x')                (8), x = sum of the modes at the toe, s slip of the
-//! clutch q_k'' = -2 zeta w_k q_k' - w_k² q_k + f_k(toe) F + chairs and stops
+//! F = K_fs (p theta - x - s) + C_fs (p theta' - x')                (8)
+//! q_k'' = -2 zeta w_k q_k' - w_k² q_k + f_k(toe) F + chairs and stops
 //! ```
+//!
+//! with the gearhead's torque opposing the motor, the slip s of the clutch, and x as the sum of the modes at the toe.
 //!
 //! With the state z and the torques and forces f this is z' = A z + B f. A is constant as long as no contact changes,
 //! so a step of h with constant f is exact: z(t + h) = e^(A h) z(t) + G f. Both matrices come from the matrix

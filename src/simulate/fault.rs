@@ -90,7 +90,7 @@ impl Fault {
 }
 
 /// Condition of the parts, as ratios of the coefficients to those of a new machine; 1 means unchanged.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Condition {
     /// Ratio of b0 because of the torque per ampere.
     pub kt: f64,

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 use crate::throw::{
     Direction, OutOfRange,
     Range::{Above, If, Within},
-    Throw, ThrowRef, Trace, settings,
+    Throw, ThrowRef, settings,
 };
 
 use super::fault::{Condition, Fault, Part, Shape};
-use super::machine::{Coefficients, Parameters};
+use super::machine::Parameters;
 use super::motion::Conditions;
 use super::sensors::{Sensors, Stuck, normal};
 
@@ -25,7 +25,7 @@ settings! {
     #[serde(default, deny_unknown_fields)]
     pub struct FleetSettings {
         /// Number of machines.
-        pub machines: usize = 5, Within(1.0, Fleet::MAX_MACHINES as f64, "machines");
+        pub machines: usize = 5, Within(1.0, 10_000.0, "machines");
         /// Nominal parameters of the machines, from which each machine differs by the spread.
         pub machine: Parameters = Parameters::default();
         /// Sensors and loggers of the machines.
@@ -33,9 +33,9 @@ settings! {
         /// Differences between machines.
         pub spread: Spread = Spread::default();
         /// Differences between the throws of one machine.
-        pub scatter: Scatter = Scatter::default();
+        pub scatter: FleetScatter = FleetScatter::default();
         /// Temperature of the machines over their throws.
-        pub climate: Climate = Climate::default();
+        pub climate: FleetClimate = FleetClimate::default();
         /// Faults, each of one machine. Several faults of the same machine add up.
         pub faults: Vec<FleetFault> = Vec::new();
         /// Incidents, each in some throws of one machine.
@@ -63,7 +63,7 @@ settings! {
     /// Natural scatter from throw to throw: standard deviations \[%\] of first-order autoregressive processes.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Scatter {
+    pub struct FleetScatter {
         /// Scatter of the torque per ampere.
         pub kt_pct: f64 = 0.5, Within(0.0, 30.0, "%");
         /// Scatter of all friction, by moisture, dirt and grease.
@@ -81,7 +81,7 @@ settings! {
     /// Temperature over the throws of a machine.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
-    pub struct Climate {
+    pub struct FleetClimate {
         /// Mean temperature \[°C\].
         pub mean_c: f64 = 20.0, Within(-50.0, 60.0, "°C");
         /// Half the difference between day and night \[K\].
@@ -93,7 +93,7 @@ settings! {
     }
 }
 
-impl Climate {
+impl FleetClimate {
     /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
@@ -143,49 +143,13 @@ pub enum IncidentKind {
     StuckSensor(Stuck),
 }
 
-/// A simulated throw with its true coefficients.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SimulatedThrow {
-    /// Index of the throw among all throws of the machine in both directions, from 0.
-    pub throw_index: u64,
-    /// Direction of the throw.
-    pub direction: Direction,
-    /// The trace as the logger records it.
-    pub trace: Trace,
-    /// Temperature of the machine \[°C\].
-    pub temperature_c: f64,
-    /// Mean supply voltage \[V\].
-    pub supply_v: f64,
-    /// Cut-off of the anti-alias filter \[Hz\].
-    pub anti_alias_hz: Option<f64>,
-    /// Condition of the parts in this throw, without scatter and temperature.
-    pub condition: Condition,
-    /// True coefficients of this throw by equation (13), with scatter and temperature.
-    pub coefficients: Coefficients,
-}
-
-impl SimulatedThrow {
-    /// The throw as its logger publishes it.
-    pub fn into_throw(self, boot_id: &str, started_at: Timestamp) -> Throw {
-        Throw {
-            id: ThrowRef { boot_id: boot_id.to_owned(), throw_no: self.throw_index + 1 },
-            started_at,
-            direction: Some(self.direction),
-            trace: self.trace,
-            temperature_c: Some(self.temperature_c),
-            supply_v: Some(self.supply_v),
-            anti_alias_hz: self.anti_alias_hz,
-        }
-    }
-}
-
 /// A machine of a fleet, with its own random number generator.
 #[derive(Debug, Clone)]
 pub struct SimulatedMachine {
     parameters: Parameters,
     sensors: Sensors,
-    climate: Climate,
-    scatter: Scatter,
+    climate: FleetClimate,
+    scatter: FleetScatter,
     /// The faults, each with the sum of the steps of its random walk so far.
     faults: Vec<(Fault, f64)>,
     incidents: Vec<Incident>,
@@ -196,30 +160,15 @@ pub struct SimulatedMachine {
 }
 
 impl SimulatedMachine {
-    /// Simulates the next throw; directions alternate, starting with normal to reverse.
+    /// Simulates the next throw, as its logger publishes it.
     ///
     /// # Errors
     /// When faults or scatter have taken a parameter out of its range.
-    pub fn next_throw(&mut self) -> Result<SimulatedThrow, OutOfRange> {
+    pub fn next_throw(&mut self, boot_id: &str, started_at: Timestamp) -> Result<Throw, OutOfRange> {
         let throw_index = self.throw_index;
-        self.throw_index += 1;
+        let (machine, mut conditions) = self.next_machine()?;
         let direction =
             if throw_index.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal };
-        let condition = self.wear(throw_index);
-        let [kt, friction, stiffness, supply] = self.scatter();
-        let temperature_c = self.climate.at(throw_index);
-
-        let mut machine = self.parameters.in_condition(&condition)?;
-        machine.torque_constant *= kt;
-        machine.scale_friction(friction);
-        machine.rails.bending_stiffness_n_m2 *= stiffness;
-
-        let mut conditions = Conditions {
-            temperature_c,
-            supply_ratio: supply,
-            supply_phase_rad: self.rng.random::<f64>() * PI,
-            ..Conditions::default()
-        };
         let mut sensors = self.sensors.clone();
         for incident in self.incidents.iter().filter(|incident| incident.includes(throw_index)) {
             match incident.kind {
@@ -229,17 +178,38 @@ impl SimulatedMachine {
             }
         }
         let motion = machine.simulate(direction, &conditions, sensors.step_s())?;
-        let trace = sensors.record(&motion, direction, &mut self.rng)?.trace;
-        Ok(SimulatedThrow {
-            throw_index,
-            direction,
-            trace,
-            temperature_c,
-            supply_v: machine.supply_v * conditions.supply_ratio,
+        Ok(Throw {
+            id: ThrowRef { boot_id: boot_id.to_owned(), throw_no: throw_index + 1 },
+            started_at,
+            direction: Some(direction),
+            trace: sensors.record(&motion, direction, &mut self.rng)?.trace,
+            temperature_c: Some(conditions.temperature_c),
+            supply_v: Some(machine.supply_v * conditions.supply_ratio),
             anti_alias_hz: sensors.anti_alias_hz,
-            condition,
-            coefficients: machine.at_temperature(temperature_c).coefficients()?,
         })
+    }
+
+    /// The machine and the conditions of the next throw, with faults and scatter, and without incidents.
+    ///
+    /// # Errors
+    /// When faults or scatter have taken a parameter out of its range.
+    pub fn next_machine(&mut self) -> Result<(Parameters, Conditions), OutOfRange> {
+        let throw_index = self.throw_index;
+        self.throw_index += 1;
+        let condition = self.wear(throw_index);
+        let [kt, friction, stiffness, supply_ratio] = self.scatter();
+        let mut machine = self.parameters.in_condition(&condition)?;
+        machine.torque_constant *= kt;
+        machine.scale_friction(friction);
+        machine.rails.bending_stiffness_n_m2 *= stiffness;
+        let supply_phase_rad = self.rng.random::<f64>() * PI;
+        let temperature_c = self.climate.at(throw_index);
+        Ok((machine, Conditions { temperature_c, supply_ratio, supply_phase_rad, ..Conditions::default() }))
+    }
+
+    /// Takes the random numbers of the further throws from another seed.
+    pub fn reseed(&mut self, seed: u64) {
+        self.rng = generator(seed, self.rng.get_stream());
     }
 
     /// Condition of the parts in a throw; advances the random walks.
@@ -274,42 +244,17 @@ impl Incident {
     }
 }
 
-/// A fleet of machines.
-#[derive(Debug, Clone)]
-pub struct Fleet {
-    machines: Vec<SimulatedMachine>,
-}
-
-impl Fleet {
-    /// Largest number of machines in a fleet.
-    pub const MAX_MACHINES: usize = 10_000;
-
-    /// A fleet with these settings. The same seed gives the same fleet and the same throws.
+impl FleetSettings {
+    /// The machines of a fleet with these settings. The same seed gives the same machines and the same throws;
+    /// the directions of a machine alternate, starting with normal to reverse.
     ///
     /// # Errors
     /// When a setting is out of its range, or a fault or incident names a machine outside the fleet.
-    pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, OutOfRange> {
-        settings.check()?;
-        let machines = (0..settings.machines).map(|number| settings.build(number, seed)).collect::<Result<_, _>>()?;
-        Ok(Self { machines })
+    pub fn build(&self, seed: u64) -> Result<Vec<SimulatedMachine>, OutOfRange> {
+        self.check()?;
+        (0..self.machines).map(|number| self.machine(number, seed)).collect()
     }
 
-    /// The same machines, with the random numbers of another seed for their throws.
-    #[must_use]
-    pub fn with_throws_of(mut self, seed: u64) -> Self {
-        for (number, machine) in self.machines.iter_mut().enumerate() {
-            machine.rng = generator(seed, number);
-        }
-        self
-    }
-
-    /// The machines, in the order of their index.
-    pub fn into_machines(self) -> Vec<SimulatedMachine> {
-        self.machines
-    }
-}
-
-impl FleetSettings {
     /// Checks that every setting is in its range.
     ///
     /// # Errors
@@ -348,8 +293,8 @@ impl FleetSettings {
     }
 
     /// The machine with this number, which differs from the nominal parameters by the spread.
-    fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {
-        let mut rng = generator(seed, number);
+    fn machine(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {
+        let mut rng = generator(seed, number as u64);
         let mut ratio = |pct: f64| (pct / 100.0 * normal(&mut rng)).exp();
         let (kt, friction) = (ratio(self.spread.kt_pct), ratio(self.spread.friction_pct));
         let (stiffness, inertia) = (ratio(self.spread.stiffness_pct), ratio(self.spread.inertia_pct));
@@ -375,9 +320,9 @@ impl FleetSettings {
     }
 }
 
-/// The random number generator of a machine.
-fn generator(seed: u64, number: usize) -> ChaCha12Rng {
+/// The random number generator of the machine with this number.
+fn generator(seed: u64, number: u64) -> ChaCha12Rng {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
-    rng.set_stream(number as u64);
+    rng.set_stream(number);
     rng
 }

@@ -30,11 +30,10 @@ mod supply;
 
 pub use fault::{Condition, Fault, Part, Shape};
 pub use fleet::{
-    Climate, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, SimulatedThrow,
-    Spread,
+    FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind, SimulatedMachine, Spread,
 };
 pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};
-pub use sensors::{Channel, Recording, Sensor, Sensors, Stuck};
+pub use sensors::{Recording, Sensor, Sensors, Stuck};
 pub use supply::Waveform;

@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::throw::{
-    Direction, MAX_SAMPLES, OutOfRange,
+    Channel, Direction, MAX_SAMPLES, OutOfRange,
     Range::{Above, AtLeast, Finite, If, Within},
     Trace, settings,
 };
@@ -33,16 +33,6 @@ settings! {
         /// `None` for no quantisation.
         pub bits: Option<u32> = None, Within(4.0, 24.0, "bits");
     }
-}
-
-/// The two channels of a trace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Channel {
-    /// Motor current.
-    Current,
-    /// Toe position.
-    Position,
 }
 
 settings! {

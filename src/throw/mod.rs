@@ -20,7 +20,7 @@ pub(crate) use range::Range;
 pub(crate) use settings::{Number, settings};
 pub use text::{brief, utc};
 pub(crate) use text::{counted, rounded, without_digits};
-pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
+pub use trace::{Channel, InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::IntoStaticStr, strum::EnumString)]

@@ -2,6 +2,8 @@
 
 use std::{fmt::Write as _, sync::Arc};
 
+use serde::{Deserialize, Serialize};
+
 use super::brief;
 
 /// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can use.
@@ -12,6 +14,17 @@ pub const MIN_SAMPLE_RATE_HZ: f64 = 1.0;
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
 /// Two sampling rates are the same up to this relative difference: the times in a file have at least six digits.
 const SAME_RATE: f64 = 1e-6;
+
+/// One of the two channels of a trace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
+pub enum Channel {
+    /// Motor current.
+    Current,
+    /// Toe position.
+    Position,
+}
 
 /// Motor current and toe position, sampled together at a constant rate.
 ///

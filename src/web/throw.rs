@@ -17,7 +17,7 @@ use super::{
     trend::{self, Curve, Picture},
 };
 use crate::{
-    estimate::{self, Motor},
+    estimate::{self, modelled_position_mm},
     store::{Reader, StoredThrow},
     throw::{MachineId, Name, Throw, ThrowRef, Trace, brief},
     wire::Health,
@@ -198,7 +198,7 @@ fn pictures(
     }
     pictures.push(whole("Toe position from normal", "mm", Trace::position_mm));
     let identified = health.and_then(|health| health.coefficients.zip(health.duration_s));
-    if let Some(model) = identified.map(|(of, duration_s)| modelled_mm(trace, of, duration_s, settings)) {
+    if let Some(model) = identified.map(|(of, duration_s)| modelled_position_mm(trace, of, duration_s, settings)) {
         let curve = |name, values| Curve { name, rate_hz: trace.sample_rate_hz(), values };
         let measured = &trace.position_mm()[..model.len()];
         let difference = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
@@ -210,38 +210,6 @@ fn pictures(
         pictures.push(trend::over_time("Residual", "mm", [curve("", difference)], caption));
     }
     pictures
-}
-
-/// Least current of a running motor, as share of the peak current: far above the noise, far below the inrush.
-const RUNNING_SHARE: f64 = 0.05;
-
-/// The position of the model with these coefficients \[mm\]. The model is at rest until the motor starts, and is then
-/// driven by the measured current for `duration_s`. It is integrated by the midpoint rule.
-fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings: &estimate::Settings) -> Vec<f64> {
-    let (current, position) = (trace.current_a(), trace.position_mm());
-    let peak = current.iter().copied().fold(0.0_f64, |peak, it| if it.abs() > peak.abs() { it } else { peak });
-    let start = current.iter().position(|it| it.abs() > RUNNING_SHARE * peak.abs()).unwrap_or(0);
-    let (step_s, mm_per_rad) = (trace.sample_rate_hz().recip(), settings.lead_mm / std::f64::consts::TAU);
-    let within =
-        current.iter().enumerate().skip(start).take_while(|(at, _)| (at - start) as f64 * step_s <= duration_s);
-    let end = within.last().map_or(start, |(at, _)| at + 1);
-    let neutral_rad = settings.neutral_mm / mm_per_rad;
-    let sign = if position[end.saturating_sub(1)] < position[0] { -1.0 } else { 1.0 };
-    // The inrush has the sign of the driving current; a current of the other sign brakes.
-    let drive = |current: f64| {
-        let forward = current * peak.signum();
-        if settings.motor == Motor::Series { forward * forward.abs() } else { forward }
-    };
-    let acceleration = |current: f64| {
-        move |[angle, speed]: [f64; 2]| sign * b0 * drive(current) - a1 * speed - a0 * (angle - neutral_rad)
-    };
-    let mut state = [position[start] / mm_per_rad, 0.0];
-    let mut model = vec![position[start]; start + 1];
-    for [before, after] in current[start..end].array_windows() {
-        state = estimate::midpoint(state, step_s, acceleration(*before), acceleration(0.5 * (before + after)));
-        model.push(state[0] * mm_per_rad);
-    }
-    model
 }
 
 /// The ratios ± two standard deviations, and resistance, back-EMF constant and no-load speed.

@@ -2,7 +2,7 @@
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    simulate::{Fleet, FleetSettings},
+    simulate::FleetSettings,
     throw::{MachineId, Throw, Trace},
 };
 
@@ -10,20 +10,16 @@ use pointsd::{
 /// are lengthened at rest; longer ones are not cut, because a trace that ends with the movement is rejected.
 pub(crate) fn throws(count: u64) -> Vec<Throw> {
     let settings = FleetSettings { machines: 1, ..FleetSettings::default() };
-    let mut machine = Fleet::new(&settings, 5).expect("valid settings").into_machines().remove(0);
-    let simulated: Vec<_> = (0..count).map(|_| machine.next_throw().expect("a valid machine")).collect();
-    let samples = simulated.iter().map(|throw| throw.trace.len()).max().expect("a throw");
-    (1..)
-        .zip(simulated)
-        .map(|(throw_no, simulated)| {
-            let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(10 * throw_no);
-            let mut throw = simulated.into_throw("boot", at);
-            let [current, position] =
-                [throw.trace.current_a(), throw.trace.position_mm()].map(|channel| lengthened(channel, samples));
-            throw.trace = Trace::new(throw.trace.sample_rate_hz(), current, position).expect("a valid trace");
-            throw
-        })
-        .collect()
+    let mut machine = settings.build(5).expect("valid settings").remove(0);
+    let at = |throw_no: u64| Timestamp::UNIX_EPOCH + SignedDuration::from_mins(10 * throw_no.cast_signed());
+    let mut throws: Vec<_> =
+        (1..=count).map(|throw_no| machine.next_throw("boot", at(throw_no)).expect("a valid machine")).collect();
+    let samples = throws.iter().map(|throw| throw.trace.len()).max().expect("a throw");
+    for Throw { trace, .. } in &mut throws {
+        let [current, position] = [trace.current_a(), trace.position_mm()].map(|channel| lengthened(channel, samples));
+        *trace = Trace::new(trace.sample_rate_hz(), current, position).expect("a valid trace");
+    }
+    throws
 }
 
 /// `channel` lengthened to `samples`: its last samples, which are at rest, are repeated.

@@ -2,7 +2,7 @@
 
 use pointsd::{
     diagnose::Settings,
-    evaluate::{Amount, Plan, Report, Shape},
+    evaluate::{Amount, Growth, Plan, Report},
 };
 
 const SMALL: Amount = Amount {
@@ -38,9 +38,9 @@ fn plain_faults_are_named_right_and_health_is_not_alarmed() {
         assert_eq!(row.monitor.right, row.trials, "{row:?}");
     }
     // Wear from the first throw on is right when it is named, or its trend is stated, in time.
-    let wear = report.rows.iter().find(|row| row.shape == Shape::Wear).unwrap();
+    let wear = report.rows.iter().find(|row| row.shape == Growth::Wear).unwrap();
     assert!(wear.monitor.right > 0 && wear.monitor.wrong == 0, "{wear:?}");
-    for row in report.rows.iter().filter(|row| row.shape == Shape::Accelerating || row.case.contains("summer")) {
+    for row in report.rows.iter().filter(|row| row.shape == Growth::Accelerating || row.case.contains("summer")) {
         assert_eq!((row.monitor.right, row.hard), (row.trials, true), "{row:?}");
         assert!(row.size_coverage.unwrap() > 0.5, "{row:?}");
     }

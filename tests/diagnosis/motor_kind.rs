@@ -4,7 +4,8 @@ use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::{Cause, MachineMonitor, Observation, Parameters, Settings},
     estimate::{self, Identifier, Motor},
-    simulate::{self, Fleet, FleetSettings, Incident, IncidentKind},
+    simulate::{self, FleetSettings, Incident, IncidentKind},
+    throw::Throw,
 };
 
 use crate::drive::{Drive, State};
@@ -14,13 +15,13 @@ fn caveats(machine: &simulate::Parameters, motor: Motor) -> Vec<Option<String>> 
     let fleet = FleetSettings { machines: 4, machine: machine.clone(), ..FleetSettings::default() };
     let settings = estimate::Settings { motor, ..estimate::Settings::default() };
     let mut identifier = Identifier::default();
-    let machines = Fleet::new(&fleet, 77).unwrap().into_machines().into_iter();
+    let machines = fleet.build(77).unwrap().into_iter();
     let caveat = |mut machine: simulate::SimulatedMachine| {
         let mut monitor = MachineMonitor::new("21B");
         monitor.configured(Parameters::of(&settings), Timestamp::UNIX_EPOCH);
         for throw in 1..=26 {
             let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
-            let throw = machine.next_throw().unwrap().into_throw("a", at);
+            let throw = machine.next_throw("a", at).unwrap();
             monitor.observe(&Observation::of(&throw, &identifier.identify(&throw, &settings)), &Settings::default());
         }
         monitor.caveats().into_iter().find(|caveat| caveat.contains("Set motor ="))
@@ -66,13 +67,13 @@ fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
 }
 
 /// The causes of the alarms of a series-wound machine that performs `throws`, except those about its duration.
-fn causes_of_series(throws: impl Iterator<Item = simulate::SimulatedThrow>) -> Vec<Cause> {
+fn causes_of_series(throws: impl Iterator<Item = Throw>) -> Vec<Cause> {
     let settings = estimate::Settings { motor: Motor::Series, ..estimate::Settings::default() };
     let mut identifier = Identifier::default();
     let mut monitor = MachineMonitor::new("21B");
     let mut causes = Vec::new();
     for (throw, at) in throws.zip(1..) {
-        let throw = throw.into_throw("a", Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * at));
+        let throw = Throw { started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * at), ..throw };
         let found = Observation::of(&throw, &identifier.identify(&throw, &settings));
         causes.extend(monitor.observe(&found, &Settings::default()).events.into_iter().map(|event| event.cause));
     }
@@ -88,8 +89,8 @@ fn a_lower_supply_voltage_of_a_series_motor_is_named() {
     let incidents = vec![weak(0), weak(1), weak(2)];
     let machine = simulate::Parameters::series();
     let fleet = FleetSettings { machines: 4, machine, incidents, ..FleetSettings::default() };
-    for (at, mut machine) in Fleet::new(&fleet, 78).unwrap().into_machines().into_iter().enumerate() {
-        let causes = causes_of_series((0..120).map(|_| machine.next_throw().unwrap()));
+    for (at, mut machine) in fleet.build(78).unwrap().into_iter().enumerate() {
+        let causes = causes_of_series((0..120).map(|_| machine.next_throw("a", Timestamp::UNIX_EPOCH).unwrap()));
         assert_eq!(causes, if at < 3 { vec![Cause::Supply] } else { vec![] }, "machine {at}");
     }
 }
@@ -102,13 +103,13 @@ fn a_bad_contact_of_a_series_motor_is_named() {
         let mut machine = simulate::Parameters::series();
         machine.resistance_ohm *= resistance;
         let fleet = FleetSettings { machines: 4, machine, ..FleetSettings::default() };
-        Fleet::new(&fleet, 78).unwrap().into_machines()
+        fleet.build(78).unwrap()
     };
     for (at, (mut sound, mut bad)) in machines(1.0).into_iter().zip(machines(2.0)).enumerate() {
         let bad_from = if at < 3 { 80 } else { usize::MAX };
         // Both machines perform every throw, so that they keep the same weather and scatter.
         let throws = (0..140).map(|throw| {
-            let (sound, bad) = (sound.next_throw().unwrap(), bad.next_throw().unwrap());
+            let [sound, bad] = [&mut sound, &mut bad].map(|it| it.next_throw("a", Timestamp::UNIX_EPOCH).unwrap());
             if throw < bad_from { sound } else { bad }
         });
         let causes = causes_of_series(throws);

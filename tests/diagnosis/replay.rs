@@ -9,7 +9,7 @@ use std::{
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     daemon::{Offline, config::Config},
-    simulate::{Fault, Fleet, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
     throw::{MachineId, Throw},
 };
 
@@ -32,13 +32,13 @@ async fn record(config: &Path) {
     let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -25.0, from_throw: THROWS.0 };
     let fleet =
         FleetSettings { machines: 1, faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
-    let mut machine = Fleet::new(&fleet, 3).unwrap().into_machines().pop().unwrap();
+    let mut machine = fleet.build(3).unwrap().pop().unwrap();
     let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
     let id = MachineId::new("north", "21B").unwrap();
     for throw_no in 1..=THROWS.0 + THROWS.1 + MISDATED {
         let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
         let at = "2026-01-01T00:00:00Z".parse::<Timestamp>().unwrap() + hours;
-        let simulated = machine.next_throw().unwrap().into_throw("a", at);
+        let simulated = machine.next_throw("a", at).unwrap();
         let is_misdated = throw_no > THROWS.0 + THROWS.1;
         let started_at = if is_misdated { at + SignedDuration::from_hours(200 * 24) } else { at };
         let throw = Throw { temperature_c: None, supply_v: None, started_at, ..simulated };

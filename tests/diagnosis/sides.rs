@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Drifting, MachineMonitor, Observation, SensorChannel, Settings},
     estimate::{self, Identifier},
-    simulate::{Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, Shape},
+    simulate::{Fault, FleetFault, FleetSettings, Parameters, Part, Shape},
     throw::Direction,
 };
 
@@ -123,13 +123,13 @@ fn unstressed_at(
     let machine = Parameters { neutral_mm, ..Parameters::default() };
     let fault = Fault { part, size_pct, from_throw: 110, shape: Shape::Step };
     let faults = vec![FleetFault { machine: 0, fault }];
-    let fleet = Fleet::new(&FleetSettings { machines: 1, machine, faults, ..FleetSettings::default() }, 4_242).unwrap();
-    let mut machine = fleet.into_machines().remove(0);
+    let fleet = FleetSettings { machines: 1, machine, faults, ..FleetSettings::default() };
+    let mut machine = fleet.build(4_242).unwrap().remove(0);
     let settings = estimate::Settings { neutral_mm: configured_mm, ..estimate::Settings::default() };
     let (mut identifier, mut monitor) = (Identifier::default(), MachineMonitor::new("21B"));
     let (mut causes, mut present, mut off): (Vec<Cause>, _, f64) = (Vec::new(), None, 0.0);
     for throw_no in 0..150 {
-        let throw = machine.next_throw().unwrap().into_throw("a", Timestamp::UNIX_EPOCH);
+        let throw = machine.next_throw("a", Timestamp::UNIX_EPOCH).unwrap();
         let observation = Observation::of(&throw, &identifier.identify(&throw, &settings));
         let verdict = monitor.observe(&observation, &Settings::default());
         causes.extend(verdict.events.iter().map(|event| event.cause));

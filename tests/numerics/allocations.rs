@@ -3,7 +3,7 @@
 use allocation_counter::measure;
 use pointsd::{
     estimate::{Identifier, Settings},
-    simulate::{Fleet, FleetSettings},
+    simulate::FleetSettings,
     throw::Throw,
 };
 
@@ -11,9 +11,10 @@ use pointsd::{
 fn a_warm_estimator_does_not_allocate() {
     let (mut identifier, settings) = (Identifier::default(), Settings::default());
     let machines = FleetSettings { machines: 3, ..FleetSettings::default() };
-    let throws = Fleet::new(&machines, 11).unwrap().into_machines().into_iter().flat_map(|mut machine| {
-        (0..4).map(move |_| machine.next_throw().unwrap().into_throw("boot", jiff::Timestamp::UNIX_EPOCH))
-    });
+    let throws =
+        machines.build(11).unwrap().into_iter().flat_map(|mut machine| {
+            (0..4).map(move |_| machine.next_throw("boot", jiff::Timestamp::UNIX_EPOCH).unwrap())
+        });
     let throws: Vec<Throw> = throws.collect();
     let longest = throws.iter().max_by_key(|throw| throw.trace.len()).unwrap();
     let cold = measure(|| assert!(identifier.identify(longest, &settings).outcome.is_ok()));

@@ -1,8 +1,8 @@
 //! Damaged traces: each is rejected with its reason, or its damage does no harm.
 
-use pointsd::estimate::{Channel, Identification, Identifier, Rejection, Settings};
+use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
-use pointsd::throw::{Direction, Throw, Trace};
+use pointsd::throw::{Channel, Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -272,6 +272,41 @@ fn every_damaged_trace_has_its_quality_or_its_reason() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Noise above the configured one must not switch off the check of the ratios' error.
+#[test]
+fn a_position_that_has_nothing_to_do_with_the_current_gives_no_ratios_with_noise_either() {
+    let (_, _, damage) = TABLE.iter().find(|(what, ..)| what.contains("nothing to do with the current")).unwrap();
+    let mut channels = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 5);
+    damage(&mut channels);
+    let settings = Settings { current_noise_a: 0.002, ..settings_of(&Parameters::default()) };
+    assert_eq!(channels.identify(&mut Identifier::default(), &settings).quality(), "noisy");
+}
+
+/// A logger that samples a slow sensor at 1 kHz repeats each value five times. The reader looks for the damage in the
+/// trace that the logger sent.
+#[test]
+fn the_reason_for_a_channel_with_repeated_values_refers_to_the_sent_trace() {
+    let healthy = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 1);
+    let held = |values: &[f64]| (0..values.len()).map(|at| values[at.saturating_sub(3) / 5 * 5 + 3]).collect();
+    let with = |damage: std::ops::Range<usize>, value: f64| {
+        let mut channels =
+            Channels { rate_hz: healthy.rate_hz, current: held(&healthy.current), position: held(&healthy.position) };
+        channels.current[damage].fill(value);
+        let trace = Trace::new(channels.rate_hz, channels.current.clone(), channels.position).unwrap();
+        let throw = Throw { anti_alias_hz: Some(150.0), ..Throw::recorded(trace) };
+        let found = Identifier::default().identify(&throw, &settings_of(&Parameters::default()));
+        // The declared filter is below half of the rate that the logger sent.
+        assert_eq!(found.unused_fields, None);
+        (found.outcome.unwrap_err(), channels.current)
+    };
+    let (reason, _) = with(1003..1008, 1e6);
+    let Rejection::ImplausibleValue { at_s, .. } = reason else { panic!("{reason}") };
+    assert!((at_s - 1.003).abs() < 1e-9, "{at_s}");
+    let (reason, current) = with(1003..1021, f64::NAN);
+    let Rejection::NotFinite { sample, at_s, .. } = reason else { panic!("{reason}") };
+    assert!(current[sample].is_nan() && (at_s - sample as f64 * 1e-3).abs() < 1e-9, "{sample}, {at_s}");
 }
 
 #[test]

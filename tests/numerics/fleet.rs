@@ -1,11 +1,12 @@
 //! Faults, sensors and fleets: a fault changes its coefficient by its size, and a seed reproduces all results.
 
+use jiff::Timestamp;
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
-    Channel, Climate, Condition, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Parameters, Part,
-    RailModel, Scatter, Sensor, Sensors, Shape, Stuck, Waveform,
+    Condition, Fault, FleetClimate, FleetFault, FleetScatter, FleetSettings, Incident, IncidentKind, Parameters, Part,
+    RailModel, Sensor, Sensors, Shape, Stuck, Waveform,
 };
-use pointsd::throw::{Direction, Throw};
+use pointsd::throw::{Channel, Direction, Throw};
 
 use super::identify::{assert_near, simulated};
 use super::machine::{NO_SCATTER, lumped};
@@ -155,23 +156,23 @@ fn sensors_change_the_trace_as_configured() {
 fn machines_do_not_depend_on_the_size_of_their_fleet() {
     let fleet = |machines| {
         let settings = FleetSettings { machines, machine: lumped(), ..FleetSettings::default() };
-        Fleet::new(&settings, 11).unwrap().into_machines()
+        settings.build(11).unwrap()
     };
     let (mut small, mut large) = (fleet(2), fleet(6));
     for _ in 0..3 {
-        let [first, second] = std::array::from_fn(|at| large[at].next_throw().unwrap());
-        assert_eq!(small[1].next_throw().unwrap(), second);
-        assert_ne!(first.coefficients, second.coefficients);
+        let [first, second] = std::array::from_fn(|at| large[at].next_throw("a", Timestamp::UNIX_EPOCH).unwrap());
+        assert_eq!(small[1].next_throw("a", Timestamp::UNIX_EPOCH).unwrap(), second);
+        assert_ne!(first.trace, second.trace);
     }
 }
 
 #[test]
 fn throws_scatter_as_much_and_as_correlated_as_set() {
-    let scatter = Scatter { correlation: 0.6, ..Scatter::default() };
+    let scatter = FleetScatter { correlation: 0.6, ..FleetScatter::default() };
     let settings = FleetSettings { machines: 1, machine: lumped(), scatter, ..FleetSettings::default() };
-    let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
+    let mut machine = settings.build(5).unwrap().remove(0);
     let (b0, a1): (Vec<f64>, Vec<f64>) = (0..600)
-        .map(|_| machine.next_throw().unwrap().coefficients)
+        .map(|_| machine.next_machine().unwrap().0.coefficients().unwrap())
         .map(|known| (known.b0.ln(), known.a1.ln()))
         .unzip();
     let moments = |x: &[f64]| {
@@ -199,20 +200,20 @@ fn faults_and_incidents_happen_when_they_are_set() {
         incident(IncidentKind::WeakSupply { loss_pct: 30.0 }, 1),
         incident(IncidentKind::StuckSensor(Stuck { channel: Channel::Current, from_s: 0.5 }), 2),
     ];
-    let mut machines = Fleet::new(&settings, 2).unwrap().into_machines();
-    let throws: Vec<_> = (0..4).map(|_| machines[0].next_throw().unwrap()).collect();
+    let mut machines = settings.build(2).unwrap();
+    let throws: Vec<_> = (0..4).map(|_| machines[0].next_throw("a", Timestamp::UNIX_EPOCH).unwrap()).collect();
     let end = |at: usize| throws[at].trace.position_mm()[throws[at].trace.len() - 1];
     let length = |at: usize| throws[at].trace.len() as f64;
     assert!((end(0) - 60.0).abs() < 5.0, "obstructed at {} mm", end(0));
     assert!(length(1) > 1.3 * length(3), "weak supply: {} samples, else {}", length(1), length(3));
     assert!(throws[2].trace.current_a()[1000..1500].windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits()));
-    let a0: Vec<f64> = (0..6).map(|_| machines[1].next_throw().unwrap().coefficients.a0).collect();
+    let a0: Vec<f64> = (0..6).map(|_| machines[1].next_machine().unwrap().0.coefficients().unwrap().a0).collect();
     assert!((a0[2] / a0[0] - 1.0).abs() < 1e-9 && (a0[3] / a0[0] - 1.3).abs() < 1e-9, "{a0:?}");
 }
 
 #[test]
 fn cold_grease_and_strong_magnets_show_in_winter() {
-    let climate = Climate { mean_c: 10.0, yearly_swing_k: 15.0, daily_swing_k: 5.0, throws_per_day: 40.0 };
+    let climate = FleetClimate { mean_c: 10.0, yearly_swing_k: 15.0, daily_swing_k: 5.0, throws_per_day: 40.0 };
     let quarter = 365.25 / 4.0 * 40.0;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a throw number of this test")]
     let at = |quarters: f64| climate.at((quarters * quarter) as u64);
@@ -233,6 +234,6 @@ fn settings_are_checked_and_read_from_toml_without_unknown_keys() {
     assert!(settings.machine.stroke_mm > 149.0 && settings.faults[0].fault.shape == Shape::Ramp { throws: 100 });
     assert!(toml::from_str::<FleetSettings>("machine = { strok_mm = 1.0 }").is_err());
     let settings: FleetSettings = toml::from_str(&text.replace("machine = 1\n", "machine = 5\n")).unwrap();
-    let error = Fleet::new(&settings, 1).expect_err("a machine outside the fleet");
+    let error = settings.build(1).expect_err("a machine outside the fleet");
     assert!(error.to_string().contains("must be"), "{error}");
 }

@@ -1,7 +1,7 @@
 //! The whole estimator on simulated throws: it must return the simulated coefficients.
 
 use nalgebra::Matrix3;
-use pointsd::estimate::{Estimate, Features, Grade, Identification, Identifier, Rejection, Settings};
+use pointsd::estimate::{Estimate, Features, Fit, Grade, Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -124,8 +124,7 @@ fn an_identification_survives_json() {
         systematic: Matrix3::zeros(),
         offset: [0.1, 0.02, 0.01],
         reason: Some(Rejection::BrakedStart),
-        fit_pct: 99.9,
-        iterations: 4,
+        fit: Some(Fit { pct: 99.9, iterations: 4 }),
         start_s: 0.2,
         end_s: 4.1,
     };

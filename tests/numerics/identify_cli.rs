@@ -19,6 +19,10 @@ fn csv() -> String {
     text
 }
 
+fn without_position() -> String {
+    csv().lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned() + "\n").collect()
+}
+
 fn identify(text: &str) -> Output {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("throw.csv");
@@ -49,17 +53,27 @@ fn a_healthy_recording_is_accepted_in_every_common_csv_format() {
     }
 }
 
+/// No model is fitted without a toe position, so there is no fit and not one of 0 %.
+#[test]
+fn an_estimate_from_the_current_alone_has_no_fit() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("throw.csv");
+    std::fs::write(&file, without_position()).unwrap();
+    let output = pointsd(&["identify", file.to_str().unwrap(), "--json", "--supply-v=110", "--stroke-mm=115"]);
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&report["accepted"], &report["quality"]), (&true.into(), &"current_only".into()), "{report}");
+    assert!(report["fit_pct"].is_null() && report["iterations"].is_null(), "{report}");
+}
+
 /// The user of a file knows options and columns, but not the fields of a message.
 #[test]
 fn a_reason_names_options_and_columns() {
-    let without_position: String =
-        csv().lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned() + "\n").collect();
     let milliseconds: String = csv().lines().fold(HEADER.to_owned(), |text, line| match line.split_once(',') {
         Some((time, rest)) if time != "time_s" => text + &format!("{:.9},{rest}\n", time.parse::<f64>().unwrap() / 1e3),
         _ => text,
     });
     for (text, says) in
-        [(without_position, "need --supply-v and --stroke-mm"), (milliseconds, "the column time_s is wrong")]
+        [(without_position(), "need --supply-v and --stroke-mm"), (milliseconds, "the column time_s is wrong")]
     {
         let output = identify(&text);
         let said = String::from_utf8_lossy(&output.stderr);

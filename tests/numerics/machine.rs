@@ -1,8 +1,9 @@
 //! The simulated machine against analytical results.
 
+use jiff::Timestamp;
 use pointsd::simulate::{
-    Conditions, Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Scatter, Sensor,
-    Sensors, Shape, Spread,
+    Conditions, Fault, FleetFault, FleetScatter, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Sensor,
+    Sensors, Shape, SimulatedMachine, Spread,
 };
 use pointsd::throw::Direction;
 use rand_chacha::rand_core::SeedableRng;
@@ -37,8 +38,8 @@ fn the_default_machine_is_a_credible_one() {
 fn a_seed_reproduces_a_fleet() {
     let settings = FleetSettings { machines: 2, sensors: Sensors::default(), ..FleetSettings::default() };
     let throws = |seed| {
-        let mut machines = Fleet::new(&settings, seed).unwrap().into_machines();
-        (0..4).map(|at| machines[at % 2].next_throw().unwrap()).collect::<Vec<_>>()
+        let mut machines = settings.build(seed).unwrap();
+        (0..4).map(|at| machines[at % 2].next_throw("a", Timestamp::UNIX_EPOCH).unwrap()).collect::<Vec<_>>()
     };
     assert_eq!(throws(7), throws(7));
     assert_ne!(throws(7)[0].trace, throws(8)[0].trace);
@@ -49,8 +50,8 @@ pub(crate) fn lumped() -> Parameters {
     Parameters { rails: Rails { model: RailModel::Lumped, ..Rails::default() }, ..Parameters::default() }
 }
 
-pub(crate) const NO_SCATTER: Scatter =
-    Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
+pub(crate) const NO_SCATTER: FleetScatter =
+    FleetScatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
 const NO_SPREAD: Spread = Spread { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, inertia_pct: 0.0 };
 
 #[test]
@@ -59,8 +60,8 @@ fn a_longer_life_begins_as_the_shorter_one_did() {
         let walk = Fault { part: Part::Inertia, shape: Shape::RandomWalk { throws: 5 }, size_pct: 10.0, from_throw: 2 };
         let faults = vec![FleetFault { machine: 0, fault: walk }];
         let settings = FleetSettings { machines: 1, machine: lumped(), faults, ..FleetSettings::default() };
-        let mut machine = Fleet::new(&settings, 9).unwrap().into_machines().remove(0);
-        (0..throws).map(|_| machine.next_throw().unwrap()).collect::<Vec<_>>()
+        let mut machine = settings.build(9).unwrap().remove(0);
+        (0..throws).map(|_| machine.next_throw("a", Timestamp::UNIX_EPOCH).unwrap()).collect::<Vec<_>>()
     };
     assert_eq!(life(8)[..3], life(3)[..]);
 }
@@ -73,8 +74,8 @@ fn two_faults_at_once_change_the_coefficients_that_each_changes_alone() {
         let (scatter, spread) = (NO_SCATTER, NO_SPREAD);
         let settings =
             FleetSettings { machines: 1, machine: lumped(), faults, scatter, spread, ..FleetSettings::default() };
-        let mut machine = Fleet::new(&settings, 1).unwrap().into_machines().remove(0);
-        let [new, worn] = std::array::from_fn(|_| machine.next_throw().unwrap().coefficients);
+        let mut machine = settings.build(1).unwrap().remove(0);
+        let [new, worn] = std::array::from_fn(|_| machine.next_machine().unwrap().0.coefficients().unwrap());
         [worn.b0 / new.b0, worn.a1 / new.a1, worn.a0 / new.a0]
     };
     let kt = change(&[step(Part::Kt, -10.0)]);
@@ -94,15 +95,15 @@ fn a_random_walk_is_as_wide_as_set_after_its_throws() {
         machines,
         machine: lumped(),
         scatter: NO_SCATTER,
+        spread: NO_SPREAD,
         faults: (0..machines).map(|machine| FleetFault { machine, fault: walk }).collect(),
         ..FleetSettings::default()
     };
-    let ends: Vec<f64> = Fleet::new(&settings, 12)
-        .unwrap()
-        .into_machines()
-        .into_iter()
-        .map(|mut machine| (0..4).map(|_| machine.next_throw().unwrap().condition.kt).last().unwrap() - 1.0)
-        .collect();
+    let end = |mut machine: SimulatedMachine| {
+        let worn = (0..4).map(|_| machine.next_machine().unwrap().0).last().unwrap();
+        worn.torque_constant / settings.machine.torque_constant - 1.0
+    };
+    let ends: Vec<f64> = settings.build(12).unwrap().into_iter().map(end).collect();
     let sd = (ends.iter().map(|end| end * end).sum::<f64>() / machines as f64).sqrt();
     // 60 machines determine a standard deviation to 9 %.
     assert!((sd / 0.05 - 1.0).abs() < 0.3, "{sd}");

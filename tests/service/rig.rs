@@ -19,7 +19,7 @@ use std::{
 use pointsd::{
     bus,
     daemon::config::{Document, client_session},
-    simulate::{Fault, Fleet, FleetFault, FleetSettings},
+    simulate::{Fault, FleetFault, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
     wire::{self, Alarm, encode_throw},
@@ -490,12 +490,12 @@ pub(crate) fn faulty_throws(fault: Fault, boot_id: &str, count: u64) -> Vec<Thro
 
 fn simulated(faults: Vec<FleetFault>, boot_id: &str, count: u64) -> Vec<Throw> {
     let settings = FleetSettings { machines: 1, faults, ..FleetSettings::default() };
-    let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
+    let mut machine = settings.build(5).unwrap().remove(0);
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)
         .map(|throw_no| {
             let at = first + jiff::SignedDuration::from_mins(10 * throw_no.cast_signed());
-            Throw { supply_v: None, ..machine.next_throw().unwrap().into_throw(boot_id, at) }
+            Throw { supply_v: None, ..machine.next_throw(boot_id, at).unwrap() }
         })
         .collect()
 }

@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Present, Severity},
-    estimate::{Estimate, Features, Grade, Identification},
+    estimate::{Estimate, Features, Fit, Grade, Identification},
     store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
     wire::Health,
@@ -74,8 +74,7 @@ pub(crate) fn estimate() -> Estimate {
         a1: 5.9,
         a0: 1.56,
         covariance: Matrix3::new(4.0, 0.1, 0.02, 0.1, 0.25, 0.01, 0.02, 0.01, 0.0625),
-        fit_pct: 99.7,
-        iterations: 4,
+        fit: Some(Fit { pct: 99.7, iterations: 4 }),
         start_s: 0.1,
         end_s: 4.2,
     }
@@ -91,7 +90,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             coefficients: Some(estimate.coefficients()),
             sd: Some(estimate.sd()),
             change_pct: Some([0.5, -1.0, 2.0]),
-            fit_pct: Some(estimate.fit_pct),
+            fit_pct: estimate.fit.map(|fit| fit.pct),
             a1_per_b0: Some(estimate.ratios()[0]),
             a1_per_b0_sd: Some(estimate.ratios_sd()[0]),
             a0_per_b0: Some(estimate.ratios()[1]),

@@ -78,7 +78,7 @@ pub(crate) fn health(
     Health {
         coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
         sd: (!estimate.ratios_only).then(|| estimate.sd()),
-        fit_pct: Some(estimate.fit_pct),
+        fit_pct: estimate.fit.map(|fit| fit.pct),
         a1_per_b0: Some(a1_per_b0),
         a1_per_b0_sd: Some(a1_per_b0_sd),
         a0_per_b0: Some(a0_per_b0),

@@ -1,9 +1,9 @@
 //! Robust averages, which a single outlier hardly changes.
 
+use crate::estimate::SD_PER_MEDIAN;
+
 /// Largest distance from the median, in standard deviations; values farther away are clipped.
 const CLIP_SD: f64 = 3.0;
-/// Ratio of standard deviation to median absolute deviation, for Gaussian scatter.
-const MAD_TO_SD: f64 = 1.4826;
 
 /// Median. Sorts `values`, which must not be empty.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
@@ -25,7 +25,7 @@ pub(crate) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
     let mut sorted = values.to_vec();
     let middle = median(&mut sorted);
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
-    let sd = MAD_TO_SD * median(&mut deviations);
+    let sd = SD_PER_MEDIAN * median(&mut deviations);
     // The median deviation is 0 if half of the values are equal, as quantised ones; the mean of the deviations is not.
     let sd = if sd > 0.0 { sd } else { deviations.iter().sum::<f64>() / deviations.len() as f64 };
     (clipped_mean(&mut sorted, sd), sd)

@@ -5,12 +5,10 @@ mod errors;
 mod lateness;
 pub(super) mod start;
 
-use std::f64::consts::TAU;
-
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    identification::{Estimate, Grade},
+    identification::{Estimate, Fit, Grade},
     rejection::Rejection,
     settings::Settings,
     sriv::{Solution, Sriv, Workspace, covariance::Noise},
@@ -59,10 +57,10 @@ fn misfit(
     model: &[f64],
     [b0, a1, a0]: [f64; 3],
     travel_mm: f64,
-    lead_mm: f64,
+    radians_per_mm: f64,
 ) -> Result<f64, Rejection> {
     let output = &window.output;
-    let travel = travel_mm * TAU / lead_mm;
+    let travel = travel_mm * radians_per_mm;
     // Variance of the modelled output, in steady state, for white noise of variance 1 on the input.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
     let scale = if window.input_scale().is_some() { 4.0 * window.running * window.running } else { 1.0 };
@@ -84,10 +82,10 @@ fn misfit(
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
     if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
         let at_s = (window.from + at) as f64 * window.interval_s;
-        return Err(Rejection::Misfit { peak_mm: peak * lead_mm / TAU, at_s });
+        return Err(Rejection::Misfit { peak_mm: peak / radians_per_mm, at_s });
     }
     let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
-    Ok((slow - 2.0 * through).max(0.0).sqrt() * lead_mm / TAU)
+    Ok((slow - 2.0 * through).max(0.0).sqrt() / radians_per_mm)
 }
 
 /// The estimate with its covariance; rejects a solution that does not describe the movement, or is too uncertain.
@@ -102,7 +100,8 @@ pub(super) fn estimate(
     brakes: &mut brake::Buffers,
 ) -> Result<Estimate, Rejection> {
     accept(&solution, settings)?;
-    let slow_mm = misfit(window, &workspace.model_output, solution.parameters, movement.travel_mm, settings.lead_mm)?;
+    let slow_mm =
+        misfit(window, &workspace.model_output, solution.parameters, movement.travel_mm, settings.radians_per_mm())?;
     let delay_s = lateness::check(window, &workspace.model_output, solution.parameters)?;
     let brake_sd = brake::scale_sd(window, solution.parameters, brakes)?;
     let scale_sd =
@@ -145,8 +144,7 @@ pub(super) fn estimate(
         offset,
         reason: None,
         running: None,
-        fit_pct: 100.0 * solution.fit,
-        iterations: solution.iterations,
+        fit: Some(Fit { pct: 100.0 * solution.fit, iterations: solution.iterations }),
         start_s: window.from as f64 * window.interval_s,
         end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
     })

@@ -2,11 +2,12 @@
 //!
 //! Let v be the signal, x = v / A(s) its filtered value, and z = (x, x', …, x⁽ⁿ⁻¹⁾) the state. The companion form is
 //! ż = F z + `e_n` v, with the n-th unit vector `e_n`. It gives over one sampling interval h, for a signal that is
-//! linear between its samples, `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
+//! linear between its samples,
 //!
 //! ```text
-//! z_{k+1} = Φ z_k + Γ0 v_k + Γ1 (v_{k+1} - v_k),   Φ = e^{Fh},   Γ0 = ∫₀ʰ e^{Fτ} e_n dτ,   Γ1 = (1/h) ∫₀ʰ e^{F(h-τ)}
-//! e_n τ dτ
+//! v(t_k + τ) = v_k + (v_{k+1} - v_k) τ/h
+//! z_{k+1} = Φ z_k + Γ0 v_k + Γ1 (v_{k+1} - v_k)
+//! Φ = e^{Fh},   Γ0 = ∫₀ʰ e^{Fτ} e_n dτ,   Γ1 = (1/h) ∫₀ʰ e^{F(h-τ)} e_n τ dτ
 //! ```
 //!
 //! and Γ1 = 0 for a signal that is constant between its samples. With q = z - Γ1 v both holds have the same recursion,

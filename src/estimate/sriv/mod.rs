@@ -11,8 +11,10 @@
 //! derivatives (index f) without differentiation:
 //!
 //! ```text
-//! y_f⁽ᴺ⁾ = φ' θ,   φ = [ u_f⁽ᵐ⁾ … u_f for every input, -y_f⁽ᴺ⁻¹⁾ … -y_f', -(y_f - y_eq,f) ],   θ = [B_1 … B_S, a_1 …
-//! a_N] θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾
+//! y_f⁽ᴺ⁾ = φ' θ
+//! φ = [u_f⁽ᵐ⁾ … u_f for every input, -y_f⁽ᴺ⁻¹⁾ … -y_f', -(y_f - y_eq,f)]
+//! θ = [B_1 … B_S, a_1 … a_N]
+//! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾
 //! ```
 //!
 //! where the instrument z is φ with y replaced by the output x̂ of the auxiliary model, x̂ = (Σ `B̂_s` `u_s` + `â_N`
@@ -51,8 +53,9 @@ pub enum Termination {
     IterationLimit,
 }
 
-/// The reason why a problem has no solution.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+/// The reason why a problem has no solution; its code, as that of a rejection, by `<&str>::from`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Failure {
     /// A sampled input, or the equilibrium, and the output differ in length.
     #[error("input and output differ in length")]

@@ -5,9 +5,9 @@ use super::{
     movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
     samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, peak},
 };
-use crate::estimate::{
-    rejection::{Channel, Rejection},
-    settings::Settings,
+use crate::{
+    estimate::{rejection::Rejection, settings::Settings},
+    throw::Channel,
 };
 
 /// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. The toe of a

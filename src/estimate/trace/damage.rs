@@ -8,7 +8,7 @@ use super::{
     movement::{MIN_QUIET, Movement},
     samples::{every, largest, quantum, samples_in},
 };
-use crate::estimate::rejection::{Channel, Rejection};
+use crate::{estimate::rejection::Rejection, throw::Channel};
 
 /// Largest plausible current \[A\]; public recordings contain 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;

@@ -17,10 +17,18 @@ const LEAST_CHANGE: f64 = 1.5;
 const REGULAR_SHARE: f64 = 0.6;
 const REGULAR_TOLERANCE: f64 = 0.1;
 
-/// The trace with the values that its logger measured, at the rate of the current's new values, and the number of its
-/// samples from one new position to the next (the positions between them are on a line). `None` if both channels have a
-/// new value in each sample.
-pub(crate) fn resampled(trace: &Trace) -> Option<(Trace, f64)> {
+/// The values that a logger measured, at the rate of the current's new values.
+pub(crate) struct Resampled {
+    pub(crate) trace: Trace,
+    /// Its first sample in the trace of the logger, and the number of samples there from one to the next.
+    pub(crate) first: usize,
+    pub(crate) every: usize,
+    /// Number of its samples from one new position to the next; the positions between them are on a line.
+    pub(crate) position_every: f64,
+}
+
+/// The values that the logger of this trace measured; `None` if both channels have a new value in each sample.
+pub(crate) fn resampled(trace: &Trace) -> Option<Resampled> {
     let channels = [trace.current_a(), trace.position_mm()];
     let [current, position] = channels.map(Updates::of);
     if current.is_none() && position.is_none() {
@@ -39,7 +47,7 @@ pub(crate) fn resampled(trace: &Trace) -> Option<(Trace, f64)> {
     let picked = |values: Vec<f64>| values.into_iter().skip(first).step_by(every).collect();
     let position_every = position.map_or(1.0, |updates| (updates.every as f64 / every as f64).max(1.0));
     let trace = Trace::new(trace.sample_rate_hz() / every as f64, picked(current_a), picked(position_mm)).ok()?;
-    Some((trace, position_every))
+    Some(Resampled { trace, first, every, position_every })
 }
 
 /// Power of the noise at low frequencies if one of `every` samples is measured and lines join these, as multiple of
@@ -158,7 +166,7 @@ mod tests {
         let nulls = |at: usize| if at % 10 == 7 { toe(at) } else { f64::NAN };
         let irregular = |at: usize| toe((at * 10 / 103 * 103).div_ceil(10));
         for position in [&usual as &dyn Fn(usize) -> f64, &nulls, &irregular] {
-            let (trace, position_every) = resampled(&trace(motor, position)).unwrap();
+            let Resampled { trace, position_every, .. } = resampled(&trace(motor, position)).unwrap();
             assert_eq!((trace.len(), position_every), (2000, 10.0));
             let far = trace.position_mm()[10..1900].iter().enumerate().map(|(at, mm)| (mm - toe(at + 10)).abs());
             let largest = far.fold(0.0, f64::max);
@@ -169,8 +177,9 @@ mod tests {
     #[test]
     fn held_channels_are_sampled_at_the_rate_of_the_current() {
         let held = |at: usize| 3 + at.saturating_sub(3) / 5 * 5;
-        let (trace, position_every) = resampled(&trace(|at| motor(held(at)), |at| toe(held(at)))).unwrap();
-        assert_eq!((trace.sample_rate_hz(), position_every), (200.0, 1.0));
+        let Resampled { trace, first, every, position_every } =
+            resampled(&trace(|at| motor(held(at)), |at| toe(held(at)))).unwrap();
+        assert_eq!((trace.sample_rate_hz(), first, every, position_every), (200.0, 3, 5, 1.0));
         assert!(trace.current_a().iter().enumerate().all(|(k, a)| (a - motor(3 + 5 * k)).abs() < 1e-12));
         assert!(trace.position_mm()[1..].iter().enumerate().all(|(k, mm)| (mm - toe(8 + 5 * k)).abs() < 1e-12));
     }

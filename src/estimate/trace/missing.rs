@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use super::samples::every;
 use crate::{
-    estimate::rejection::{Channel, Rejection},
-    throw::Trace,
+    estimate::rejection::Rejection,
+    throw::{Channel, Trace},
 };
 
 /// Longest bridged gap \[s\]; one sample is always bridged. It is shorter than the electrical time constant of a motor

@@ -2,7 +2,7 @@
 //! the movement, and levels of the sensors at rest.
 
 use super::samples::{Level, mean, median_distance, median_of, peak, quantum, samples_in, second_difference_noise};
-use crate::estimate::{features::Features, rejection::Channel};
+use crate::{estimate::features::Features, throw::Channel};
 
 /// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise,
 /// below the first crest.

@@ -5,9 +5,9 @@ use super::{
     movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
     samples::{samples_in, second_difference_noise},
 };
-use crate::estimate::{
-    rejection::{Channel, Rejection},
-    settings::Settings,
+use crate::{
+    estimate::{rejection::Rejection, settings::Settings},
+    throw::Channel,
 };
 
 /// Largest ratio of measured to configured noise of a healthy sensor and its wiring. Noise of the current affects the

@@ -92,7 +92,7 @@ pub(super) fn median_distance(values: &[f64], level: f64, scratch: &mut Vec<f64>
 }
 
 /// Ratio of the standard deviation of a normal variable to the median of its magnitude.
-pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
+pub(crate) const SD_PER_MEDIAN: f64 = 1.4826;
 
 /// Standard deviation of white noise on a smooth signal, from the median of its second differences.
 pub(crate) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {

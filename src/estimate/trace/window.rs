@@ -1,7 +1,5 @@
 //! The window of a trace: the part from which the coefficients are estimated.
 
-use std::f64::consts::TAU;
-
 use super::{
     held,
     movement::{MIN_QUIET, Movement},
@@ -82,7 +80,7 @@ impl Window {
         let from = movement.start().saturating_sub(LEAD_IN);
         let to = movement.end().max(from) + 1;
         long_enough(to - from, interval_s)?;
-        let radians_per_mm = TAU / settings.lead_mm;
+        let radians_per_mm = settings.radians_per_mm();
         let offset = movement.current.mean;
         let drive = movement.drive();
         let start_mm = movement.position.mean;

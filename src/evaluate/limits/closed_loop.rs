@@ -66,7 +66,6 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
             let variances = [CURRENT_NOISE_A.powi(2), noise * noise];
             fit::<1, 3>(&mut row, inputs, INTERVAL_S, &position, variances, plant.known.values());
         }
-        row.finish();
         rows.push(row);
     }
     Ok(Finding {

@@ -67,14 +67,9 @@ impl Row {
     /// Adds the estimate `found` with its stated standard deviations; the error is counted from `reference`.
     pub(super) fn add(&mut self, found: [f64; 3], sd: [f64; 3], reference: [f64; 3]) {
         self.errors_pct.push(std::array::from_fn(|at| (found[at] / reference[at] - 1.0) * 100.0));
+        let count = self.errors_pct.len() as f64;
         for at in 0..3 {
-            self.stated_sd_pct[at] += sd[at] / found[at] * 100.0;
+            self.stated_sd_pct[at] += (sd[at] / found[at] * 100.0 - self.stated_sd_pct[at]) / count;
         }
-    }
-
-    /// Completes the row: turns the sum of the stated standard deviations into their mean.
-    pub(super) fn finish(&mut self) {
-        let count = self.errors_pct.len().max(1) as f64;
-        self.stated_sd_pct = self.stated_sd_pct.map(|sum| sum / count);
     }
 }

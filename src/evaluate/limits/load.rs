@@ -52,8 +52,6 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
         let viscous = [known.b0, known.a1_viscous, known.a0];
         fit::<2, 4>(&mut four, [input, Signal::Constant], interval_s, &output, variances, viscous);
     }
-    three.finish();
-    four.finish();
     Ok(Finding {
         name: "fourth_coefficient",
         title: "The load as a fourth coefficient",

@@ -91,7 +91,6 @@ impl Bench {
                 }
             }
         }
-        row.finish();
         Ok(row)
     }
 }
@@ -109,14 +108,31 @@ pub(super) fn fit<const S: usize, const P: usize>(
     let Some(model) = Sriv::<2, S, P>::new([0; S]) else { return };
     let problem = Problem { interval_s, output, inputs, equilibrium: None };
     let mut workspace = Workspace::default();
-    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
-    let Some(solution) = solved else {
-        row.refusal = Some("not_converged".to_owned());
-        return;
+    let solved = model.identify(&problem, &mut workspace).map_err(<&str>::from).and_then(|solution| {
+        solution.sound(0.0).map_err(|reason| reason.code())?;
+        Ok(solution)
+    });
+    let solution = match solved {
+        Ok(solution) => solution,
+        Err(code) => return row.refusal = Some(code.to_owned()),
     };
     let measured = std::array::from_fn(|s| if s == 0 { current } else { 0.0 });
     let noise = Noise { output: position, inputs: measured, scale: None, offsets: [0.0; 2] };
     let covariance = model.covariance(&problem, &solution, &noise, &workspace);
     let of = [0, P - 2, P - 1];
     row.add(of.map(|at| solution.parameters[at]), of.map(|at| covariance[at][at].sqrt()), truth);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::Hold;
+
+    #[test]
+    fn a_row_has_the_reason_why_there_is_no_estimate() {
+        let mut row = Row::new("no current", 1, true);
+        let (current, position) = ([0.0; 100], [1.0; 100]);
+        fit::<1, 3>(&mut row, [Signal::Sampled(&current, Hold::First)], 1e-3, &position, [1.0; 2], [1.0; 3]);
+        assert_eq!(row.refusal.as_deref(), Some("singular"));
+    }
 }

@@ -227,7 +227,7 @@ impl Judgement {
             .bind(health.a1_per_b0_sd)
             .bind(health.a0_per_b0)
             .bind(health.a0_per_b0_sd)
-            .bind(estimate.map(|estimate| i64::try_from(estimate.iterations).unwrap_or(i64::MAX)))
+            .bind(estimate.and_then(|estimate| i64::try_from(estimate.fit?.iterations).ok()))
             .bind(estimate.map(|estimate| estimate.start_s))
             .bind(estimate.map(|estimate| estimate.end_s))
             .bind(health.duration_s)
