@@ -270,3 +270,16 @@ fn a_lost_torque_with_sound_magnets_points_to_the_gear() {
         }
     }
 }
+
+/// The throws of the dip stay in the windows for a while, and are no evidence that a friction has ended.
+#[test]
+fn a_dip_of_the_supply_does_not_end_an_alarm_about_a_part() {
+    for seed in 0..3 {
+        let mut drive = learned(seed, SOUND);
+        let dry = State { friction: 1.6, ..SOUND };
+        assert_eq!(drive.events(40, dry)[0].cause, Cause::Friction);
+        drive.events(4, State { volts: 0.84, ..dry });
+        let after = causes(&drive.events(70, dry));
+        assert!(!after.contains(&Cause::Friction), "seed {seed}: {after:?}");
+    }
+}

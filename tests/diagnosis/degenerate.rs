@@ -5,8 +5,8 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
     diagnose::{MachineMonitor, Observation, Settings},
-    estimate::{Channel, Features, Grade, Rejection},
-    throw::{Direction, ThrowRef},
+    estimate::{Features, Grade, Rejection},
+    throw::{Channel, Direction, ThrowRef},
 };
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;

@@ -7,8 +7,8 @@ use pointsd::{
         AlarmEvent, AlarmState, Cause, Command, MachineMonitor, MachineState, Observation, Parameters, SensorChannel,
         Settings, Severity,
     },
-    estimate::{self, Channel, Features, Rejection},
-    throw::Direction,
+    estimate::{self, Features, Rejection},
+    throw::{Channel, Direction},
 };
 
 use crate::{
@@ -338,4 +338,110 @@ fn a_position_in_another_unit_is_a_caveat_and_no_throw_is_refused() {
     }
     let stuck = estimate::Rejection::Incomplete { travel_mm: 60.0, stroke_mm: 115.0 }.to_string();
     assert!(!stuck.contains("position_mm"), "{stuck}");
+}
+
+/// The motor runs on after the arrival of the toe, which only a toe sensor shows.
+#[test]
+fn a_lost_toe_sensor_makes_no_throw_slow() {
+    let mut drive = Drive::new(31, false);
+    (drive.stroke_mm, drive.push_s) = (Some(115.0), 1.0);
+    drive.stay_healthy(110, State::SOUND);
+    drive.has_toe_sensor = false;
+    let events = drive.events(40, State::SOUND);
+    let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
+    assert_eq!(causes, [Cause::Sensor, Cause::NotMonitored], "{events:?}");
+}
+
+/// Less friction does not make a throw slow, and hides no other reason.
+#[test]
+fn only_a_drift_that_lengthens_a_throw_explains_slow_throws() {
+    let slow_beside = |pct: f64| {
+        let mut machine = machine();
+        let drift = shift(Cause::Friction, pct);
+        assert_eq!(machine.events(40, drift)[0].cause, Cause::Friction);
+        let feed = |_| {
+            let mut throw = machine.throw(drift);
+            throw.features.duration_s = throw.features.duration_s.map(|duration_s| 1.35 * duration_s);
+            machine.observe(&throw).events
+        };
+        (0..12).flat_map(feed).any(|event| event.cause == Cause::SlowThrow)
+    };
+    assert!(slow_beside(-40.0));
+    assert!(!slow_beside(30.0));
+}
+
+/// The last good temperature counts while the alarm about the sensor is active.
+#[test]
+fn a_failed_thermometer_explains_no_change_of_the_features() {
+    let mut drive = Drive::new(32, false);
+    drive.has_toe_sensor = false;
+    let at = |celsius: f64| move |throw: &mut Observation| throw.temperature_c = Some(celsius);
+    assert_eq!(drive.events_with(120, State::SOUND, at(10.0)), []);
+    let events = drive.events_with(60, State { friction: 1.6, ..State::SOUND }, at(-127.0));
+    assert!(events.iter().any(|event| event.cause == Cause::Unattributed), "{events:?}");
+}
+
+#[test]
+fn a_fault_that_a_maintenance_left_is_reported_again() {
+    let settings = Settings::default();
+    for is_incomplete in [false, true] {
+        let mut drive = Drive::after(110, 33, false);
+        let (state, cause, stays) = if is_incomplete {
+            (State { stroke: 0.5, ..State::SOUND }, Cause::IncompleteThrow, 5)
+        } else {
+            (State { friction: 1.5, ..State::SOUND }, Cause::Friction, 40)
+        };
+        if is_incomplete {
+            drive.stroke_mm = Some(115.0);
+        }
+        let raised = drive.events(stays, state);
+        assert_eq!(raised[0].cause, cause);
+        let start = raised[0].event_at + SignedDuration::from_hours(100);
+        let by = || "mia".to_owned();
+        let until = start + SignedDuration::from_hours(1);
+        for command in
+            [Command::Ack { cause, by: by() }, Command::MaintenanceStart { until, by: by(), why: "look".to_owned() }]
+        {
+            drive.monitor.command(&command, start, &settings).unwrap();
+        }
+        let [back] = &drive.monitor.tick(until, &settings)[..] else { panic!("one alarm") };
+        assert_eq!(back.state, AlarmState::ActiveAcknowledged);
+        let again = drive.events(stays, state);
+        assert_eq!((again[0].cause, again[0].state), (cause, AlarmState::ActiveUnacknowledged));
+        assert!(!again[0].text.contains("before the maintenance"), "{}", again[0].text);
+    }
+}
+
+/// Their normal values are learned anew, so these alarms do not come back.
+#[test]
+fn a_new_baseline_ends_the_alarms_that_compare_with_the_old_one() {
+    let mut drive = Drive::after(110, 34, true);
+    let [raised] = &drive.events(40, State { ohms: 2.0, ..State::SOUND })[..] else { panic!("one alarm") };
+    assert_eq!(raised.cause, Cause::Supply);
+    let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "new cable".to_owned() };
+    let ended = drive.monitor.command(&rebaseline, raised.event_at, &Settings::default()).unwrap();
+    assert_eq!(summary(&ended), [(Cause::Supply, Severity::Warning, AlarmState::Normal)]);
+    assert!(ended[0].text.contains("new baseline"), "{}", ended[0].text);
+
+    let mut machine = machine();
+    feed(&mut machine, 5, |o| o.features.duration_s = Some(8.0));
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let ended = machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
+    assert_eq!(summary(&ended), [(Cause::SlowThrow, Severity::Critical, AlarmState::Normal)]);
+}
+
+/// An order that was given while the clock was years ahead ends within the longest allowed time.
+#[test]
+fn a_maintenance_of_a_clock_that_was_ahead_ends() {
+    let settings = Settings::default();
+    let mut machine = machine();
+    let now = machine.throw(Vector3::zeros()).started_at;
+    let ahead = now + SignedDuration::from_hours(24 * 365 * 5);
+    let until = ahead + SignedDuration::from_hours(8);
+    let start = Command::MaintenanceStart { until, by: "mia".to_owned(), why: "look".to_owned() };
+    machine.monitor.command(&start, ahead, &settings).unwrap();
+    machine.monitor.tick(now, &settings);
+    assert_eq!(machine.monitor.state(), MachineState::Maintenance);
+    machine.monitor.tick(now + SignedDuration::from_hours(24 * 32), &settings);
+    assert_eq!(machine.monitor.state(), MachineState::Healthy);
 }
