@@ -6,7 +6,7 @@ use std::{
     process::Command,
 };
 
-/// A file system of 12 MB in memory.
+/// A file system in memory, of 12 MiB if no other size is given.
 pub(crate) struct SmallDisk {
     folder: PathBuf,
     _place: tempfile::TempDir,
@@ -15,10 +15,16 @@ pub(crate) struct SmallDisk {
 impl SmallDisk {
     /// `None`, with a message, if mounting is not allowed.
     pub(crate) fn mount() -> Option<Self> {
+        Self::of_mib(12)
+    }
+
+    /// [`Self::mount`] with another size \[MiB\].
+    pub(crate) fn of_mib(mib: u32) -> Option<Self> {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("disk");
         fs::create_dir(&folder).unwrap();
-        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=12m", "tmpfs"]).arg(&folder).output();
+        let mount =
+            Command::new("mount").args(["-t", "tmpfs", "-o", &format!("size={mib}m"), "tmpfs"]).arg(&folder).output();
         match mount {
             Ok(output) if output.status.success() => Some(Self { folder, _place: place }),
             other => {

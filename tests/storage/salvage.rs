@@ -220,7 +220,7 @@ async fn without_its_schema_a_database_is_read_where_this_program_puts_its_table
 /// Without space for a copy of the broken file, an empty database would hide its baselines for ever.
 #[tokio::test]
 async fn without_space_a_database_without_its_schema_is_read_at_a_later_start() {
-    let Some(disk) = SmallDisk::mount() else { return };
+    let Some(disk) = SmallDisk::of_mib(16) else { return };
     let path = disk.folder().join("points.db");
     database(disk.folder()).await;
     let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
