@@ -388,7 +388,12 @@ impl JudgeLoop {
         let published = self.daemon_alarms.iter().filter(|alarm| alarm.published).map(|alarm| &alarm.outcome);
         let uncommitted = published
             .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
-        self.links.status.set_uncommitted(uncommitted.collect());
+        let uncommitted: Vec<Alarm> = uncommitted.collect();
+        let has_uncommitted = !uncommitted.is_empty();
+        self.links.status.set_uncommitted(uncommitted);
+        if has_uncommitted {
+            self.links.webhook.notify_one();
+        }
         Ok(())
     }
 
