@@ -415,6 +415,11 @@ impl JudgeLoop {
 
     async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
         let PendingCommand { machine, command, reply } = pending;
+        // While the database accepts no writes, commands may wait for hours. The operator may have given them up.
+        if reply.is_closed() {
+            tracing::warn!(%machine, ?command, "operator's command dropped: its reply was a time-out");
+            return Ok(());
+        }
         let (config, now) = (self.judge.config(), clock::now());
         let (done, text) = match self.budget.take(clock::monotonic()) {
             Err(wait) => (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
