@@ -109,8 +109,9 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
     let file = folder.join(&name);
     let write = || -> io::Result<()> {
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
-        let mut file = fs::File::create(&file)?;
-        file.write_all(measured.trace.to_csv().as_bytes())?;
+        let mut file = io::BufWriter::new(fs::File::create(&file)?);
+        measured.trace.csv_lines().try_for_each(|line| file.write_all(line.as_bytes()))?;
+        let file = file.into_inner()?;
         // `pointsd import` may take the time of the throw from the file. An error is ignored, as not every file system
         // keeps times.
         let _ = file.set_modified(stored.started_at.into());

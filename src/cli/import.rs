@@ -8,7 +8,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
+use indicatif::ProgressBar;
 use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 use serde_json::json;
@@ -19,7 +20,7 @@ use super::{
     runtime,
 };
 use crate::{
-    daemon::{Judged, Offline, clock},
+    daemon::{Judged, Offline, clock, config::Monitor},
     store::Spooled,
     throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
@@ -29,18 +30,19 @@ use crate::{
 /// site, of all traces, and the parent of that.
 const EXPORT_FOLDERS: usize = 4;
 
-/// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
-/// daemon of this database must not run.
+/// Imports recorded throws: stores, identifies and diagnoses them in the order of the command line. The daemon of this
+/// database must not run. Without --machine each throw must name its machine, by the fields `site` and `machine` of its
+/// JSON, or by its line in the `throws.csv` of `pointsd export`.
 ///
 /// FILE is CSV with the columns of a recorded trace, one throw in a file. Or FILE is JSON as on zenoh, one throw in a
 /// file or one on each line: a file with the extension json, jsonl or ndjson, or - for standard input. A throw that the
 /// database has already is skipped. Imported throws are judged as the newest throws of the machine; a warning is
 /// printed if they are older than those in the database. A trace of `pointsd export --traces` gets time, direction,
 /// boot, number, temperature, supply and filter from its line in `throws.csv`, in the folder of the traces or in its
-/// parent. Without this line the throw has the time of the file. A throw is refused if its line, or the fields `site`
-/// and `machine` of its JSON, name another machine.
+/// parent. Without this line the throw has the time of the file. With --machine a throw is refused if it names another
+/// machine.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid, or of another
+/// Exit codes: 0 imported; 64 the name of the machine is reserved, or a throw names none and --machine is missing; 65 the content of a file is invalid, or of another
 /// machine; 66 a file cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
 /// is imported if a file is missing; files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
@@ -49,9 +51,9 @@ pub(super) struct Arguments {
     /// Files with recorded throws.
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// The machine that made the throws.
+    /// The machine that made the throws [default: the machine that each throw names].
     #[arg(long, value_name = "SITE/MACHINE", value_parser = argument::machine)]
-    machine: MachineId,
+    machine: Option<MachineId>,
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -72,23 +74,31 @@ struct Count {
     alarms: u64,
 }
 
+/// Throws with their machines.
+type Recorded = Vec<(MachineId, Throw)>;
+
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = load(arguments.config.as_deref())?;
-    if let Some(problem) = config.monitor.reserves(&arguments.machine) {
-        return Err(Failure::new(Exit::Usage, anyhow::anyhow!("--machine {}: {problem}", arguments.machine)));
+    if let Some(machine) = &arguments.machine
+        && let Some(problem) = config.monitor.reserves(machine)
+    {
+        return Err(Failure::new(Exit::Usage, anyhow!("--machine {machine}: {problem}")));
     }
-    let mut exports = Exports::default();
+    let mut recordings = Recordings { arguments, monitor: config.monitor.clone(), exports: Exports::default() };
     // Checked before the database is opened: if a file is missing or the first one is invalid, no database is created.
     let missing = |file: &&PathBuf| file.as_path() != Path::new("-") && fs::metadata(file).is_err();
     if let Some(file) = arguments.files.iter().find(missing) {
-        read(arguments, 0, file, &mut exports)?;
+        recordings.read(0, file)?;
     }
-    let first = read(arguments, 0, &arguments.files[0], &mut exports)?;
+    let first = recordings.read(0, &arguments.files[0])?;
     runtime::block_on(async {
         let config_file = arguments.config.as_deref();
         let mut pipeline = Offline::open(config).await.map_err(|error| located(error, config_file))?;
         let mut count = Count::default();
-        let outcome = import(arguments, first, &mut exports, &mut pipeline, &mut count).await;
+        let template = "{wide_bar} {human_pos} of {human_len} files, {msg}";
+        let bar = output::progress(arguments.files.len() as u64, template);
+        let outcome = import(first, &mut recordings, &mut pipeline, &mut count, &bar).await;
+        bar.finish_and_clear();
         let rest = pipeline.judge().await.or_exit(Exit::Io)?;
         let printed = report(arguments, &rest, &mut count);
         pipeline.close().await.or_exit(Exit::Io)?;
@@ -107,41 +117,49 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 /// Imports the files. `first` has the throws of the first file, which is read already.
 async fn import(
-    arguments: &Arguments,
-    first: Vec<Throw>,
-    exports: &mut Exports,
+    first: Recorded,
+    recordings: &mut Recordings<'_>,
     pipeline: &mut Offline,
     count: &mut Count,
+    bar: &ProgressBar,
 ) -> Outcome {
+    let arguments = recordings.arguments;
     let mut first = Some(first);
-    let mut last = pipeline.last_start(&arguments.machine).await.or_exit(Exit::Io)?;
+    // The start of the last throw of each machine.
+    let mut last = HashMap::<MachineId, Option<Timestamp>>::new();
     let mut is_warned = false;
     for (number, file) in arguments.files.iter().enumerate() {
-        let throws = first.take().map_or_else(|| read(arguments, number, file, exports), Ok)?;
-        for throw in throws {
+        let throws = first.take().map_or_else(|| recordings.read(number, file), Ok)?;
+        for (machine, throw) in throws {
+            bar.set_message(counted(count.new, "throw"));
             // A copied CSV file may have another time, and the store would take it for another throw with the same
             // number.
-            if !is_json(file) && pipeline.has(&arguments.machine, &throw.id).await.or_exit(Exit::Io)? {
+            if !is_json(file) && pipeline.has(&machine, &throw.id).await.or_exit(Exit::Io)? {
                 count.known += 1;
                 continue;
             }
-            let (spooled, judged) = pipeline.take(&arguments.machine, &throw, clock::now()).await.or_exit(Exit::Io)?;
+            if !last.contains_key(&machine) {
+                let start = pipeline.last_start(&machine).await.or_exit(Exit::Io)?;
+                last.insert(machine.clone(), start);
+            }
+            let (spooled, judged) = pipeline.take(&machine, &throw, clock::now()).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => {
                     count.new += 1;
-                    match last {
+                    match last.get(&machine).copied().flatten() {
                         Some(before) if throw.started_at < before => {
                             if !std::mem::replace(&mut is_warned, true) {
-                                warn_about_order(&arguments.machine, throw.started_at, before, file);
+                                bar.suspend(|| warn_about_order(&machine, throw.started_at, before, file));
                             }
                         }
-                        _ => last = Some(throw.started_at),
+                        _ => drop(last.insert(machine, Some(throw.started_at))),
                     }
                 }
                 Spooled::Duplicate => count.known += 1,
             }
-            report(arguments, &judged, count)?;
+            bar.suspend(|| report(arguments, &judged, count))?;
         }
+        bar.inc(1);
     }
     Ok(Exit::Ok)
 }
@@ -158,69 +176,96 @@ fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp,
     );
 }
 
-fn read(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Vec<Throw>, Failure> {
-    if is_json(file) {
-        read_json(&arguments.machine, file)
-    } else {
-        read_csv(arguments, number, file, exports).map(|throw| vec![throw])
-    }
-}
-
 fn is_json(file: &Path) -> bool {
     let is_name = |extension: &OsStr| ["json", "jsonl", "ndjson"].iter().any(|name| extension == *name);
     file == Path::new("-") || file.extension().is_some_and(is_name)
 }
 
-fn read_json(machine: &MachineId, file: &Path) -> Result<Vec<Throw>, Failure> {
-    let name = || file.display().to_string();
-    let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
-    let bytes = wire::without_byte_order_mark(&bytes);
-    if bytes.trim_ascii_start().starts_with(b"[") {
-        let problem = "a JSON array: write each throw as an object on a line of its own, without brackets around them";
-        return Err(anyhow::anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
-    }
-    match wire::decode_throw(Encoding::Json, bytes) {
-        Ok(throw) => {
-            check_machine(machine, bytes).with_context(name).or_exit(Exit::Data)?;
-            return Ok(vec![throw]);
-        }
-        // Any other file may have a throw on each line, and an error must name the line.
-        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
-            return Err(error).with_context(name).or_exit(Exit::Data);
-        }
-        Err(_) => {}
-    }
-    let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
-    lines
-        .map(|(at, line)| {
-            let throw = wire::decode_throw(Encoding::Json, line).map_err(anyhow::Error::new);
-            let throw = throw.and_then(|throw| check_machine(machine, line).map(|()| throw));
-            throw.with_context(|| format!("{}, line {}", name(), at + 1)).or_exit(Exit::Data)
-        })
-        .collect()
+/// The site and the machine in a JSON message, if it has both. The message has no fields for them, but a program that
+/// records throws of several machines may add them.
+#[derive(Deserialize)]
+struct Names {
+    site: String,
+    machine: String,
 }
 
-/// Refuses a throw with the name of another machine. The message has no field for it, but a program that records
-/// throws of several machines may add one.
-fn check_machine(machine: &MachineId, json: &[u8]) -> anyhow::Result<()> {
-    #[derive(Deserialize)]
-    struct Names {
-        site: String,
-        machine: String,
-    }
-    match serde_json::from_slice(json) {
-        Ok(Names { site, machine: name }) => refuse_other(machine, &site, &name),
-        // Without both fields, or with other values in them, the message does not name a machine.
-        Err(_) => Ok(()),
+impl Names {
+    /// `None` without both fields, or with other values in them than texts.
+    fn of(json: &[u8]) -> Option<Self> {
+        serde_json::from_slice(json).ok()
     }
 }
 
-/// Refuses the names of another machine than that of `--machine`.
-fn refuse_other(machine: &MachineId, site: &str, name: &str) -> anyhow::Result<()> {
-    if site != machine.site.as_str() || name != machine.machine.as_str() {
-        bail!("a throw of {site}/{name}, and --machine is {machine}: import each machine alone");
+/// Reads the files.
+struct Recordings<'a> {
+    arguments: &'a Arguments,
+    monitor: Monitor,
+    exports: Exports,
+}
+
+impl Recordings<'_> {
+    fn read(&mut self, number: usize, file: &Path) -> Result<Recorded, Failure> {
+        if is_json(file) {
+            return self.read_json(file);
+        }
+        let (names, throw) = read_csv(self.arguments, number, file, &mut self.exports)?;
+        Ok(vec![(self.machine(names, || file.display().to_string())?, throw)])
     }
-    Ok(())
+
+    /// The machine of a throw that names itself so, or `--machine`. `place`: of the throw, for an error.
+    fn machine(&self, names: Option<Names>, place: impl Fn() -> String) -> Result<MachineId, Failure> {
+        let invalid = |problem: anyhow::Error| Failure::new(Exit::Data, problem.context(place()));
+        match (&self.arguments.machine, names) {
+            (None, None) => {
+                let problem = "this throw does not name its machine: give --machine SITE/MACHINE";
+                Err(Failure::new(Exit::Usage, anyhow!(problem).context(place())))
+            }
+            (Some(machine), None) => Ok(machine.clone()),
+            (Some(machine), Some(Names { site, machine: name })) => {
+                if site != machine.site.as_str() || name != machine.machine.as_str() {
+                    return Err(invalid(anyhow!(
+                        "a throw of {site}/{name}, and --machine is {machine}: import each machine alone, or without \
+                         --machine"
+                    )));
+                }
+                Ok(machine.clone())
+            }
+            (None, Some(Names { site, machine })) => {
+                let machine = MachineId::new(&site, &machine).map_err(|problem| invalid(problem.into()))?;
+                match self.monitor.reserves(&machine) {
+                    Some(problem) => Err(invalid(anyhow!("a throw of {machine}: {problem}"))),
+                    None => Ok(machine),
+                }
+            }
+        }
+    }
+
+    fn read_json(&self, file: &Path) -> Result<Recorded, Failure> {
+        let name = || file.display().to_string();
+        let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+        let bytes = wire::without_byte_order_mark(&bytes);
+        if bytes.trim_ascii_start().starts_with(b"[") {
+            let problem =
+                "a JSON array: write each throw as an object on a line of its own, without brackets around them";
+            return Err(anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
+        }
+        match wire::decode_throw(Encoding::Json, bytes) {
+            Ok(throw) => return Ok(vec![(self.machine(Names::of(bytes), name)?, throw)]),
+            // Any other file may have a throw on each line, and an error must name the line.
+            Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
+                return Err(error).with_context(name).or_exit(Exit::Data);
+            }
+            Err(_) => {}
+        }
+        let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
+        lines
+            .map(|(at, line)| {
+                let place = || format!("{}, line {}", name(), at + 1);
+                let throw = wire::decode_throw(Encoding::Json, line).with_context(place).or_exit(Exit::Data)?;
+                Ok((self.machine(Names::of(line), place)?, throw))
+            })
+            .collect()
+    }
 }
 
 /// Whether the bytes are a single JSON object, over one or more lines.
@@ -254,9 +299,8 @@ struct Exports {
 }
 
 impl Exports {
-    /// The line of a trace in its `throws.csv`; `None` without such a file or line. A line of another machine is an
-    /// error.
-    fn line(&mut self, machine: &MachineId, trace: &Path) -> anyhow::Result<Option<&Exported>> {
+    /// The line of a trace in its `throws.csv`; `None` without such a file or line.
+    fn line(&mut self, trace: &Path) -> anyhow::Result<Option<&Exported>> {
         let Ok(full) = fs::canonicalize(trace) else { return Ok(None) };
         let folders = full.ancestors().skip(1).take(EXPORT_FOLDERS);
         let Some(list) = folders.map(|folder| folder.join("throws.csv")).find(|list| list.is_file()) else {
@@ -268,9 +312,7 @@ impl Exports {
             })?;
             self.lists.insert(list.clone(), lines);
         }
-        let Some(line) = full.file_name().and_then(|name| self.lists[&list].get(name)) else { return Ok(None) };
-        refuse_other(machine, &line.site, &line.machine).with_context(|| trace.display().to_string())?;
-        Ok(Some(line))
+        Ok(full.file_name().and_then(|name| self.lists[&list].get(name)))
     }
 }
 
@@ -298,16 +340,22 @@ fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
     Ok(lines)
 }
 
-fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Throw, Failure> {
+/// The throw in a CSV file, with the names in its line of `throws.csv`.
+fn read_csv(
+    arguments: &Arguments,
+    number: usize,
+    file: &Path,
+    exports: &mut Exports,
+) -> Result<(Option<Names>, Throw), Failure> {
     let unreadable = || format!("cannot read {}", file.display());
     // Read once: the content of a pipe is gone then.
     let content = recording::bytes(file).with_context(unreadable).or_exit(Exit::NoInput)?;
     let recording =
         recording::from_content(&content).with_context(|| file.display().to_string()).or_exit(Exit::Data)?;
-    let line =
-        if arguments.started_at.is_none() { exports.line(&arguments.machine, file).or_exit(Exit::Data)? } else { None };
+    let line = if arguments.started_at.is_none() { exports.line(file).or_exit(Exit::Data)? } else { None };
     if let Some(line) = line {
-        return Ok(Throw {
+        let names = Names { site: line.site.clone(), machine: line.machine.clone() };
+        let throw = Throw {
             id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
             started_at: line.started_at,
             direction: line.direction.parse().ok(),
@@ -315,7 +363,8 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
             temperature_c: line.temperature_c,
             supply_v: line.supply_v,
             anti_alias_hz: line.anti_alias_hz,
-        });
+        };
+        return Ok((Some(names), throw));
     }
     let started_at = if let Some(first) = arguments.started_at {
         let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
@@ -324,12 +373,13 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
         let modified = fs::metadata(file).and_then(|file| file.modified()).with_context(unreadable);
         Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
     };
-    Ok(Throw {
+    let throw = Throw {
         // Boot and number depend only on the content, so that a repeated import of the file is a duplicate.
         id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
         started_at,
         ..Throw::recorded(recording.trace)
-    })
+    };
+    Ok((None, throw))
 }
 
 /// Prints a line. A closed pipe does not end the import.
@@ -345,8 +395,10 @@ fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result
             let Health { machine, throw: id, quality, direction, .. } = &throw.health;
             let events: Vec<_> =
                 throw.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
-            print(json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
-                       "alarms": events}))?;
+            print(
+                json!({"site": machine.site, "machine": machine.machine, "boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
+                       "alarms": events}),
+            )?;
         } else {
             for event in &throw.events {
                 print(&event.text)?;

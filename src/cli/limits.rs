@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use comfy_table::{Table, presets};
 
 use super::{Exit, Outcome, ResultExt, output};
-use crate::evaluate::limits::{Finding, NAMES, Row, run};
+use crate::evaluate::limits::{FINDINGS, Finding, NAMES, Row, run};
 use crate::report::{Panel, Sheet};
 
 /// Least error drawn in the charts \[%\], as their axis is logarithmic.
@@ -35,7 +35,9 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let findings = run(arguments.throws.into(), arguments.seed).or_exit(Exit::Software)?;
+    let bar = output::progress(FINDINGS as u64, "{wide_bar} {human_pos} of {human_len} findings, {eta} left");
+    let findings = run(arguments.throws.into(), arguments.seed, || bar.inc(1)).or_exit(Exit::Software)?;
+    bar.finish_and_clear();
     if let Some(folder) = &arguments.out {
         output::figures(folder, findings.iter().map(|finding| (format!("limits_{}", finding.name), picture(finding))))?;
     }

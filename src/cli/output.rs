@@ -123,10 +123,12 @@ pub(super) fn numbers(mut table: Table, first: usize) -> Table {
     table
 }
 
-/// A progress bar with this template, hidden if standard error is not a terminal.
+/// A progress bar with this template, drawn at once; hidden if standard error is not a terminal.
 pub(super) fn progress(length: u64, template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(length).with_style(style)
+    let bar = ProgressBar::new(length).with_style(style);
+    bar.tick();
+    bar
 }
 
 /// Width of the terminal \[columns\]; without a terminal the variable `COLUMNS`, or else 80.

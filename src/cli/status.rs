@@ -40,7 +40,8 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
 /// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, dropped or lost messages), a machine
-/// has an alarm, is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is
+/// or all machines of a site have an alarm, a machine is not monitored, in maintenance or served by several daemons, or an
+/// alarm is shelved; 64 an option is
 /// wrong; 69 no daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
@@ -111,6 +112,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
     let silent = operator::silent(&present, &daemons);
     let are_well = daemon_problems + health_problems + alarm_problems + silent.len() + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
+        && !alarms.iter().any(|alarm| alarm.state.is_active())
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
     let mut windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::{Exit, Outcome, ResultExt, output};
 use crate::estimate::{Settings, modelled_position_mm};
 use crate::evaluate::limits::NAMES;
-use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
+use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, TESTS, Test, run};
 use crate::report::{Panel, Sheet};
 use crate::simulate::RailModel;
 use crate::throw::counted;
@@ -45,7 +45,9 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
     let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed };
-    let results = run(&study).or_exit(Exit::Software)?;
+    let bar = output::progress(TESTS as u64, "{wide_bar} {human_pos} of {human_len} tests, {eta} left");
+    let results = run(&study, &|| bar.inc(1)).or_exit(Exit::Software)?;
+    bar.finish_and_clear();
     if let Some(folder) = &arguments.out {
         output::figures(folder, figures(&results))?;
     }

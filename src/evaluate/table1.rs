@@ -182,16 +182,19 @@ impl Default for Study {
     }
 }
 
-/// Runs all four cases.
+/// Number of tests in all cases: the nominal machine and five values of the parameter in each.
+pub const TESTS: usize = 6 * CASES.len();
+
+/// Runs all four cases. `is_done` is called after each test, for a progress bar.
 ///
 /// # Errors
 /// When a throw cannot be simulated or identified.
-pub fn run(study: &Study) -> Result<Vec<CaseResult>, Failure> {
+pub fn run(study: &Study, is_done: &dyn Fn()) -> Result<Vec<CaseResult>, Failure> {
     let mut nominal = Parameters::default();
     nominal.rails.model = study.rails;
     let mut rng = ChaCha12Rng::seed_from_u64(study.seed);
     let mut identifier = Identifier::default();
-    CASES.iter().map(|case| run_case(case, &nominal, study, &mut rng, &mut identifier)).collect()
+    CASES.iter().map(|case| run_case(case, &nominal, study, &mut rng, &mut identifier, is_done)).collect()
 }
 
 fn run_case(
@@ -200,6 +203,7 @@ fn run_case(
     study: &Study,
     rng: &mut ChaCha12Rng,
     identifier: &mut Identifier,
+    is_done: &dyn Fn(),
 ) -> Result<CaseResult, Failure> {
     let truth = |machine: &Parameters| machine.coefficients().map(|is| is.values());
     let (reference, sensors) = (truth(nominal)?, Sensors::default());
@@ -236,6 +240,7 @@ fn run_case(
             expected: at.checked_sub(1).map(case.expected),
             trace: traces.swap_remove(0),
         });
+        is_done();
     }
     let means: Vec<[f64; 3]> = tests.iter().map(|test| test.coefficients).collect();
     let count = study.throws.max(1);

@@ -1,6 +1,6 @@
 //! The trace of a throw: its two sampled channels.
 
-use std::{fmt::Write as _, sync::Arc};
+use std::{iter, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 
@@ -99,21 +99,36 @@ impl Trace {
         self.current_a.len()
     }
 
-    /// The samples as CSV `time_s,current_a,position_mm`. A position that was not measured is an empty cell.
-    pub fn to_csv(&self) -> String {
-        let mut text = "time_s,current_a,position_mm\n".to_owned();
-        for (at, (current_a, position_mm)) in self.current_a.iter().zip(self.position_mm.iter()).enumerate() {
-            let time_s = at as f64 / self.sample_rate_hz;
-            let _ = write!(text, "{time_s:.7},{current_a},");
-            let _ = if position_mm.is_nan() { writeln!(text) } else { writeln!(text, "{position_mm}") };
-        }
-        text
+    /// The lines of the samples as CSV `time_s,current_a,position_mm`, each with its line feed. A position that was not
+    /// measured is an empty cell. One line at a time, as all lines can have 60 MB; a value as 1e300 is written short.
+    pub fn csv_lines(&self) -> impl Iterator<Item = String> {
+        let samples = self.current_a.iter().zip(self.position_mm.iter()).enumerate();
+        let lines = samples.map(|(at, (current_a, position_mm))| {
+            let (time_s, current_a) = (at as f64 / self.sample_rate_hz, brief(*current_a));
+            let position_mm = if position_mm.is_nan() { String::new() } else { brief(*position_mm) };
+            format!("{time_s:.7},{current_a},{position_mm}\n")
+        });
+        iter::once("time_s,current_a,position_mm\n".to_owned()).chain(lines)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_of_the_csv_is_short_and_exact_for_any_value() {
+        let values = [f64::MAX, f64::MIN, f64::MIN_POSITIVE, 5e-324, -123_456_789.123_456_7, 0.1 + 0.2, 3.0];
+        let trace = Trace::new(1e3, values.into(), values.into()).unwrap();
+        let lines: Vec<String> = trace.csv_lines().skip(1).collect();
+        let read = |line: &String| line.trim().split(',').skip(1).map(|cell| cell.parse::<f64>().unwrap()).collect();
+        let read: Vec<Vec<f64>> = lines.iter().map(read).collect();
+        assert_eq!(read, values.map(|value| vec![value; 2]));
+        assert!(lines.iter().all(|line| line.len() <= 64), "{lines:?}");
+        assert_eq!(lines[6], "0.0060000,3,3\n");
+        let missing = Trace::new(1e3, vec![f64::NAN], vec![f64::NAN]).unwrap();
+        assert_eq!(missing.csv_lines().nth(1).unwrap(), "0.0000000,NaN,\n");
+    }
 
     #[test]
     fn a_trace_is_bounded_and_its_channels_are_equally_long() {

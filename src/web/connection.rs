@@ -1,7 +1,13 @@
 //! HTTP connections with limits on their number, their requests (one each), their bytes and their time. At the largest
-//! number, the connection that has waited longest for its request is closed, so that slow clients do not block others.
+//! number, the connection that has waited longest for its client is closed, so that slow clients do not block others: for
+//! the request, or for the client to read the response.
 
-use std::{collections::VecDeque, pin::pin, sync::Arc, time::Duration};
+use std::{
+    collections::VecDeque,
+    pin::pin,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 use axum::{Router, extract::DefaultBodyLimit};
 use hyper::{
@@ -11,6 +17,7 @@ use hyper::{
     service::{Service as _, service_fn},
 };
 use hyper_util::{rt::TokioIo, service::TowerToHyperService};
+use parking_lot::Mutex;
 use tokio::{
     net::{TcpListener, TcpStream},
     sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch},
@@ -24,7 +31,7 @@ const CONNECTIONS: usize = 64;
 const READ_BYTES: usize = 16 << 10;
 /// Time limit from the start of a connection to its complete request.
 const REQUEST_LIMIT: Duration = Duration::from_secs(5);
-/// The same limit while other connections wait: a browser sends its request at once.
+/// Time limit for the request, and for the response, while other connections wait: a browser sends and reads at once.
 const GRACE: Duration = Duration::from_millis(250);
 /// Time limit from a complete request to its response: longer than the 20 s that an operator's command may take.
 const HANDLER_LIMIT: Duration = Duration::from_secs(25);
@@ -33,19 +40,77 @@ const RESPONSE_LIMIT: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example without free descriptors.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Sets the time limit for the next step of a connection. It is an extension of each request, for its handler.
+/// A step of a connection after its start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Handler,
+    Response,
+}
+
+/// Sets the next step of a connection. It is an extension of each request, for its handler.
 #[derive(Debug, Clone)]
-pub(super) struct Progress(watch::Sender<Duration>);
+pub(super) struct Progress {
+    step: watch::Sender<Step>,
+    /// The permit for a large response.
+    large: Arc<OnceLock<OwnedSemaphorePermit>>,
+}
 
 impl Progress {
     /// The request is complete. Only the handler of a request can know this.
     pub(super) fn arrived(&self) {
-        self.0.send_replace(HANDLER_LIMIT);
+        self.step.send_replace(Step::Handler);
     }
 
     /// The response is complete.
     pub(super) fn answered(&self) {
-        self.0.send_replace(RESPONSE_LIMIT);
+        self.step.send_replace(Step::Response);
+    }
+
+    /// Keeps a permit until the connection ends, as its response is in memory until then.
+    pub(super) fn hold(&self, permit: OwnedSemaphorePermit) {
+        // A connection has one request.
+        let _ = self.large.set(permit);
+    }
+}
+
+/// A connection that waits for its client, since a time. Dropping the sender closes it.
+type Waiter = (Instant, oneshot::Sender<()>);
+
+/// Connections that wait for their clients, in the order of time.
+#[derive(Debug, Clone, Default)]
+struct Waiting(Arc<Mutex<VecDeque<Waiter>>>);
+
+impl Waiting {
+    /// Adds a connection. The receiver ends when the connection must close for another one.
+    fn add(&self) -> oneshot::Receiver<()> {
+        let (connection, evicted) = oneshot::channel();
+        self.0.lock().push_back((Instant::now(), connection));
+        evicted
+    }
+
+    /// Since when the oldest connection waits.
+    fn oldest(&self) -> Option<Instant> {
+        let mut waiting = self.0.lock();
+        waiting.retain(|(_, connection)| !connection.is_closed());
+        waiting.front().map(|(since, _)| *since)
+    }
+
+    /// Waits for a permit for a new connection. If there is none, connections that wait for longer than [`GRACE`] are
+    /// closed, the oldest first.
+    async fn permit(&self, permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
+        loop {
+            // Without such a connection look again later, as a handler may end.
+            let due = self.oldest().unwrap_or_else(Instant::now) + GRACE;
+            tokio::select! {
+                biased;
+                // The acquisition cannot fail, as the semaphore is never closed.
+                permit = Arc::clone(permits).acquire_owned() => return permit.ok(),
+                () = time::sleep_until(due) => {}
+            }
+            if self.oldest().is_some_and(|since| since.elapsed() >= GRACE) {
+                drop(self.0.lock().pop_front());
+            }
+        }
     }
 }
 
@@ -53,8 +118,7 @@ impl Progress {
 pub(super) async fn serve(listener: TcpListener, router: Router) {
     let router = router.layer(DefaultBodyLimit::max(READ_BYTES));
     let permits = Arc::new(Semaphore::new(CONNECTIONS));
-    // Connections without a complete request, the oldest first. Dropping the sender closes the connection.
-    let mut asking: VecDeque<(Instant, oneshot::Sender<()>)> = VecDeque::new();
+    let waiting = Waiting::default();
     loop {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
@@ -64,40 +128,15 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
                 continue;
             }
         };
-        let permit = permit(&permits, &mut asking).await;
-        let (connection, evicted) = oneshot::channel();
-        asking.push_back((Instant::now(), connection));
-        tokio::spawn(serve_connection(stream, router.clone(), evicted, permit));
-    }
-}
-
-/// Waits for a permit for a new connection. If there is none, connections without a complete request are closed after
-/// [`GRACE`], the oldest first.
-async fn permit(
-    permits: &Arc<Semaphore>,
-    asking: &mut VecDeque<(Instant, oneshot::Sender<()>)>,
-) -> Option<OwnedSemaphorePermit> {
-    loop {
-        asking.retain(|(_, connection)| !connection.is_closed());
-        let oldest = asking.front().map(|(since, _)| *since + GRACE);
-        tokio::select! {
-            biased;
-            // The acquisition cannot fail, as the semaphore is never closed.
-            permit = Arc::clone(permits).acquire_owned() => return permit.ok(),
-            () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => drop(asking.pop_front()),
-        }
+        let permit = waiting.permit(&permits).await;
+        tokio::spawn(serve_connection(stream, router.clone(), waiting.clone(), permit));
     }
 }
 
 /// Serves a connection until its end, a time limit, or its eviction.
-async fn serve_connection(
-    stream: TcpStream,
-    router: Router,
-    evicted: oneshot::Receiver<()>,
-    _permit: Option<OwnedSemaphorePermit>,
-) {
-    let (progress, mut limit) = watch::channel(REQUEST_LIMIT);
-    let progress = Progress(progress);
+async fn serve_connection(stream: TcpStream, router: Router, waiting: Waiting, _permit: Option<OwnedSemaphorePermit>) {
+    let (step, mut next_step) = watch::channel(Step::Handler);
+    let progress = Progress { step, large: Arc::default() };
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(progress.clone());
@@ -105,16 +144,20 @@ async fn serve_connection(
     });
     let connection = http1::Builder::new().max_buf_size(READ_BYTES).serve_connection(TokioIo::new(stream), service);
     let (mut connection, mut deadline) = (pin!(connection), pin!(time::sleep(REQUEST_LIMIT)));
-    let mut evicted = Some(evicted);
+    let mut evicted = Some(waiting.add());
     loop {
         tokio::select! {
             _ = &mut connection => return,
             () = &mut deadline => return,
             () = eviction(&mut evicted) => return,
-            // A connection with a complete request is not evicted any more.
-            Ok(()) = limit.changed() => {
-                evicted = None;
-                deadline.as_mut().reset(Instant::now() + *limit.borrow_and_update());
+            Ok(()) = next_step.changed() => {
+                // A connection is not evicted while its handler runs.
+                let (limit, next) = match *next_step.borrow_and_update() {
+                    Step::Handler => (HANDLER_LIMIT, None),
+                    Step::Response => (RESPONSE_LIMIT, Some(waiting.add())),
+                };
+                evicted = next;
+                deadline.as_mut().reset(Instant::now() + limit);
             }
         }
     }
@@ -125,5 +168,49 @@ async fn eviction(evicted: &mut Option<oneshot::Receiver<()>>) {
     match evicted {
         Some(evicted) => drop(evicted.await),
         None => std::future::pending().await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::{Extension, routing::get};
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+
+    use super::*;
+
+    /// More than the buffers of a connection hold.
+    static LARGE: [u8; 16 << 20] = [0; 16 << 20];
+
+    #[tokio::test]
+    async fn clients_that_do_not_read_their_responses_make_way() {
+        let answer = |body: &'static [u8]| {
+            get(async move |Extension(progress): Extension<Progress>| {
+                progress.arrived();
+                progress.answered();
+                body
+            })
+        };
+        let router = Router::new().route("/large", answer(&LARGE)).route("/small", answer(b"small"));
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let server = tokio::spawn(serve(listener, router));
+        let request = async |path: &str| {
+            let mut stream = TcpStream::connect(address).await.unwrap();
+            let request = format!("GET {path} HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n");
+            stream.write_all(request.as_bytes()).await.unwrap();
+            // The response has begun.
+            stream.read_u8().await.unwrap();
+            stream
+        };
+        let mut slow = Vec::new();
+        for _ in 0..CONNECTIONS {
+            slow.push(request("/large").await);
+        }
+        let begin = Instant::now();
+        let mut rest = String::new();
+        request("/small").await.read_to_string(&mut rest).await.unwrap();
+        assert!(rest.ends_with("small"), "{rest}");
+        assert!(begin.elapsed() < RESPONSE_LIMIT / 2, "{:?}", begin.elapsed());
+        server.abort();
     }
 }

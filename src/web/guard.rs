@@ -12,6 +12,7 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use flate2::{Compression, write::GzEncoder};
+use hyper::body::Body as _;
 use tokio::time;
 
 use super::{connection::Progress, overview::Web, page::Failure, trouble};
@@ -23,6 +24,8 @@ pub(super) const LIMIT: Duration = Duration::from_secs(4);
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
                       form-action 'self'; frame-ancestors 'none'";
 
+/// Largest body that needs no permit \[bytes\]. Only the trace of a long throw is larger.
+const SMALL: u64 = 1 << 20;
 /// Smallest body that is compressed \[bytes\]; a smaller one fits into one packet.
 const LEAST_COMPRESSED: usize = 1_024;
 /// Mark of a line that changes every second. Such a line does not count for the entity tag of its page.
@@ -66,6 +69,12 @@ pub(super) async fn guard(
             None => response,
         }
     };
+    if response.body().size_hint().lower() > SMALL {
+        match web.large_permit() {
+            Some(permit) => progress.hold(permit),
+            None => response = Failure::busy().page(trouble::of_daemon(&web.view)),
+        }
+    }
     let headers = response.headers_mut();
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, POLICY),

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
+use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
@@ -16,6 +16,8 @@ use crate::{
 /// Number of requests that may read the database at the same time. The other read connections are for queries over
 /// zenoh.
 const READING: usize = 1;
+/// Number of large responses that may be in memory at the same time: traces of up to 16 MB.
+const LARGE: usize = 4;
 /// Largest age of the overview on a page.
 const FRESH: Duration = Duration::from_secs(1);
 /// Largest number of fault alarms on the fleet page: two screens.
@@ -50,11 +52,12 @@ pub(super) struct Web {
     /// wait for that.
     cache: Mutex<Option<(Instant, Arc<Overview>)>>,
     reading: Semaphore,
+    large: Arc<Semaphore>,
 }
 
 impl Web {
     pub(super) fn new(view: View) -> Self {
-        Self { view, cache: Mutex::default(), reading: Semaphore::new(READING) }
+        Self { view, cache: Mutex::default(), reading: Semaphore::new(READING), large: Arc::new(Semaphore::new(LARGE)) }
     }
 
     pub(super) fn reader(&self) -> &Reader {
@@ -64,6 +67,11 @@ impl Web {
     /// Waits for the permit to read the database. The request holds it until its page is complete.
     pub(super) async fn read_permit(&self) -> Result<SemaphorePermit<'_>, StoreError> {
         self.reading.acquire().await.map_err(|_| StoreError::Closed)
+    }
+
+    /// A permit to keep a large response in memory; `None` if there are enough already.
+    pub(super) fn large_permit(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.large).try_acquire_owned().ok()
     }
 
     /// The overview, at most [`FRESH`] old. Takes a permit to read while it runs, so the caller must not hold one.

@@ -155,16 +155,28 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let trace = throw.trace.clone();
     // This takes too long for an async worker.
-    let text = tokio::task::spawn_blocking(move || trace.to_csv()).await.map_err(|_| Failure::busy())?;
-    if text.len() > LARGEST_CSV {
+    let written = tokio::task::spawn_blocking(move || bounded(trace.csv_lines(), LARGEST_CSV));
+    let text = written.await.map_err(|_| Failure::busy())?.ok_or_else(|| {
         let message = format!(
             "The trace of {} samples is too large for a page. Write it to a file with: pointsd export {machine} --traces DIR",
             throw.trace.len()
         );
-        return Err(Failure::new(StatusCode::PAYLOAD_TOO_LARGE, message));
-    }
+        Failure::new(StatusCode::PAYLOAD_TOO_LARGE, message)
+    })?;
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
     Ok(([(header::CONTENT_TYPE, kind)], text).into_response())
+}
+
+/// The lines as one text; `None` if they have more than `largest` bytes. The lines after this size are not made.
+fn bounded(lines: impl Iterator<Item = String>, largest: usize) -> Option<String> {
+    let mut text = String::new();
+    for line in lines {
+        text.push_str(&line);
+        if text.len() > largest {
+            return None;
+        }
+    }
+    Some(text)
 }
 
 /// The charts: current and position, both with the typical throw; current without the inrush; position and model; and
@@ -248,6 +260,18 @@ mod tests {
     #[test]
     fn a_constant_of_the_motor_has_three_digits() {
         assert_eq!([0.8961, 4.139, 170.2, 1520.0].map(three_digits), ["0.896", "4.14", "170", "1520"]);
+    }
+
+    #[test]
+    fn a_text_ends_at_its_largest_size() {
+        let mut made = 0;
+        let lines = std::iter::repeat_with(|| {
+            made += 1;
+            "four".to_owned()
+        });
+        assert_eq!(bounded(lines, 10), None);
+        assert_eq!(made, 3);
+        assert_eq!(bounded(["ab".to_owned(), "cd".to_owned()].into_iter(), 4).as_deref(), Some("abcd"));
     }
 
     #[test]

@@ -144,15 +144,39 @@ fn every_shipped_configuration_of_pointsd_is_valid() {
 }
 
 #[test]
-fn a_missing_key_file_is_a_wrong_configuration_and_is_named() {
+fn a_missing_or_damaged_key_file_is_a_wrong_configuration_and_is_named() {
     if !has("openssl") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("pointsd.toml");
     let whole = configured(folder.path(), "127.0.0.1:7447");
-    let key = railway().folder("cabinet.north").join("key.pem");
-    fs::write(&config, replaced(&whole, &key.display().to_string(), "/nowhere/key.pem")).unwrap();
-    let complaint = ends(78, pointsd(&["check", "--config"]).arg(&config));
-    assert!(complaint.contains("zenoh.transport.link.tls.") && complaint.contains("/nowhere/key.pem"), "{complaint}");
+    let good = railway().folder("cabinet.north");
+    let good = |file: &str| good.join(file).display().to_string();
+    // Checks the configuration with one of its files replaced.
+    let complaint = |file: &str, other: &str| {
+        fs::write(&config, replaced(&whole, &good(file), other)).unwrap();
+        ends(78, pointsd(&["check", "--config"]).arg(&config))
+    };
+    let missing = complaint("key.pem", "/nowhere/key.pem");
+    assert!(missing.contains("zenoh.transport.link.tls.") && missing.contains("/nowhere/key.pem"), "{missing}");
+    // Each without its last line, and each with other bytes in its first line of base64.
+    for (at, file) in ["ca.pem", "cert.pem", "key.pem"].into_iter().enumerate() {
+        let text = fs::read_to_string(good(file)).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        let mut other = lines.clone();
+        let wrong = "A".repeat(lines[1].len());
+        other[1] = &wrong;
+        for (kind, lines) in [("short", &lines[..lines.len() - 1]), ("other", &other)] {
+            let path = folder.path().join(format!("{kind}-{file}"));
+            fs::write(&path, lines.join("\n")).unwrap();
+            let said = complaint(file, &path.display().to_string());
+            let key = ["root_ca_certificate", "_certificate", "_private_key"][at];
+            assert!(said.contains(key) && said.contains(&path.display().to_string()), "{said}");
+        }
+    }
+    let swapped = complaint("cert.pem", &good("key.pem"));
+    assert!(swapped.contains("_certificate") && swapped.contains("has no certificate in PEM"), "{swapped}");
+    let swapped = complaint("key.pem", &good("cert.pem"));
+    assert!(swapped.contains("_private_key") && swapped.contains("has no private key in PEM"), "{swapped}");
 }

@@ -1,6 +1,6 @@
 //! The statements and the numbers on the page about the limits of the method, checked with the runs that made them.
 
-use pointsd::evaluate::limits::{Finding, Row, run};
+use pointsd::evaluate::limits::{FINDINGS, Finding, Row, run};
 
 fn largest(row: &Row) -> f64 {
     row.worst_pct().unwrap_or([f64::NAN; 3]).iter().fold(0.0, |most, error| error.abs().max(most))
@@ -12,7 +12,8 @@ fn find<'a>(findings: &'a [Finding], name: &str) -> &'a [Row] {
 
 #[test]
 fn the_page_about_the_limits_is_true() {
-    let findings = run(8, 3).unwrap();
+    let findings = run(8, 3, || {}).unwrap();
+    assert_eq!(findings.len(), FINDINGS);
     let row = |finding: &str, label: &str| {
         find(&findings, finding).iter().find(|row| row.label == label).unwrap_or_else(|| panic!("{finding}: {label}"))
     };

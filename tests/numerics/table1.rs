@@ -8,7 +8,7 @@ const RUNS: [(RailModel, u64); 4] =
     [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)];
 
 fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
-    run(&Study { rails, seed, ..Study::default() }).unwrap()
+    run(&Study { rails, seed, ..Study::default() }, &|| {}).unwrap()
 }
 
 #[test]

@@ -7,14 +7,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::{bus::QueryQueue, throw::ThrowRef};
+use pointsd::{
+    bus::QueryQueue,
+    throw::{Throw, ThrowRef, Trace},
+};
 use tokio::runtime::Handle;
 
 use crate::{
     cable::Cable,
     http::{KEY, get, small_history},
     questions::large,
-    rig::{PATIENCE, Rig, client_of, throws},
+    rig::{PATIENCE, Rig, client_of, stub, throws},
 };
 
 /// Resident memory of a process \[KiB\].
@@ -101,6 +104,35 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
     println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
     // 64 connections, each with a page and its buffers, and the throws.
     assert!(grown < 64 << 10, "{grown} KiB more");
+}
+
+/// Each client has a trace of 10 MB in the memory of the daemon until it has read it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn only_a_few_large_responses_are_in_memory_at_once() {
+    let (rig, daemon, address) = small_history().await;
+    let values = vec![0.123_456_7; 300_000];
+    let throw = Throw { trace: Trace::new(20_000.0, values.clone(), values).unwrap(), ..stub("large", 1) };
+    daemon.logger(KEY).await.send([&throw]).await;
+    rig.judged(4).await;
+    let begun = || {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        let path = "/machines/north/21B/throws/large/1/trace.csv";
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        let mut status = [0; 12];
+        stream.read_exact(&mut status).unwrap();
+        (String::from_utf8_lossy(&status).into_owned(), stream)
+    };
+    let mut clients: Vec<_> = (0..5).map(|_| begun()).collect();
+    let statuses: Vec<&str> = clients.iter().map(|(status, _)| &status[9..]).collect();
+    assert_eq!(statuses, ["200", "200", "200", "200", "503"]);
+    // A client that has read its trace makes way for the next.
+    let mut trace = String::new();
+    clients[0].1.read_to_string(&mut trace).unwrap();
+    assert!(trace.lines().count() > 300_000);
+    let begin = Instant::now();
+    while begun().0.ends_with("503") {
+        assert!(begin.elapsed() < PATIENCE);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -124,6 +124,49 @@ fn throws_out_of_order_are_warned_about_and_those_of_another_machine_refused() {
     imported(&rig, &[&file], &[]);
 }
 
+/// Runs `pointsd import` without `--machine`; returns its exit code and its error.
+fn import_named(rig: &Rig, files: &[&Path]) -> (Option<i32>, String) {
+    let output = pointsd(&["import", "--config"]).arg(rig.config()).args(files).output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[test]
+fn throws_that_name_their_machines_need_no_option() {
+    let rig = Rig::new();
+    let json: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let named = |at: usize, machine: &str| {
+        let names = format!("{{\"site\":\"north\",\"machine\":\"{machine}\",");
+        [names.as_bytes(), &json[at][1..]].concat()
+    };
+    let file = rig.folder().join("many.jsonl");
+    fs::write(&file, [&named(0, "21B")[..], &named(1, "21C"), &named(2, "21B")].join(&b'\n')).unwrap();
+    let (code, error) = import_named(&rig, &[&file]);
+    assert!(code == Some(0) && error.is_empty(), "{error}");
+    let machines = |rig: &Rig| rig.sql("SELECT machine, throw_no FROM health_history ORDER BY throw_no");
+    let imported = machines(&rig);
+    let names: Vec<_> = imported.iter().map(|row| row["machine"].as_str().unwrap()).collect();
+    assert_eq!(names, ["21B", "21C", "21B"]);
+
+    // The list of an export has the names of its traces.
+    let traces = rig.folder().join("traces");
+    let export = ends(0, pointsd(&["export", "--database"]).arg(rig.database()).arg("--traces").arg(&traces));
+    fs::write(rig.folder().join("throws.csv"), export).unwrap();
+    let folders = ["21B", "21C"].map(|machine| traces.join("north").join(machine));
+    let mut files: Vec<_> = folders.iter().flat_map(|folder| fs::read_dir(folder).unwrap()).collect();
+    let files: Vec<_> = files.drain(..).map(|file| file.unwrap().path()).collect();
+    let other = Rig::new();
+    let (code, error) = import_named(&other, &files.iter().map(AsRef::as_ref).collect::<Vec<&Path>>());
+    assert_eq!(code, Some(0), "{error}");
+    assert_eq!(machines(&other), imported);
+
+    fs::write(&file, &json[0]).unwrap();
+    let (code, error) = import_named(&rig, &[&file]);
+    assert!(code == Some(64) && error.contains("many.jsonl: this throw does not name its machine: give"), "{error}");
+    fs::write(&file, named(0, "all-machines")).unwrap();
+    let (code, error) = import_named(&rig, &[&file]);
+    assert!(code == Some(65) && error.contains("the common alarms of a site"), "{error}");
+}
+
 #[test]
 fn no_database_is_made_for_a_missing_or_invalid_file() {
     let rig = Rig::new();

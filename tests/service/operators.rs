@@ -287,21 +287,38 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     answering.abort();
 }
 
+/// An alarm event of a machine at site `east`.
+fn event(machine: &str, hour: u8, severity: &str) -> String {
+    let at = format!("2026-05-04T{hour}:00:00Z");
+    serde_json::json!({
+        "schema": "points.alarm/1", "alarm_id": at, "event_no": 1, "site": "east", "machine": machine, "cause": "kt",
+        "severity": severity, "state": "active_unacknowledged", "raised_at": at, "event_at": at, "change_pct": null,
+        "change_pct_sd": null, "direction": null, "runner_up": null, "correlation": null, "first_throw_no": null,
+        "last_throw_no": null, "text": "weak", "limit_in_throws": null,
+    })
+    .to_string()
+}
+
+/// The name `all-machines` has no state, so the problem is in the list of alarms only.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_common_alarm_of_a_site_is_a_problem_in_the_status() {
+    let (_rig, daemon) = Rig::running();
+    daemon.says(0, &["status"]);
+    let session = daemon.client().await;
+    let key = "points/v1/east/all-machines/alarm";
+    let alarm = event("all-machines", 10, "warning");
+    let on_query = move |query: zenoh::query::Query| query.reply(key, alarm.clone()).wait().unwrap();
+    session.declare_queryable(key).callback(on_query).background().await.unwrap();
+    let said = daemon.says(1, &["status"]);
+    assert!(said.contains("east/all-machines"), "{said}");
+}
+
 /// Two daemons with three events at 10, 11 and 12 h, of which the first is critical.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_they_are_cut() {
     let (_rig, daemon) = Rig::running();
     let session = daemon.client().await;
-    let event = |hour: u8, severity: &str| {
-        let at = format!("2026-05-04T{hour}:00:00Z");
-        serde_json::json!({
-            "schema": "points.alarm/1", "alarm_id": at, "event_no": 1, "site": "east", "machine": "m1", "cause": "kt",
-            "severity": severity, "state": "active_unacknowledged", "raised_at": at, "event_at": at, "change_pct": null,
-            "change_pct_sd": null, "direction": null, "runner_up": null, "correlation": null, "first_throw_no": null,
-            "last_throw_no": null, "text": "weak", "limit_in_throws": null,
-        })
-        .to_string()
-    };
+    let event = |hour: u8, severity: &str| event("m1", hour, severity);
     for (key, events) in [
         ("points/v1/east/m1/alarm", vec![event(10, "critical"), event(12, "warning")]),
         ("points/v1/east/m2/alarm", vec![event(11, "warning")]),

@@ -414,6 +414,29 @@ async fn a_command_from_a_page_waits_until_it_is_applied() {
     assert_eq!(rig.sql("SELECT * FROM operator_commands").len(), 1);
 }
 
+/// Another program locks the database for longer than a command may take. One of two commands may be half applied then;
+/// the other is dropped.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_that_timed_out_is_not_applied_later() {
+    let (rig, daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
+    let send = |why: &str| {
+        let form = format!("command=rebaseline&why={why}&by=A.+Meyer&token=correct+horse+battery");
+        let address = address.clone();
+        thread::spawn(move || post(&address, &format!("Origin: http://{address}\r\n"), &form))
+    };
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
+    for late in ["first", "second"].map(send) {
+        let answer = late.join().unwrap();
+        assert!(answer.body.contains("the daemon is busy: check whether"), "{answer:?}");
+    }
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    daemon.until_log("operator's command dropped");
+    assert_eq!(send("third").join().unwrap().status, 303);
+    let applied = rig.sql("SELECT why FROM operator_commands");
+    let applied: Vec<&str> = applied.iter().map(|row| row["why"].as_str().unwrap()).collect();
+    assert!(applied.contains(&"third") && applied.len() <= 2, "{applied:?}");
+}
+
 #[tokio::test]
 async fn the_demo_names_its_dashboard() {
     let folder = tempfile::tempdir().unwrap();

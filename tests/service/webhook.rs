@@ -161,6 +161,32 @@ fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
     assert_eq!(pending(&rig), 0);
 }
 
+/// Another program locks the database: as on a full disk, sent events cannot be removed, and the alarm that nothing can be
+/// stored cannot be stored itself.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn alarms_are_sent_once_while_the_database_accepts_no_writes() {
+    let address = free_address();
+    let rig = rig(&format!("http://{address}/"), "");
+    let daemon = rig.start();
+    weak_motor(&daemon);
+    rig.judged(50).await;
+    daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
+    let waiting = pending(&rig);
+    assert!(waiting > 1);
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
+    let server = Server::start(&address.to_string(), &[ACCEPTED]);
+    let numbers: Vec<i64> = (0..waiting).map(|_| server.next().body["event_no"].as_i64().unwrap()).collect();
+    assert!(numbers.is_sorted_by(|one, next| one < next), "{numbers:?}");
+    let own = server.next().body;
+    assert_eq!((&own["cause"], &own["machine"]), (&json!("data_loss"), &json!("pointsd")), "{own}");
+    assert_eq!(pending(&rig), waiting);
+
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    rig.until_sql("SELECT 1 FROM active_alarms WHERE cause = 'data_loss'").await;
+    rig.until_number("SELECT count(*) FROM notification", 0).await;
+    assert!(server.posts.try_recv().is_err(), "each event once");
+}
+
 /// Without an answer within 10 s the daemon sends again after a pause of 1 s, then of 2 s. An answer after 8 s counts.
 /// The loop of the webhook beats during all this, and without events: its heartbeat may be 30 s old.
 #[test]

@@ -3,6 +3,7 @@
 mod document;
 mod machines;
 mod operator;
+mod pem;
 mod token;
 mod webhook;
 mod zenoh;
@@ -406,6 +407,7 @@ fn checked_session(
         // Errors that zenoh would report only at the start of a session that listens.
         zenoh::check_endpoints(section, document)?;
         zenoh::check_access(section, document)?;
+        zenoh::check_certificates(section, document)?;
     }
     Ok(session)
 }

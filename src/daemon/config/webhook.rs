@@ -1,12 +1,12 @@
 //! The `[webhook]` section: alarm events to a server of the operator.
 
-use std::{fs, path::PathBuf};
+use std::path::PathBuf;
 
 use hyper::{Uri, header::HeaderValue, http::uri::Authority};
 use serde::{Deserialize, Serialize};
-use tokio_rustls::rustls::pki_types::{CertificateDer, pem::PemObject as _};
+use tokio_rustls::rustls::pki_types::CertificateDer;
 
-use super::{ConfigError, Document, Token};
+use super::{ConfigError, Document, Token, pem};
 use crate::{
     diagnose::{Cause, Severity},
     throw::{Range::Within, settings},
@@ -52,14 +52,7 @@ impl Webhook {
 
     /// The certificate authorities in `ca_file`.
     pub(crate) fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
-        let Some(file) = &self.ca_file else { return Ok(None) };
-        let pem = fs::read(file).map_err(|error| format!("{} cannot be read: {error}", file.display()))?;
-        let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem).collect();
-        match certificates {
-            Ok(certificates) if !certificates.is_empty() => Ok(Some(certificates)),
-            Ok(_) => Err(format!("{} has no certificate in PEM", file.display())),
-            Err(error) => Err(format!("{} is not PEM: {error}", file.display())),
-        }
+        self.ca_file.as_deref().map(pem::certificates).transpose()
     }
 
     /// Checks the section.

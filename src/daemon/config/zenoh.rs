@@ -4,7 +4,7 @@ use std::{collections::HashSet, path::Path};
 
 use toml::{Table, Value};
 
-use super::{ConfigError, Document};
+use super::{ConfigError, Document, pem};
 
 /// Keys of the TLS section whose values are files, which must exist.
 const FILE_KEYS: [&str; 5] =
@@ -87,6 +87,18 @@ fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> 
             let problem = format!("there is no file {path:?}");
             return Err(document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem));
         }
+    }
+    Ok(())
+}
+
+/// Reads the certificates and private keys. Zenoh would fail with a damaged one only at the start of the session.
+pub(super) fn check_certificates(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    let Some(tls) = tls(section) else { return Ok(()) };
+    for key in FILE_KEYS {
+        let Some(file) = tls.get(key).and_then(Value::as_str).map(Path::new) else { continue };
+        let is_key = key.ends_with("private_key");
+        let checked = if is_key { pem::check_private_key(file) } else { pem::certificates(file).map(drop) };
+        checked.map_err(|problem| document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem))?;
     }
     Ok(())
 }

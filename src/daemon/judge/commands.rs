@@ -34,7 +34,7 @@ impl CommandSender {
     /// Sends a command and waits until it is applied and committed.
     ///
     /// # Errors
-    /// A sentence, if the loop does not answer in time. The loop may still apply the command later.
+    /// A sentence, if the loop does not answer in time. The loop then drops the command, unless it is applying it.
     pub(crate) async fn apply(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
         let (reply, answer) = oneshot::channel();
         let answer = time::timeout(LIMIT, async {

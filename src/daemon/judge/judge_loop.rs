@@ -388,7 +388,12 @@ impl JudgeLoop {
         let published = self.daemon_alarms.iter().filter(|alarm| alarm.published).map(|alarm| &alarm.outcome);
         let uncommitted = published
             .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
-        self.links.status.set_uncommitted(uncommitted.collect());
+        let uncommitted: Vec<Alarm> = uncommitted.collect();
+        let has_uncommitted = !uncommitted.is_empty();
+        self.links.status.set_uncommitted(uncommitted);
+        if has_uncommitted {
+            self.links.webhook.notify_one();
+        }
         Ok(())
     }
 
@@ -410,6 +415,11 @@ impl JudgeLoop {
 
     async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
         let PendingCommand { machine, command, reply } = pending;
+        // While the database accepts no writes, commands may wait for hours. The operator may have given them up.
+        if reply.is_closed() {
+            tracing::warn!(%machine, ?command, "operator's command dropped: its reply was a time-out");
+            return Ok(());
+        }
         let (config, now) = (self.judge.config(), clock::now());
         let (done, text) = match self.budget.take(clock::monotonic()) {
             Err(wait) => (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),

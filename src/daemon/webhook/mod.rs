@@ -1,10 +1,12 @@
 //! Sends alarm events to the webhook, in order and at least once. An event stays in the database until the receiver has
-//! accepted it, or has refused it as a message that it cannot use. In a flood many events become one summary.
+//! accepted it, or has refused it as a message that it cannot use. Only the newest 10,000 events wait: a trigger drops
+//! older ones, and counts them for the alarm `data_loss`. In a flood many events become one summary.
 
 mod post;
 mod summary;
 
 use std::{
+    collections::VecDeque,
     pin::pin,
     sync::Arc,
     time::{Duration, Instant},
@@ -30,12 +32,18 @@ use summary::Summary;
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 /// Longest pause between two attempts: the longest delay of an alarm after the receiver works again.
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
-/// Time between two heartbeats during a wait.
+/// Time between two heartbeats during a wait, and between two attempts to read or to remove notifications.
 const BEAT: Duration = Duration::from_secs(5);
 /// Number of notifications read for the next message. Further ones are read only if the filters remove all of them.
 const BATCH: u32 = 64;
 /// Number of notifications read for a summary: all that the store keeps.
 const ALL: u32 = 10_000;
+/// Largest number of events sent before they were committed that are recognised when they are committed. There are at
+/// most three: a raise, an escalation and a clearance of the alarm about the daemon itself.
+const EARLY: usize = 8;
+
+/// An alarm event to send, with its row; `None` before it is committed.
+type Pending = (Option<i64>, Alarm);
 
 /// The sending loop.
 pub(super) struct Notifier {
@@ -50,6 +58,13 @@ pub(super) struct Notifier {
     period: Duration,
     /// Start of the present period, and number of messages sent in it.
     sent: (Instant, u32),
+    /// The last row that need not be sent any more. The database may still have it: on a full or failing disk it cannot be
+    /// removed.
+    last: i64,
+    /// Whether the last removal failed.
+    is_kept: bool,
+    /// The last events that were sent before they were committed.
+    early: VecDeque<Alarm>,
 }
 
 impl Notifier {
@@ -67,7 +82,10 @@ impl Notifier {
         store.set_webhook(server.is_some()).await?;
         let (settings, monitor) = (config.webhook.clone(), config.monitor.as_machine());
         let (period, sent) = (Duration::from_secs_f64(settings.period_s), (clock::monotonic(), 0));
-        Ok(server.map(|server| Self { store, settings, server, monitor, status, wake, period, sent }))
+        Ok(server.map(|server| {
+            let (last, is_kept, early) = (0, false, VecDeque::new());
+            Self { store, settings, server, monitor, status, wake, period, sent, last, is_kept, early }
+        }))
     }
 
     /// Runs until the future is dropped.
@@ -79,7 +97,11 @@ impl Notifier {
             let is_flood = self.sent.1 >= self.settings.max_messages;
             let mut pending = self.pending(BATCH).await;
             if pending.is_empty() {
-                self.wait(self.wake.notified()).await;
+                if self.is_kept {
+                    self.remove().await;
+                }
+                // With a time limit, to repeat a read or a removal that failed.
+                let _ = self.wait(time::timeout(BEAT, self.wake.notified())).await;
                 continue;
             }
             if is_flood {
@@ -89,44 +111,57 @@ impl Notifier {
                 pending.truncate(1);
             }
             self.sent.1 += 1;
-            self.deliver(&pending).await;
+            self.deliver(pending).await;
         }
     }
 
     /// Reads up to `limit` pending events, and returns those that pass the filters. If none passes, the events are
-    /// removed, and the next ones are read. Empty if no event is pending.
-    async fn pending(&self, limit: u32) -> Vec<(i64, Alarm)> {
+    /// removed, and the next ones are read. Without such events it returns those that cannot be committed yet. Empty if
+    /// no event is pending.
+    async fn pending(&mut self, limit: u32) -> Vec<Pending> {
         loop {
-            let rows = match self.store.reader().notifications(limit).await {
-                Ok(rows) => rows,
-                Err(error) => {
-                    seldom!(warn, %error, "reading the notifications failed; retrying");
-                    self.wait(time::sleep(FIRST_PAUSE)).await;
-                    continue;
-                }
-            };
-            let Some((last, _)) = rows.last() else { return Vec::new() };
+            // Rows that could not be removed come first.
+            let limit = if self.is_kept { ALL } else { limit };
+            let mut rows = self.store.reader().notifications(limit).await.unwrap_or_else(|error| {
+                seldom!(warn, %error, "reading the notifications failed; retrying");
+                Vec::new()
+            });
+            rows.retain(|(row, _)| *row > self.last);
+            let Some((last, _)) = rows.last() else { return self.uncommitted() };
             let last = *last;
             let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
-                Ok(alarm) => Some((row, alarm)),
+                Ok(alarm) => Some((Some(row), alarm)),
                 Err(error) => {
                     tracing::error!(row, %error, "an alarm event that another version stored cannot be read: it is LOST for the webhook");
                     None
                 }
             };
-            let wanted = rows.into_iter().filter_map(read).filter(|(_, alarm)| self.settings.wants(alarm));
+            let wanted = rows.into_iter().filter_map(read).filter(|(_, alarm)| self.is_wanted(alarm));
             let wanted: Vec<_> = wanted.collect();
             if !wanted.is_empty() {
                 return wanted;
             }
-            self.remove(last).await;
+            self.last = last;
+            self.remove().await;
         }
+    }
+
+    /// The alarms about the daemon itself that are published and that the database cannot store yet.
+    fn uncommitted(&self) -> Vec<Pending> {
+        let alarms = self.status.with_uncommitted(Vec::new()).into_iter();
+        alarms.filter(|alarm| self.is_wanted(alarm)).map(|alarm| (None, alarm)).collect()
+    }
+
+    /// Whether an event passes the filters, and was not sent before it was committed.
+    fn is_wanted(&self, alarm: &Alarm) -> bool {
+        let is_same = |early: &Alarm| (&early.alarm_id, early.event_no) == (&alarm.alarm_id, alarm.event_no);
+        self.settings.wants(alarm) && !self.early.iter().any(is_same)
     }
 
     /// Sends events in one message, a single event as it is and several as a summary, again and again until the receiver
     /// accepts or refuses it. Then removes their notifications.
-    async fn deliver(&self, pending: &[(i64, Alarm)]) {
-        let Some((last, alarm)) = pending.last() else { return };
+    async fn deliver(&mut self, pending: Vec<Pending>) {
+        let Some((_, alarm)) = pending.last() else { return };
         let (events, mut pause) = (pending.len() as u64, FIRST_PAUSE);
         let alarms = pending.iter().map(|(_, alarm)| alarm);
         let body =
@@ -149,25 +184,37 @@ impl Notifier {
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
         self.status.edit().webhook_fails = false;
-        self.remove(*last).await;
+        for (row, alarm) in pending {
+            match row {
+                Some(row) => self.last = row,
+                None => self.early.push_back(alarm),
+            }
+        }
+        let older = self.early.len().saturating_sub(EARLY);
+        self.early.drain(..older);
+        // While removals fail, no alarm waits for the next attempt.
+        if !self.is_kept {
+            self.remove().await;
+        }
     }
 
-    /// Removes the notifications up to a row.
-    async fn remove(&self, last: i64) {
-        while let Err(error) = self.store.notified(last).await {
+    /// Removes the notifications that need not be sent any more.
+    async fn remove(&mut self) {
+        let removed = self.wait(self.store.notified(self.last)).await;
+        self.is_kept = removed.is_err();
+        if let Err(error) = removed {
             seldom!(warn, %error, "removing sent notifications failed; they may be sent again");
-            self.wait(time::sleep(FIRST_PAUSE)).await;
         }
     }
 
     /// Waits until `end`, with heartbeats: a loop that waits on purpose does not hang.
-    async fn wait(&self, end: impl Future<Output = ()>) {
+    async fn wait<T>(&self, end: impl Future<Output = T>) -> T {
         let (mut end, mut pace) = (pin!(end), time::interval(BEAT));
         loop {
             tokio::select! {
                 biased;
                 _ = pace.tick() => self.beat(),
-                () = &mut end => return,
+                ended = &mut end => return ended,
             }
         }
     }

@@ -10,25 +10,31 @@ use crate::throw::OutOfRange;
 
 pub use finding::{Finding, NAMES, Row};
 
+/// Number of findings.
+pub const FINDINGS: usize = 13;
+
 /// Computes every finding, in the order of the tables above. `throws`: noisy throws of each row, in alternating
-/// directions; `seed`: that of all random numbers.
+/// directions; `seed`: that of all random numbers. `is_done` is called after each finding, for a progress bar.
 ///
 /// # Errors
 /// When a machine cannot be simulated.
-pub fn run(throws: usize, seed: u64) -> Result<Vec<Finding>, OutOfRange> {
+pub fn run(throws: usize, seed: u64, is_done: impl Fn()) -> Result<Vec<Finding>, OutOfRange> {
     let bench = &mut trial::Bench::new(seed);
-    let mut all = findings::sampling(bench)?;
-    all.extend([
-        findings::mains(bench)?,
-        findings::drive(bench)?,
-        load::torque(bench)?,
-        load::fourth_coefficient(bench, throws)?,
-        closed_loop::closed_loop(bench, throws)?,
-        findings::noise(bench, throws)?,
-        findings::offset(bench)?,
-        findings::neutral(bench)?,
-        findings::converters(bench, throws)?,
-        findings::temperature(bench)?,
-    ]);
+    let mut all = Vec::with_capacity(FINDINGS);
+    let mut add = |finding: Finding| {
+        all.push(finding);
+        is_done();
+    };
+    findings::sampling(bench)?.into_iter().for_each(&mut add);
+    add(findings::mains(bench)?);
+    add(findings::drive(bench)?);
+    add(load::torque(bench)?);
+    add(load::fourth_coefficient(bench, throws)?);
+    add(closed_loop::closed_loop(bench, throws)?);
+    add(findings::noise(bench, throws)?);
+    add(findings::offset(bench)?);
+    add(findings::neutral(bench)?);
+    add(findings::converters(bench, throws)?);
+    add(findings::temperature(bench)?);
     Ok(all)
 }

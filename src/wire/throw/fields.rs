@@ -144,12 +144,14 @@ fn throw_no(value: u64) -> Result<u64, Invalid> {
     Ok(value)
 }
 
+/// Truncated to microseconds as in the database, so that the times of a throw in messages, queries and views are equal.
 fn started_at(text: &str) -> Result<Timestamp, Invalid> {
     let parsed = text.parse::<Timestamp>().ok().filter(|time| {
         // Years before 0000 are outside of RFC 3339 and of SQL's date functions.
         time.as_second() >= -62_167_219_200
     });
-    parsed.ok_or_else(|| {
+    let truncated = parsed.and_then(|time| Timestamp::from_microsecond(time.as_microsecond()).ok());
+    truncated.ok_or_else(|| {
         let problem = format!(
             "{}, must be RFC 3339 with Z or an offset, as 2026-05-04T10:11:12.345Z, and before 9999-12-30T22:00:00Z",
             quote(text)

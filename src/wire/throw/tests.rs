@@ -54,6 +54,8 @@ fn a_position_that_is_null_is_a_missing_one_in_both_encodings() {
 fn json_from_other_languages_is_taken() {
     let throw = json("", "").unwrap();
     assert_eq!(throw.started_at, "2026-05-04T10:00:00Z".parse().unwrap());
+    let exact = json("12:00:00+02:00", "12:00:00.123456789+02:00").unwrap();
+    assert_eq!(exact.started_at, "2026-05-04T10:00:00.123456Z".parse().unwrap(), "as in the database");
     assert_eq!((throw.direction, throw.temperature_c), (None, None));
     assert_eq!(throw.trace.position_mm(), [0.5, 1.0, 2.0]);
     assert!(throw.trace.current_a()[2].is_nan());
