@@ -220,9 +220,7 @@ async fn a_logger_whose_numbers_go_on_in_a_new_boot_misses_no_throw() {
         write_off(&store).await;
         let expected: Vec<_> = missing.map(|last| ("b2".to_owned(), 1, last)).into_iter().collect();
         assert_eq!(gaps(&store).await, expected, "{last}, {first}");
-        let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
-        assert_eq!(cursor.after, Some(ThrowRef { boot_id: "b2".to_owned(), throw_no: first + 1 }));
-        assert!(!cursor.awaits);
+        assert!(!store.reader().cursor(&machine("21B")).await.unwrap().awaits);
     }
 }
 
