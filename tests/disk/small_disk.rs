@@ -6,7 +6,7 @@ use std::{
     process::Command,
 };
 
-/// A file system of 12 MB in memory.
+/// A file system of 13 MB in memory.
 pub(crate) struct SmallDisk {
     folder: PathBuf,
     _place: tempfile::TempDir,
@@ -18,7 +18,7 @@ impl SmallDisk {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("disk");
         fs::create_dir(&folder).unwrap();
-        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=12m", "tmpfs"]).arg(&folder).output();
+        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=13m", "tmpfs"]).arg(&folder).output();
         match mount {
             Ok(output) if output.status.success() => Some(Self { folder, _place: place }),
             other => {

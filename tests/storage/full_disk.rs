@@ -43,7 +43,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     let bounds = Settings { ballast_mib: 16, ..settings(disk.folder()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     let ballast = fs::metadata(disk.folder().join("points.db-ballast")).unwrap().len();
-    assert_eq!(ballast, (12 << 20) / 8);
+    assert_eq!(ballast, (13 << 20) / 8);
     for throw_no in 1..=20 {
         spooled(&store, "21B", "b1", throw_no).await;
     }
