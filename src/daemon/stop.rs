@@ -66,7 +66,13 @@ impl Daemon {
             Err(_) => tracing::warn!("closing the zenoh session takes too long"),
         }
         // Committed rows are durable without a clean close too; the next start then checks the database.
-        let closed = time::timeout(CLOSE_LIMIT, store.close()).await.unwrap_or(Err(StoreError::CloseTimeout));
+        let close = async {
+            if let Err(error) = sources.store_losses().await {
+                tracing::warn!(%error, "counting the messages lost at the stop failed");
+            }
+            store.close().await
+        };
+        let closed = time::timeout(CLOSE_LIMIT, close).await.unwrap_or(Err(StoreError::CloseTimeout));
         drop(lock);
         closed
     }

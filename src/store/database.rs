@@ -22,7 +22,7 @@ use super::{
         connection::WritingConnection,
         cursor::Cursor,
         judgement::{Judgement, Judgements, Outcome},
-        quarantine::{Quarantine, QuarantinedMessage, Statement},
+        quarantine::{Losses, Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
     },
 };
@@ -166,6 +166,12 @@ impl Store {
         self.writer.write(outcomes).await
     }
 
+    /// Adds to the counters of the received messages that were dropped and lost. Always changes a row, so that the call
+    /// also shows whether the disk takes writes.
+    pub(crate) async fn count_losses(&self, dropped: u64, lost: u64) -> Result<(), StoreError> {
+        self.writer.write(Losses { dropped, lost }).await
+    }
+
     /// Removes messages that zenoh has accepted from the outbox.
     ///
     /// # Errors
@@ -211,8 +217,11 @@ impl Store {
     }
 }
 
-/// Compresses throws, on a blocking thread.
+/// Compresses throws, on a blocking thread. A throw on which the compression panics is refused, as it would panic again.
 async fn compress(throws: Vec<(MachineId, Throw, Timestamp)>) -> Result<Vec<Spool>, StoreError> {
     let compress = move || throws.into_iter().map(|(machine, throw, at)| Spool::new(machine, throw, at)).collect();
-    task::spawn_blocking(compress).await.map_err(|_| StoreError::Closed)
+    task::spawn_blocking(compress).await.map_err(|error| {
+        let failed = || StoreError::Refused("its compression failed: please report it".to_owned());
+        if error.is_panic() { failed() } else { StoreError::Closed }
+    })
 }

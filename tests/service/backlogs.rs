@@ -176,6 +176,67 @@ async fn a_message_that_is_no_throw_is_in_quarantine_once() {
     assert_eq!(status["quarantined"], 1, "{status}");
 }
 
+/// The database takes no message into the quarantine for a time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_message_that_the_quarantine_could_not_take_is_counted_and_taken_later() {
+    let (rig, daemon) = Rig::running();
+    rig.change("CREATE TRIGGER refuse BEFORE INSERT ON quarantine BEGIN SELECT RAISE(ABORT, 'refused'); END").await;
+    let session = daemon.client().await;
+    keep(&session, KEY, vec![(id(2), b"no throw".to_vec())]).await;
+    Sender::of(&session, KEY).await.send([1, 3].map(|throw_no| stub("boot", throw_no))).await;
+    daemon.until_status("a lost message", |status| status["lost"].as_u64() > Some(0)).await;
+    rig.until_sql("SELECT 1 AS n FROM counter WHERE name = 'lost_messages'").await;
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE text LIKE '%could not be stored since the start%'").await;
+    rig.change("DROP TRIGGER refuse").await;
+    // The daemon queries the logger again.
+    Sender::of(&session, KEY).await.send([stub("boot", 5)]).await;
+    rig.until_sql("SELECT 1 AS n FROM quarantined_messages").await;
+}
+
+/// A backlog on the throw key is all that a logger needs.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_token() {
+    let rig = Rig::new().same_port();
+    let daemon = rig.start();
+    let logger = daemon.logger(KEY).await;
+    let made: Vec<_> = (1..=6).map(|throw_no| stub("boot", throw_no)).collect();
+    logger.send(&made[..3]).await;
+    rig.judged(3).await;
+    daemon.terminate();
+    keep(
+        &logger.session,
+        KEY,
+        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect(),
+    )
+    .await;
+    let _daemon = rig.start();
+    rig.judged(6).await;
+}
+
+/// The logger does not know the boot of the newest throw, as after an import of recordings, so its pages begin with the
+/// oldest throw. The missing throws come after more pages of stored throws than a turn has.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn missing_throws_behind_many_stored_boots_come_from_the_backlog() {
+    const BOOTS: usize = 14;
+    const EACH: u64 = 33;
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let sender = Sender::of(&session, KEY).await;
+    let boots = (0..BOOTS).map(|boot| format!("boot-{boot}"));
+    let made: Vec<_> = boots.flat_map(|boot| (1..=EACH).map(move |throw_no| stub(&boot, throw_no))).collect();
+    let (last, stored) = (&made[made.len() - 1], made.len() - usize::try_from(EACH).unwrap());
+    sender.send(&made[..stored]).await;
+    sender.send([stub("imported", 1)]).await;
+    rig.judged(stored + 1).await;
+    rig.until_number("SELECT count(*) FROM backlog", 0).await;
+    keep(&session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect())
+        .await;
+    sender.send([last]).await;
+    rig.judged(made.len() + 1).await;
+    rig.until_number("SELECT count(*) FROM backlog", 0).await;
+    assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
+}
+
 /// While the link is cut, the motor is replaced. Its throws from before would be a baseline of the worn machine.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {

@@ -174,6 +174,7 @@ async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
     daemon.until_log("5 messages LOST");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     daemon.wait(PATIENCE);
+    assert_eq!(rig.number("SELECT value FROM counter WHERE name = 'lost_messages'"), 5);
 }
 
 /// Far more throws than the daemon can handle, at the speed of one link.
@@ -199,6 +200,15 @@ async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
             ["stored", "quarantined", "dropped"].iter().map(|what| count(status, what)).sum::<u64>() == sent
         })
         .await;
+    let dropped = count(&daemon.status(), "dropped");
+    rig.until_number("SELECT total(value) = 0 FROM counter WHERE name = 'dropped_received_messages'", 0).await;
+    rig.until_sql(
+        "SELECT 1 AS n FROM active_alarms WHERE cause = 'data_loss' AND text LIKE '%dropped since the start%'",
+    )
+    .await;
+    daemon.until_log("messages DROPPED");
+    daemon.terminate();
+    assert_eq!(rig.number("SELECT value FROM counter WHERE name = 'dropped_received_messages'"), dropped);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{Spooled, Store, StoreError, ThrowRow},
+    store::{DiskLevel, Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
 
@@ -200,7 +200,28 @@ async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_w
     other.id.throw_no = 1;
     let refused = store.spool(&machine("21B"), &other, at(0)).await;
     assert!(matches!(refused, Err(StoreError::Refused(_))), "{refused:?}");
+    // A refused row says nothing about the disk.
+    assert_eq!((store.disk_level(), store.trouble([])), (DiskLevel::Ample, None));
+    assert_eq!(store.statistics().await.unwrap().failed_writes, 0);
     spooled(&store, "21B", "b1", 2).await;
+}
+
+/// The counter of some loggers goes on at a restart. With small numbers the first throws of the new boot may be lost.
+#[tokio::test]
+async fn a_logger_whose_numbers_go_on_in_a_new_boot_misses_no_throw() {
+    for (last, first, missing) in [(10, 11, None), (10, 12, Some(11)), (9, 10, Some(9)), (20, 5, Some(4))] {
+        let (_folder, store) = fresh().await;
+        for throw_no in 1..=last {
+            spooled(&store, "21B", "b1", throw_no).await;
+        }
+        for throw_no in first..first + 2 {
+            spooled(&store, "21B", "b2", throw_no).await;
+        }
+        write_off(&store).await;
+        let expected: Vec<_> = missing.map(|last| ("b2".to_owned(), 1, last)).into_iter().collect();
+        assert_eq!(gaps(&store).await, expected, "{last}, {first}");
+        assert!(!store.reader().cursor(&machine("21B")).await.unwrap().awaits);
+    }
 }
 
 /// A logger with a new boot id for each throw slows neither its own throws nor the throws of other machines.

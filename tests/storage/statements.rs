@@ -6,7 +6,7 @@ use pointsd::{
 };
 use sqlx::{Column, Executor, Row, SqlSafeStr};
 
-use crate::given::{alarm, at, fresh, judged, outcome, outsider, query};
+use crate::given::{alarm, at, fresh, judged, machine, outcome, outsider, query, spooled};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -234,4 +234,78 @@ async fn every_foreign_key_has_an_index() {
     let without: Vec<_> =
         without.into_iter().filter(|(table, column)| column != "machine_row" && table != "backlog").collect();
     assert_eq!(without, []);
+}
+
+/// A machine with many gaps and a full quarantine does not delay the report of the gaps of other machines.
+#[tokio::test]
+async fn the_query_of_the_gaps_to_report_is_fast_for_many_gaps_and_a_full_quarantine() {
+    const GAPS: i64 = 2_000;
+    let (_folder, store) = fresh().await;
+    for name in ["21B", "22A"] {
+        spooled(&store, name, "b1", 1).await;
+    }
+    let numbers = "WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < ?1) ";
+    let mut connection = outsider(store.path()).await;
+    for (count, insert) in [
+        // Of two numbers in each gap the first was in a message that is in quarantine with its number.
+        (
+            1_000,
+            "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start, boot_id, throw_no) \
+             SELECT n, 'points/v1/north/21B/throw', 'numbered', 9, zeroblob(9), 'b1', 10 * n FROM number",
+        ),
+        (
+            1_000,
+            "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) \
+             SELECT n + 9e15, 'points/v1/north/21B/throw', 'unread', 9, zeroblob(9) FROM number",
+        ),
+        (
+            GAPS,
+            "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, written_off_at_us) \
+             SELECT 1, 10 * n, 10 * n + 1, 'missed', 0, 0 FROM number",
+        ),
+        (
+            1,
+            "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, written_off_at_us) \
+             SELECT 2, 10, 19, 'missed', 0, 0 FROM number",
+        ),
+    ] {
+        let insert = sqlx::AssertSqlSafe(format!("{numbers}{insert}"));
+        sqlx::query(insert).bind(count).execute(&mut connection).await.unwrap();
+    }
+    let (_, unreported) = statements::all().find(|(name, _)| *name == "UNREPORTED_GAPS").unwrap();
+    let start = tokio::time::Instant::now();
+    let gaps = sqlx::query(unreported).bind(10_000).bind(0).bind(1).fetch_all(&mut connection).await.unwrap();
+    let took = start.elapsed();
+    assert!(took < std::time::Duration::from_secs(1), "{took:?}");
+    let found = |row: &sqlx::sqlite::SqliteRow| -> (String, i64, i64, Option<String>) {
+        (row.get("machine"), row.get("first_no"), row.get("refused"), row.get("reason"))
+    };
+    assert_eq!(gaps.len(), 2_001);
+    assert_eq!(found(&gaps[0]), ("21B".to_owned(), 10, 2, Some("unread".to_owned())));
+    assert_eq!(found(&gaps[2_000]), ("22A".to_owned(), 10, 0, None));
+    for change in
+        ["DELETE FROM quarantine WHERE throw_no IS NULL", "UPDATE quarantine SET boot_id = 'b0' WHERE throw_no = 20"]
+    {
+        connection.execute(change).await.unwrap();
+    }
+    let gaps = sqlx::query(unreported).bind(10_000).bind(0).bind(1).fetch_all(&mut connection).await.unwrap();
+    assert_eq!(found(&gaps[0]), ("21B".to_owned(), 10, 1, Some("numbered".to_owned())));
+    assert_eq!(found(&gaps[1]), ("21B".to_owned(), 20, 0, None));
+}
+
+/// The missing throws of a machine that was removed from the track are in no backlog.
+#[tokio::test]
+async fn the_missing_throws_of_a_retired_machine_are_not_awaited() {
+    let (_folder, store) = fresh().await;
+    for (boot_id, throw_no) in [("b1", 1), ("b1", 41), ("b2", 3)] {
+        spooled(&store, "21B", boot_id, throw_no).await;
+    }
+    let retire = Command::Retire { by: "mia".to_owned(), why: "removed".to_owned() };
+    store.record(Outcome { command: Some(retire), ..outcome("21B", Vec::new()) }).await.unwrap();
+    let (_, awaited) = statements::all().find(|(name, _)| *name == "AWAITED_COUNT").unwrap();
+    let count: (i64,) = sqlx::query_as(awaited).fetch_one(&mut outsider(store.path()).await).await.unwrap();
+    assert_eq!(count, (0,));
+    assert!(query::<(i64,)>(&store, "SELECT machine_row FROM backlog").await.is_empty());
+    assert!(query::<(i64,)>(&store, "SELECT boot_row FROM boot WHERE tail_open").await.is_empty());
+    assert!(!store.reader().cursor(&machine("21B")).await.unwrap().awaits);
 }

@@ -36,8 +36,9 @@ use crate::{
 
 /// Largest number of changed monitors in one transaction.
 const CHANGES: usize = 64;
-/// Largest number of gaps in one query. All gaps of a machine should be in one result, as they are reported together.
-const GAPS: u32 = 10_000;
+/// Largest number of gaps in one query, so that it takes some tens of milliseconds. The monitor adds up the gaps of
+/// several reports.
+const GAPS: u32 = 500;
 /// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
 /// token stays in the list.
 const REFUSED_FOR: Duration = Duration::from_hours(1);

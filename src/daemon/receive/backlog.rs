@@ -2,8 +2,8 @@
 //!
 //! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
 //! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
-//! missing, when one of its messages was dropped, and every few minutes. The next page is queried when the previous
-//! page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
+//! missing, when one of its messages was dropped, and every few minutes. A logger without a token is also queried several
+//! times in the first minutes, in which it connects again. The next page is queried when the previous page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
 //! turn.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
@@ -19,7 +19,7 @@ use zenoh::Session;
 use super::{
     Intake,
     presence::Loggers,
-    schedule::{AT_A_TIME, Schedule},
+    schedule::{AT_A_TIME, NextPage, Schedule},
 };
 use crate::{
     bus,
@@ -39,9 +39,11 @@ const PAGE_BYTES: u64 = 1 << 20;
 const SAMPLE_BYTES: u64 = 8;
 /// Largest number of pages of one logger in a turn.
 const TURN: usize = 8;
-/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor
-/// starts with its oldest throw, so some pages repeat stored throws. After an import of recordings this can hide the
-/// newest throws until the next live throw.
+/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor, for
+/// example after an import of recordings, starts with its oldest throw, so some pages repeat stored throws. While throws
+/// are missing, pages count only if they do not come later in the order of throws than the page before: then the whole
+/// backlog is read. Otherwise the newest throws can be hidden until the next live throw: without this bound the whole
+/// backlog would be sent again in each round.
 const REPEATED_PAGES: usize = 4;
 /// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
 /// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.
@@ -54,6 +56,8 @@ const PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 /// Time between two queries of all loggers, in case another trigger was missed.
 const ROUND: Duration = Duration::from_mins(5);
+/// The time between the first rounds, which query only the loggers without a token, grows by this factor from [`PAUSE`].
+const LATER: u32 = 4;
 /// Least time between two database queries for missing throws.
 const MISSING_CHECK: Duration = Duration::from_millis(100);
 /// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
@@ -93,18 +97,18 @@ impl Backlog {
     pub(crate) async fn run(mut self, stop: CancellationToken) {
         let mut schedule = Schedule::default();
         let mut queries = JoinSet::new();
-        let mut round = time::interval(ROUND);
+        let (mut round, mut until_next_round) = (Instant::now(), PAUSE);
         let mut check = time::interval(MISSING_CHECK);
         check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
         loop {
             while queries.len() < AT_A_TIME
-                && let Some((machine, page)) = schedule.next()
+                && let Some((machine, mut page)) = schedule.next()
             {
                 let querier = Arc::clone(&self.querier);
                 queries.spawn(async move {
                     let start = Instant::now();
-                    let (ended, page) = querier.query(&machine, page).await;
+                    let ended = querier.query(&machine, &mut page).await;
                     (machine, ended, page, start.elapsed() >= LONG_TURN)
                 });
             }
@@ -121,6 +125,7 @@ impl Backlog {
                     self.seen = alive;
                 }
                 Some(key) = self.dropped.recv() => {
+                    seldom!(warn, key, "the queue of received messages is full: messages DROPPED");
                     // Only known machines, as a flood may have any number of keys.
                     if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
                         && (self.seen.contains(&machine) || self.querier.intake.knows(&machine))
@@ -133,7 +138,14 @@ impl Backlog {
                     may_miss = false;
                     self.request_missing(&mut schedule).await;
                 }
-                _ = round.tick() => self.seen.iter().for_each(|machine| schedule.request(machine)),
+                () = time::sleep_until(round) => {
+                    self.request_without_token(&mut schedule);
+                    if until_next_round >= ROUND {
+                        self.seen.iter().for_each(|machine| schedule.request(machine));
+                    }
+                    round += until_next_round;
+                    until_next_round = (LATER * until_next_round).min(ROUND);
+                }
                 Some(ended) = queries.join_next() => match ended {
                     Ok((machine, ended, page, was_slow)) => {
                         schedule.set_slow(&machine, was_slow);
@@ -143,6 +155,15 @@ impl Backlog {
                     Err(error) => return tracing::error!(%error, "querying a logger failed"),
                 },
                 () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
+            }
+        }
+    }
+
+    /// Schedules queries of the loggers of known machines that never had a token, except those that are scheduled.
+    fn request_without_token(&self, schedule: &mut Schedule) {
+        for machine in self.querier.intake.machines.lock().keys() {
+            if !self.with_token.contains(machine) && !schedule.turns.contains_key(machine) {
+                schedule.request(machine);
             }
         }
     }
@@ -169,9 +190,9 @@ impl Backlog {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
     }
 
-    async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
+    async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: NextPage) {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
-        turn.page = page;
+        turn.next_page = Some(page);
         self.missing.notify_one();
         let is_connected = self.is_connected(machine);
         turn.was_away = !is_connected;
@@ -222,27 +243,31 @@ pub(crate) struct Querier {
 }
 
 impl Querier {
-    /// Queries a logger page by page, at most [`TURN`] pages. Returns how the turn ended, and the size of the next
-    /// page.
-    async fn query(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
-        let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
+    /// Queries a logger page by page, at most [`TURN`] pages, and updates its next page. Returns how the turn ended.
+    async fn query(&self, machine: &MachineId, next: &mut NextPage) -> QueryEnd {
+        self.pages(machine, next).await.unwrap_or_else(|error| {
             seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
             QueryEnd::Broken
-        });
-        (ended, page)
+        })
     }
 
-    async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<QueryEnd, StoreError> {
+    async fn pages(&self, machine: &MachineId, next: &mut NextPage) -> Result<QueryEnd, StoreError> {
         // A client without its router gets an empty page, as from a logger without throws.
         if self.is_client && !bus::is_connected(&self.session).await {
             return Ok(QueryEnd::Broken);
         }
-        let mut cursor = self.intake.store.reader().cursor(machine).await?;
-        let (mut repeated, mut least, start) = (0, 1, Instant::now());
+        let mut cursor = if let Some(after) = next.after.clone() {
+            after
+        } else {
+            let cursor = self.intake.store.reader().cursor(machine).await?;
+            next.awaits = cursor.awaits;
+            cursor
+        };
+        let (mut least, start) = (1, Instant::now());
         for _ in 0..TURN {
-            let limit = page_limit(&cursor, *size).max(least);
+            let limit = page_limit(&cursor, next.size).max(least);
             let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
-            let Some((new, next)) = self.store(machine, cursor.after.as_ref(), &throws).await? else {
+            let Some((new, after)) = self.store(machine, cursor.after.as_ref(), &throws).await? else {
                 // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
                 // because of their size.
                 if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
@@ -251,7 +276,7 @@ impl Querier {
                 }
                 return Ok(match is_complete {
                     false => {
-                        *size = (*size / 2).max(1);
+                        next.size = (next.size / 2).max(1);
                         QueryEnd::Broken
                     }
                     true if cursor.awaits => QueryEnd::Without(cursor),
@@ -259,17 +284,19 @@ impl Querier {
                 });
             };
             self.stored.notify_one();
-            cursor = next;
-            repeated = if new == 0 { repeated + 1 } else { 0 };
+            let is_later = next.awaits && after.is_after(&cursor);
+            cursor = after;
+            next.after = Some(cursor.clone());
+            next.repeated = if new > 0 { 0 } else { next.repeated + usize::from(!is_later) };
             least = 1;
             if !is_complete {
-                *size = (*size / 2).max(1);
+                next.size = (next.size / 2).max(1);
                 return Ok(QueryEnd::Broken);
             }
-            if repeated >= REPEATED_PAGES {
+            if next.repeated >= REPEATED_PAGES && !is_later {
                 return Ok(QueryEnd::Without(cursor));
             }
-            *size = (*size * 2).min(LARGEST_PAGE);
+            next.size = (next.size * 2).min(LARGEST_PAGE);
             if start.elapsed() >= LONG_TURN {
                 break;
             }

@@ -98,7 +98,7 @@ impl Intake {
             for refused in &refused {
                 if let Ok((machine, _)) = wire::parse_key(&refused.key) {
                     let is_known = self.knows(&machine);
-                    self.status.count_invalid(machine, is_known, &refused.reason);
+                    self.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
                 }
             }
             self.quarantine(refused).await;
@@ -111,9 +111,20 @@ impl Intake {
     /// Quarantines messages from a backlog, each only once.
     async fn quarantine_of_backlog(&self, mut refused: Vec<QuarantinedMessage>) {
         let all = refused.len();
-        refused.retain(|refused| self.is_first_refusal(refused));
+        let mut hashes = Vec::new();
+        refused.retain(|refused| {
+            let (hash, is_first) = self.remember_refusal(refused);
+            hashes.extend(is_first.then_some(hash));
+            is_first
+        });
         self.status.edit().duplicates += (all - refused.len()) as u64;
-        self.quarantine(refused).await;
+        if !self.quarantine(refused).await {
+            // The next page with these messages stores them.
+            let mut before = self.refused_before.lock();
+            for hash in hashes {
+                before.remove(&hash);
+            }
+        }
     }
 
     /// Whether a live throw of a machine was received in the last minute.
@@ -121,15 +132,16 @@ impl Intake {
         self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
-    /// Whether a message from a backlog is quarantined for the first time.
-    fn is_first_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> bool {
+    /// The hash of a message from a backlog, and whether the message is quarantined for the first time.
+    fn remember_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> (u64, bool) {
         let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
             before.clear();
         }
         let mut hasher = DefaultHasher::new();
         (key, bytes, beginning).hash(&mut hasher);
-        before.insert(hasher.finish())
+        let hash = hasher.finish();
+        (hash, before.insert(hash))
     }
 
     /// Whether a throw of a machine was ever received.
@@ -158,18 +170,21 @@ impl Intake {
         Err(QuarantinedMessage::throw(&machine, &throw, reason, received_at))
     }
 
-    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) {
-        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return };
+    /// Stores messages in quarantine; returns whether they are stored.
+    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> bool {
+        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return true };
         // One log line for the batch, so that a flood of messages does not flood the log.
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
-        match self.store.quarantine(refused).await {
-            Ok(()) => self.status.edit().quarantined += count,
-            Err(error) => {
-                seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
-                self.status.edit().lost += count;
-            }
+        let stored = self.store.quarantine(refused).await;
+        let mut report = self.status.edit();
+        if let Err(error) = &stored {
+            seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
+            report.lost += count;
+        } else {
+            report.quarantined += count;
         }
+        stored.is_ok()
     }
 }
 

@@ -7,7 +7,7 @@ use std::{
 
 use tokio::time::Instant;
 
-use crate::throw::MachineId;
+use crate::{store::Cursor, throw::MachineId};
 
 /// Largest number of loggers queried at the same time. A page has at most 4 MiB, and its decoded throws take up to four
 /// times as much, so this bounds the memory to 160 MiB.
@@ -33,8 +33,21 @@ pub(crate) struct Turn {
     pub(super) without_since: Option<Instant>,
     /// Whether the logger was not connected at the last query.
     pub(super) was_away: bool,
-    /// Size of the next page \[throws\].
-    pub(crate) page: usize,
+    /// `None` before the first query, and while a query is in progress.
+    pub(super) next_page: Option<NextPage>,
+}
+
+/// The query with which the next turn of a logger begins.
+#[derive(Debug)]
+pub(super) struct NextPage {
+    /// Largest number of throws.
+    pub(super) size: usize,
+    /// The position after the last stored page; `None` to begin at the cursor of the database.
+    pub(super) after: Option<Cursor>,
+    /// Whether throws of the machine were missing when its logger was queried from the cursor of the database.
+    pub(super) awaits: bool,
+    /// Number of pages without a new throw, since the last page with one.
+    pub(super) repeated: usize,
 }
 
 /// The times of the next queries of the loggers.
@@ -68,7 +81,7 @@ impl Schedule {
                     tries: 0,
                     without_since: None,
                     was_away: false,
-                    page: FIRST_PAGE,
+                    next_page: None,
                 };
                 self.turns.insert(machine.clone(), turn);
                 self.due[0].insert((now, machine.clone()));
@@ -89,8 +102,8 @@ impl Schedule {
         turn.class = usize::from(was_slow);
     }
 
-    /// Starts the turn of the next logger that is due; returns its machine and the size of its page.
-    pub(crate) fn next(&mut self) -> Option<(MachineId, usize)> {
+    /// Starts the turn of the next logger that is due; returns its machine and the query of its next page.
+    pub(super) fn next(&mut self) -> Option<(MachineId, NextPage)> {
         let (at, class) = self.first()?;
         if at > Instant::now() {
             return None;
@@ -99,7 +112,8 @@ impl Schedule {
         self.slow_in_progress += class;
         let turn = self.turns.get_mut(&machine)?;
         (turn.in_progress, turn.again) = (true, false);
-        Some((machine, turn.page))
+        let first = NextPage { size: FIRST_PAGE, after: None, awaits: false, repeated: 0 };
+        Some((machine, turn.next_page.take().unwrap_or(first)))
     }
 
     /// The time at which the next logger is due.

@@ -3,6 +3,7 @@
 use std::{
     collections::{BTreeMap, HashMap},
     sync::{Arc, atomic::Ordering::Relaxed},
+    time::Instant,
 };
 
 use parking_lot::{Mutex, MutexGuard};
@@ -12,7 +13,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{AlarmState, MachineState, Severity},
-    store::{DiskLevel, RecentCount, Store, Window, seldom},
+    store::{DiskLevel, RecentCount, Store, StoreError, Window, seldom},
     throw::{MachineId, counted},
     wire::Alarm,
 };
@@ -34,12 +35,24 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
-    /// Number of invalid messages of a machine since its last valid throw, and the last reason.
-    invalid: Mutex<HashMap<MachineId, (u32, String)>>,
+    /// Invalid messages of known machines, and of at most [`UNKNOWN`] others.
+    invalid: Mutex<[HashMap<MachineId, InvalidMessages>; 2]>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
+    /// Messages dropped from the queue, and messages lost, at the last call of [`StatusSources::store_losses`].
+    losses: [RecentCount; 2],
+    /// Those that are added to the counters of the database.
+    stored_losses: Mutex<[u64; 2]>,
     pub(crate) machines_refused: RecentCount,
     pub(crate) alarm_events_lost: RecentCount,
+}
+
+/// Invalid messages of a machine since its last valid throw.
+#[derive(Debug)]
+struct InvalidMessages {
+    count: u32,
+    last_reason: String,
+    last_at: Instant,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -168,31 +181,40 @@ impl Status {
         *self.rejected.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
-    /// Counts a message of a machine that is no valid throw. At most [`UNKNOWN`] unknown machines are counted, as any
-    /// sender can invent names.
-    pub(crate) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str) {
-        let mut invalid = self.invalid.lock();
+    /// Counts a message of a machine that is no valid throw. Only [`UNKNOWN`] unknown machines are counted, as any sender
+    /// can invent names: another one takes the place of the machine whose last message is the oldest.
+    pub(crate) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str, now: Instant) {
+        let [known, unknown] = &mut *self.invalid.lock();
+        let invalid = if is_known { known } else { unknown };
         if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {
-            return;
+            let oldest =
+                invalid.iter().min_by_key(|(_, messages)| messages.last_at).map(|(machine, _)| machine.clone());
+            if let Some(oldest) = oldest {
+                invalid.remove(&oldest);
+            }
         }
-        let (count, last) = invalid.entry(machine).or_default();
-        *count = count.saturating_add(1);
-        reason.clone_into(last);
+        let new = || InvalidMessages { count: 0, last_reason: String::new(), last_at: now };
+        let messages = invalid.entry(machine).or_insert_with(new);
+        messages.count = messages.count.saturating_add(1);
+        messages.last_at = now;
+        reason.clone_into(&mut messages.last_reason);
     }
 
     /// Resets the count of invalid messages of a machine, after a valid throw.
     pub(crate) fn count_valid(&self, machine: &MachineId) {
-        self.invalid.lock().remove(machine);
+        self.invalid.lock().iter_mut().for_each(|invalid| drop(invalid.remove(machine)));
     }
 
     /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
     /// they were taken last, with the number of messages and the last reason.
     pub(crate) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
         let mut invalid = self.invalid.lock();
-        invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
+        let taken =
+            invalid.iter_mut().flat_map(|invalid| invalid.extract_if(|_, messages| messages.count >= INVALID_IN_A_ROW));
+        taken.map(|(machine, messages)| (machine, (messages.count, messages.last_reason))).collect()
     }
 
-    /// Sentences about refused machines and lost alarm events, for the alarm about the daemon itself.
+    /// Sentences about refused machines, and about lost alarm events and messages, for the alarm about the daemon itself.
     pub(crate) fn trouble(&self, max_machines: usize) -> Vec<(Severity, String)> {
         let refused = self.machines_refused.shown().map(|refused| {
             format!(
@@ -205,7 +227,23 @@ impl Status {
             "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
                 .to_owned()
         });
-        refused.into_iter().chain(lost).map(|sentence| (Severity::Critical, sentence)).collect()
+        // Numbers of dropped and lost messages grow fast, so their text changes at each power of two.
+        let [dropped_messages, lost_messages] = self
+            .losses
+            .each_ref()
+            .map(|losses| losses.shown().and_then(u64::checked_ilog2).map(|power| counted(1 << power, "message")));
+        let lost_messages = lost_messages.map(|at_least| {
+            format!("at least {at_least} could not be stored since the start. Look in the log, and check the disk")
+        });
+        let dropped_messages = dropped_messages.map(|at_least| {
+            let text = format!(
+                "at least {at_least} dropped since the start, as more arrived than could be stored. The throws are fetched \
+                 from the backlogs of the loggers where possible. Look in the log who sends so many"
+            );
+            (Severity::Warning, text)
+        });
+        let critical = refused.into_iter().chain(lost).chain(lost_messages).map(|text| (Severity::Critical, text));
+        critical.chain(dropped_messages).collect()
     }
 
     pub(crate) fn set_uncommitted(&self, alarms: Vec<Alarm>) {
@@ -257,6 +295,19 @@ impl StatusSources {
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
             ..report
         }
+    }
+
+    /// Adds the messages that were dropped or lost since the last call to the counters of the database.
+    pub(crate) async fn store_losses(&self) -> Result<(), StoreError> {
+        let Status { losses, stored_losses, .. } = &*self.status;
+        let now = [self.inbox.dropped.load(Relaxed), self.status.edit().lost];
+        for (losses, now) in losses.iter().zip(now).filter(|(losses, now)| *now > losses.count()) {
+            losses.add(now - losses.count());
+        }
+        let [dropped, lost] = *stored_losses.lock();
+        self.store.count_losses(now[0].saturating_sub(dropped), now[1].saturating_sub(lost)).await?;
+        *stored_losses.lock() = now;
+        Ok(())
     }
 
     /// The report with the open windows: the reply to a query.
@@ -347,5 +398,31 @@ impl StatusReport {
             self.quarantined
         ));
         parts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_misconfigured_logger_is_found_after_many_senders_of_a_few_invalid_messages() {
+        let (status, mut now) = (Status::default(), crate::daemon::clock::monotonic());
+        let mut send = |name: String, is_known| {
+            now += Duration::from_secs(1);
+            status.count_invalid(MachineId::new("north", &name).unwrap(), is_known, "no throw", now);
+        };
+        for number in 0..2 * UNKNOWN {
+            send(format!("unknown-{number}"), false);
+            send(format!("known-{number}"), true);
+        }
+        for _ in 0..INVALID_IN_A_ROW {
+            send("new".to_owned(), false);
+        }
+        let found = status.invalid_in_a_row();
+        assert!(found.len() == 1 && found[0].0.machine.as_str() == "new", "{found:?}");
+        assert_eq!(status.invalid.lock().each_ref().map(HashMap::len), [2 * UNKNOWN, UNKNOWN - 1]);
     }
 }

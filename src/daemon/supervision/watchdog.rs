@@ -81,12 +81,13 @@ pub(crate) async fn watch(sources: StatusSources) {
     }
 }
 
-/// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
+/// Probes the writer with a small write, which stores the numbers of dropped and lost messages. An error counts as an
+/// answer: a full disk is a status, not a hang.
 async fn probe_writer(sources: StatusSources) {
     let mut pace = time::interval(CHECK_EVERY);
     loop {
         pace.tick().await;
-        if matches!(sources.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
+        if matches!(sources.store_losses().await, Err(StoreError::Closed)) {
             return;
         }
         sources.status.heartbeats.beat(TaskName::Write);

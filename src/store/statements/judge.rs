@@ -1,19 +1,22 @@
 //! Judging: pending throws, estimates, monitors, alarm events, operators' commands, and messages to publish.
 
-/// Subquery of the messages in quarantine that may be throws of a gap: messages with a number in the gap, and messages
-/// without a readable number that arrived after the throw before the gap. `$column`: an aggregate, or a column of the
-/// newest message.
+/// Messages in quarantine that may be throws of a row of `due`. `$select`: the columns; `$which`: `numbered` for messages
+/// with a number in the gap, `unread` for messages without a readable number that arrived after the throw before the gap.
 macro_rules! refused {
-    ($column:literal) => {
+    ($select:literal, numbered) => {
         concat!(
-            "(SELECT ",
-            $column,
-            " FROM quarantine INDEXED BY quarantine_by_key \
-             WHERE key = 'points/v1/' || site || '/' || machine || '/throw' \
-             AND (quarantine.boot_id = boot.boot_id AND quarantine.throw_no BETWEEN first_no AND last_no \
-             OR quarantine.throw_no IS NULL AND quarantine.received_at_us >= coalesce((SELECT received_at_us FROM throw \
-             WHERE throw.boot_row = gap.boot_row AND throw.throw_no < first_no ORDER BY throw.throw_no DESC LIMIT 1), 0)) \
-             ORDER BY quarantine_row DESC LIMIT 1)"
+            "SELECT ",
+            $select,
+            " FROM quarantine INDEXED BY quarantine_by_throw WHERE quarantine.key = due.key \
+             AND throw_no BETWEEN first_no AND last_no AND quarantine.boot_id = due.boot_id"
+        )
+    };
+    ($select:literal, unread) => {
+        concat!(
+            "SELECT ",
+            $select,
+            " FROM quarantine INDEXED BY quarantine_by_throw WHERE quarantine.key = due.key \
+             AND throw_no IS NULL AND received_at_us >= after_us"
         )
     };
 }
@@ -84,12 +87,20 @@ statements! {
         LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row \
         WHERE NOT ", is_absent!(), " ORDER BY site, machine");
     // A gap that a backlog may still fill is left out while the judge waits for it: while its backlog was opened or
-    // last became smaller between ?2 and ?3.
-    UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",
-        "min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) AS refused, ", refused!("reason"), " AS reason \
+    // last became smaller between ?2 and ?3. Of the messages without a number at most 1,000 are counted, so that the
+    // time of the query does not grow with the quarantine.
+    UNREPORTED_GAPS = concat!("WITH due AS MATERIALIZED (SELECT gap_row, site, machine, boot_id, first_no, last_no, \
+        'points/v1/' || site || '/' || machine || '/throw' AS key, \
+        coalesce((SELECT received_at_us FROM throw WHERE throw.boot_row = gap.boot_row AND throw.throw_no < first_no \
+        ORDER BY throw.throw_no DESC LIMIT 1), 0) AS after_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
-        AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1");
+        AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1 + 0) \
+        SELECT gap_row, site, machine, first_no, last_no, min(last_no - first_no + 1, (", refused!("count(DISTINCT throw_no)", numbered), ") + \
+        (SELECT count(*) FROM (", refused!("1", unread), " LIMIT 1000))) AS refused, \
+        (SELECT reason FROM (SELECT * FROM (", refused!("quarantine_row, reason", numbered), " ORDER BY quarantine_row DESC LIMIT 1) \
+        UNION ALL SELECT * FROM (", refused!("quarantine_row, reason", unread), " ORDER BY received_at_us DESC LIMIT 1)) \
+        ORDER BY quarantine_row DESC LIMIT 1) AS reason FROM due ORDER BY gap_row");
     REPORT_GAP = "UPDATE gap SET told_at_us = ?2, refused = ?3 WHERE gap_row = ?1";
 
     // Alarms.
@@ -112,9 +123,12 @@ statements! {
     RESTART_BASELINES = "UPDATE estimate SET baseline_before = coalesce(baseline_before, baseline_throws), \
         baseline_throws = 0, throws_since_baseline = 0 \
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
-    // A retired machine keeps its history, and is not listed any more. Its gaps are not reported.
+    // A retired machine keeps its history, and is not listed any more. Its gaps are not reported, and its missing throws
+    // are not awaited any longer.
     RETIRE = "DELETE FROM monitor WHERE machine_row = ?1; DELETE FROM latest WHERE machine_row = ?1; \
-        UPDATE gap SET told_at_us = ?2 WHERE told_at_us IS NULL AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1)";
+        UPDATE gap SET told_at_us = coalesce(told_at_us, ?2), written_off_at_us = coalesce(written_off_at_us, ?2) \
+        WHERE filled_at_us IS NULL AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1); \
+        UPDATE boot SET tail_open = 0 WHERE machine_row = ?1; DELETE FROM backlog WHERE machine_row = ?1";
 
     // The outbox.
     ADD_MESSAGE = "INSERT INTO outbox (key, payload, created_at_us) VALUES (?1, ?2, ?3)";

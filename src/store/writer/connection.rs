@@ -2,7 +2,7 @@
 //!
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
 //! and the result of a failed commit is unknown. Then the group of writes runs once more, as every write is idempotent.
-//! If SQLite refuses the group again, each write runs alone, so that one refused write costs no other.
+//! If SQLite refuses the group again (constraint, type), each write runs alone, so that one refused write costs no other.
 
 use std::{path::Path, sync::Arc, time::Duration};
 
@@ -117,12 +117,15 @@ impl WritingConnection {
         self.files.is_fresh() || self.identity.is_some_and(|known| known.database != database)
     }
 
-    /// Closes the connection after an error, and removes the ballast if the disk is full.
+    /// Closes the connection after an error, and removes the ballast if the disk is full. A refused write is no failure
+    /// of the disk: a logger can cause one.
     async fn recover(&mut self, error: &sqlx::Error) {
         seldom!(warn, %error, "write transaction failed: connection replaced");
         self.broken |= is_corrupt(error);
         self.disconnect().await;
-        self.disk.note_failure(is_full(error));
+        if !is_refused(error) {
+            self.disk.note_failure(is_full(error));
+        }
     }
 
     async fn disconnect(&mut self) {

@@ -39,8 +39,17 @@ pub struct Cursor {
     pub awaits: bool,
     /// Samples of the newest throw, to estimate the size of the next ones.
     pub samples: Option<u64>,
+    /// The place of `after` in the order of the machine's throws.
+    pub(crate) at: ThrowPosition,
     /// The last stored throw. A gap after this throw opened later, so a query with this cursor does not write it off.
     pub(crate) newest: ThrowPosition,
+}
+
+impl Cursor {
+    /// Whether this cursor comes later than another in the order of the machine's throws.
+    pub(crate) fn is_after(&self, other: &Self) -> bool {
+        (self.at.position, self.at.throw_no) > (other.at.position, other.at.throw_no)
+    }
 }
 
 /// A boot of a logger.
@@ -157,6 +166,7 @@ pub(super) async fn after(
         missing: gap.map(|(first_no, last_no)| last_no.abs_diff(first_no).saturating_add(1)),
         awaits: gap.is_some() || has_later,
         samples: samples.map(i64::cast_unsigned),
+        at: boot.at(throw_no),
         newest,
     })
 }
@@ -181,5 +191,5 @@ pub(crate) async fn current(connection: &mut SqliteConnection, machine: &Machine
         None => newest(connection, machine_row).await?,
     };
     let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };
-    Ok(if is_read { cursor } else { Cursor { after: None, missing: None, ..cursor } })
+    Ok(if is_read { cursor } else { Cursor { after: None, missing: None, at: ThrowPosition::default(), ..cursor } })
 }

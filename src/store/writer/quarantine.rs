@@ -1,4 +1,4 @@
-//! Small writes: messages for the quarantine, and single statements.
+//! Small writes: messages for the quarantine, counters of losses, and single statements.
 
 use jiff::Timestamp;
 use sqlx::{Encode, Sqlite, SqliteConnection, Type};
@@ -83,6 +83,27 @@ impl Write for Quarantine {
         }
         sqlx::query(sql::TRIM_QUARANTINE).bind(self.keep).execute(&mut *connection).await?;
         count(connection, "quarantined_messages", i64::try_from(self.refused.len()).unwrap_or(i64::MAX)).await
+    }
+}
+
+/// Received messages that were dropped from the queue, and that could not be stored, since the last such write.
+pub(crate) struct Losses {
+    pub(crate) dropped: u64,
+    pub(crate) lost: u64,
+}
+
+impl Write for Losses {
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+        // SQLite does not write a page whose content stays the same.
+        count(connection, "probes", 1).await?;
+        for (name, more) in [("dropped_received_messages", self.dropped), ("lost_messages", self.lost)] {
+            if more > 0 {
+                count(connection, name, more.cast_signed()).await?;
+            }
+        }
+        Ok(())
     }
 }
 

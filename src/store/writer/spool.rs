@@ -311,7 +311,9 @@ impl Spool {
     }
 
     /// Adds the boot of the throw, with a gap before the throw. Numbers start at 1, or at 0 for a machine that has sent a
-    /// throw 0.
+    /// throw 0. If a boot begins with the number after the last one of the boot before, the numbers of this logger go on
+    /// at a restart, and there is no gap. With a number below [`GOES_ON`] that may be chance: a logger that counts from 1
+    /// lost the first throws of a boot as long as the one before.
     async fn begin_boot(
         &self,
         connection: &mut SqliteConnection,
@@ -327,8 +329,9 @@ impl Spool {
         let from_zero = sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(machine_row);
         let from_zero: bool = from_zero.fetch_one(&mut *connection).await?;
         let kind = if before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
-        let missing = (i64::from(!from_zero), first_no - 1);
-        let begins_later = add_gap(connection, boot.boot_row, missing, kind, at_us).await?;
+        let goes_on = before.is_some_and(|before| before.highest_no >= GOES_ON && first_no - 1 == before.highest_no);
+        let first_missing = if goes_on { first_no } else { i64::from(!from_zero) };
+        let begins_later = add_gap(connection, boot.boot_row, (first_missing, first_no - 1), kind, at_us).await?;
         if let Some(before) = before {
             // The backlog may have more throws of the previous boot, and boots in between.
             sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
@@ -364,6 +367,9 @@ pub(crate) async fn boot(
 
 /// Number of the first throw of a boot. Some loggers begin with 0: their first throw 0 sets `counts_from_zero`.
 const FIRST_NO: i64 = 1;
+
+/// Least last number of a boot with which the next boot may go on.
+const GOES_ON: i64 = 10;
 
 /// Distance between the positions of live boots. Boots that only the backlog has get positions in between.
 pub(crate) const SPACING: i64 = 1 << 20;
