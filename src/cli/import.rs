@@ -42,9 +42,10 @@ const EXPORT_FOLDERS: usize = 4;
 /// parent. Without this line the throw has the time of the file. With --machine a throw is refused if it names another
 /// machine.
 ///
-/// Exit codes: 0 imported; 64 the name of the machine is reserved, or a throw names none and --machine is missing; 65 the content of a file is invalid, or of another
-/// machine; 66 a file cannot be read; 69 the daemon is running; 74 the database cannot be used; 78 the configuration is invalid. Nothing
-/// is imported if a file is missing; files before an invalid one are imported.
+/// Exit codes: 0 imported; 64 the name of the machine is reserved, or a throw names none and --machine is missing; 65
+/// the content of a file is invalid, or of another machine; 66 a file cannot be read; 69 the daemon is running; 74 the
+/// database cannot be used; 78 the configuration is invalid. Nothing is imported if a file is missing; files before an
+/// invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
 pub(super) struct Arguments {

@@ -2,9 +2,9 @@
 //!
 //! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
 //! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
-//! missing, when one of its messages was dropped, and every few minutes. A logger without a token is also queried several
-//! times in the first minutes, in which it connects again. The next page is queried when the previous page is stored. The queries of several pages in a row are the turn of the logger; then other loggers have their
-//! turn.
+//! missing, when one of its messages was dropped, and every few minutes. A logger without a token is also queried
+//! several times in the first minutes, in which it connects again. The next page is queried when the previous page is
+//! stored. The queries of several pages in a row are the turn of the logger; then other loggers have their turn.
 
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
@@ -39,11 +39,11 @@ const PAGE_BYTES: u64 = 1 << 20;
 const SAMPLE_BYTES: u64 = 8;
 /// Largest number of pages of one logger in a turn.
 const TURN: usize = 8;
-/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor, for
-/// example after an import of recordings, starts with its oldest throw, so some pages repeat stored throws. While throws
-/// are missing, pages count only if they do not come later in the order of throws than the page before: then the whole
-/// backlog is read. Otherwise the newest throws can be hidden until the next live throw: without this bound the whole
-/// backlog would be sent again in each round.
+/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor,
+/// for example after an import of recordings, starts with its oldest throw, so some pages repeat stored throws. While
+/// throws are missing, pages count only if they do not come later in the order of throws than the page before: then the
+/// whole backlog is read. Otherwise the newest throws can be hidden until the next live throw: without this bound the
+/// whole backlog would be sent again in each round.
 const REPEATED_PAGES: usize = 4;
 /// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
 /// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.
