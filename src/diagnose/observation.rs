@@ -89,6 +89,11 @@ impl Observation {
         matches!(self.rejection, Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }))
     }
 
+    /// Whether the recording has a whole throw, which the points completed.
+    pub(super) fn is_whole(&self) -> bool {
+        !self.is_incomplete() && !self.is_cut_off()
+    }
+
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
     pub(super) fn is_undersampled(&self) -> bool {
         matches!(self.rejection, Some(Rejection::Undersampled { .. }))

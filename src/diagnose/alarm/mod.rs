@@ -20,7 +20,7 @@ pub(super) use rule::Rule;
 pub(super) use rule_result::{RuleResult, count_over};
 pub(super) use step::Step;
 
-use super::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity, text};
+use super::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity, statistics::is_default, text};
 
 /// The operator whose command causes an event, and the reason given; both `None` if the monitor causes it.
 #[derive(Debug, Clone, Copy, Default)]
@@ -107,18 +107,13 @@ impl State {
 pub(super) struct Alarm {
     pub(super) state: State,
     /// The rule that owns the alarm: only this rule may clear it.
-    #[serde(default, skip_serializing_if = "is_usual")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub(super) rule: Rule,
     /// Whether the alarm is from before a maintenance, and no evidence after it has confirmed it yet.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) is_unchecked: bool,
     /// Latest event, with cause, severity and identity.
     pub(super) last: AlarmEvent,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
-fn is_usual(rule: &Rule) -> bool {
-    *rule == Rule::Usual
 }
 
 /// The open alarms of one machine.
@@ -194,8 +189,7 @@ impl Alarms {
     /// whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let cause = event.cause;
-        let yields = |owner: Rule| owner.knows_no_part() || owner == Rule::Intermittent;
-        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(yields);
+        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::gives_way);
         if self.is_active(cause) && !takes_over && !self.is_unchecked(cause) {
             return false;
         }

@@ -31,4 +31,9 @@ impl Rule {
     pub(crate) const fn knows_no_part(self) -> bool {
         matches!(self, Self::Features | Self::Start)
     }
+
+    /// Whether the usual rule of the cause takes over the alarm: the fault was without a named part, or intermittent.
+    pub(crate) const fn gives_way(self) -> bool {
+        self.knows_no_part() || matches!(self, Self::Intermittent)
+    }
 }

@@ -459,8 +459,7 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
 /// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
 /// if its fault is intermittent.
 fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
-    let is_other = |rule: Rule| rule.knows_no_part() || rule == Rule::Intermittent;
-    alarms.severity(cause).filter(|_| !alarms.rule(cause).is_some_and(is_other))
+    alarms.severity(cause).filter(|_| !alarms.rule(cause).is_some_and(Rule::gives_way))
 }
 
 #[cfg(test)]

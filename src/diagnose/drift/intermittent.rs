@@ -13,7 +13,7 @@ use statrs::function::beta::checked_beta_reg;
 use super::{CLOSE, Explanation, direction_of, single};
 use crate::diagnose::{
     Cause, Settings,
-    statistics::{LastValues, SparseValues, sym3},
+    statistics::{LastValues, SparseValues, is_default, sym3},
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -66,13 +66,8 @@ pub(crate) struct Intermittent {
     /// Whether each of the last throws was far out. Later it counts for `tail`, unless a drift is suspected then.
     undecided: LastValues<bool, DECIDED_AFTER>,
     /// Consecutive throws whose departure is not known.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     unknown: u32,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
-fn is_zero(count: &u32) -> bool {
-    *count == 0
 }
 
 /// Frequent departures, with their cause.

@@ -169,8 +169,7 @@ impl MachineMonitor {
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
         let all = &observation.features;
         let without_position = observation.is_without_position();
-        let is_whole = !observation.is_incomplete() && !observation.is_cut_off();
-        let is_usable = is_whole && observation.faulty_sensor().is_none();
+        let is_usable = observation.is_whole() && observation.faulty_sensor().is_none();
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
         let features = if self.has_lost_position(observation) {
             without_duration(all)
@@ -202,8 +201,7 @@ impl MachineMonitor {
             self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
         }
-        let is_whole = !observation.is_incomplete() && !observation.is_cut_off();
-        let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
+        let Some(direction) = observation.direction.filter(|_| observation.is_whole()) else { return false };
         let timed = &observation.features;
         let untimed = self.has_lost_position(observation).then(|| without_duration(timed));
         let features = (untimed.as_ref().unwrap_or(timed), observation.temperature_c);

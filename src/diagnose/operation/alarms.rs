@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     diagnose::{
-        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity, alarm::Step, statistics::streak, text,
+        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
+        alarm::Step,
+        statistics::{is_default, streak},
+        text,
     },
     estimate::{Features, Rejection},
     throw::Direction,
@@ -110,7 +113,7 @@ pub(crate) struct Operation {
     #[serde(rename = "lost")]
     pub(super) missing: u64,
     /// Number of them whose messages were refused.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     pub(super) refused: u64,
     pub(super) silence_s: f64,
     /// Whether the alarm [`Cause::NotMonitored`] is about silence, or about throws that cannot be evaluated; `None` before
@@ -121,11 +124,6 @@ pub(crate) struct Operation {
     pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
     pub(super) calm_s: f64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
-fn is_zero(count: &u64) -> bool {
-    *count == 0
 }
 
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].

@@ -14,7 +14,7 @@ pub(super) mod sym3;
 
 pub(super) use autoregression::ln_sum;
 pub use correlation::Correlation;
-pub(super) use counts::{LONGEST_WINDOW, WINDOWS, streak};
+pub(super) use counts::{LONGEST_WINDOW, WINDOWS, is_default, streak};
 pub(super) use last_values::LastValues;
 pub(super) use level::{Level, percent};
 pub(super) use regression::Series;
