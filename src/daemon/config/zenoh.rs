@@ -80,27 +80,32 @@ fn tls(section: &Table) -> Option<&Table> {
     find(section, &["transport", "link", "tls"])?.as_table()
 }
 
-fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {
+/// Checks each file of the TLS section; `check` gets its key and its path.
+fn check_each_file(
+    section: &Table,
+    document: &Document,
+    check: impl Fn(&str, &str) -> Result<(), String>,
+) -> Result<(), ConfigError> {
     let Some(tls) = tls(section) else { return Ok(()) };
     for key in FILE_KEYS {
-        if let Some(path) = tls.get(key).and_then(Value::as_str).filter(|path| !Path::new(path).is_file()) {
-            let problem = format!("there is no file {path:?}");
-            return Err(document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem));
-        }
+        let Some(file) = tls.get(key).and_then(Value::as_str) else { continue };
+        check(key, file).map_err(|problem| document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem))?;
     }
     Ok(())
 }
 
+fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    check_each_file(section, document, |_, file| {
+        if Path::new(file).is_file() { Ok(()) } else { Err(format!("there is no file {file:?}")) }
+    })
+}
+
 /// Reads the certificates and private keys. Zenoh would fail with a damaged one only at the start of the session.
 pub(super) fn check_certificates(section: &Table, document: &Document) -> Result<(), ConfigError> {
-    let Some(tls) = tls(section) else { return Ok(()) };
-    for key in FILE_KEYS {
-        let Some(file) = tls.get(key).and_then(Value::as_str).map(Path::new) else { continue };
-        let is_key = key.ends_with("private_key");
-        let checked = if is_key { pem::check_private_key(file) } else { pem::certificates(file).map(drop) };
-        checked.map_err(|problem| document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem))?;
-    }
-    Ok(())
+    check_each_file(section, document, |key, file| {
+        let file = Path::new(file);
+        if key.ends_with("private_key") { pem::check_private_key(file) } else { pem::certificates(file).map(drop) }
+    })
 }
 
 /// Rejects a list of endpoints in place of the table `listen` or `connect`. Zenoh's own error is only that it expected

@@ -314,7 +314,7 @@ impl Querier {
         throws: &[Throw],
     ) -> Result<Option<(u64, Cursor)>, StoreError> {
         let (at, mut new, mut next) = (clock::now(), 0, None);
-        let mut parts: Vec<&[Throw]> = throws.chunks(wire::MAX_PAGE).collect();
+        let mut parts: Vec<&[Throw]> = Some(throws).filter(|throws| !throws.is_empty()).into_iter().collect();
         while let Some(part) = parts.pop() {
             match self.intake.store.spool_page(machine, after, part, at).await {
                 Ok(stored) => {
