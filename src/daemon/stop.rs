@@ -67,7 +67,7 @@ impl Daemon {
         }
         // Committed rows are durable without a clean close too; the next start then checks the database.
         let close = async {
-            if let Err(error) = sources.store_losses().await {
+            if let Err(error) = sources.store_losses(false).await {
                 tracing::warn!(%error, "counting the messages lost at the stop failed");
             }
             store.close().await

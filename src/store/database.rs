@@ -166,10 +166,10 @@ impl Store {
         self.writer.write(outcomes).await
     }
 
-    /// Adds to the counters of the received messages that were dropped and lost. Always changes a row, so that the call
-    /// also shows whether the disk takes writes.
-    pub(crate) async fn count_losses(&self, dropped: u64, lost: u64) -> Result<(), StoreError> {
-        self.writer.write(Losses { dropped, lost }).await
+    /// Adds to the counters of the received messages that were dropped and lost. A probe changes a row in any case, and
+    /// so shows whether the disk takes writes.
+    pub(crate) async fn count_losses(&self, dropped: u64, lost: u64, is_probe: bool) -> Result<(), StoreError> {
+        self.writer.write(Losses { dropped, lost, is_probe }).await
     }
 
     /// Removes messages that zenoh has accepted from the outbox.

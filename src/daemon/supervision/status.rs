@@ -297,15 +297,16 @@ impl StatusSources {
         }
     }
 
-    /// Adds the messages that were dropped or lost since the last call to the counters of the database.
-    pub(crate) async fn store_losses(&self) -> Result<(), StoreError> {
+    /// Adds the messages that were dropped or lost since the last call to the counters of the database. A probe changes
+    /// a row in any case.
+    pub(crate) async fn store_losses(&self, is_probe: bool) -> Result<(), StoreError> {
         let Status { losses, stored_losses, .. } = &*self.status;
         let now = [self.inbox.dropped.load(Relaxed), self.status.edit().lost];
         for (losses, now) in losses.iter().zip(now).filter(|(losses, now)| *now > losses.count()) {
             losses.add(now - losses.count());
         }
         let [dropped, lost] = *stored_losses.lock();
-        self.store.count_losses(now[0].saturating_sub(dropped), now[1].saturating_sub(lost)).await?;
+        self.store.count_losses(now[0].saturating_sub(dropped), now[1].saturating_sub(lost), is_probe).await?;
         *stored_losses.lock() = now;
         Ok(())
     }

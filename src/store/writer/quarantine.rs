@@ -90,15 +90,21 @@ impl Write for Quarantine {
 pub(crate) struct Losses {
     pub(crate) dropped: u64,
     pub(crate) lost: u64,
+    /// Whether a row changes also without losses.
+    pub(crate) is_probe: bool,
 }
 
 impl Write for Losses {
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        // SQLite does not write a page whose content stays the same.
-        count(connection, "probes", 1).await?;
-        for (name, more) in [("dropped_received_messages", self.dropped), ("lost_messages", self.lost)] {
+        let counters = [
+            // SQLite does not write a page whose content stays the same.
+            ("probes", u64::from(self.is_probe)),
+            ("dropped_received_messages", self.dropped),
+            ("lost_messages", self.lost),
+        ];
+        for (name, more) in counters {
             if more > 0 {
                 count(connection, name, more.cast_signed()).await?;
             }
