@@ -22,6 +22,8 @@
 //! all j and k. A throw of some seconds hardly shows how long a load lasts, so the result is the mean of this variance
 //! over φ, weighted by L.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
@@ -73,25 +75,26 @@ impl Load {
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
         let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
         let mut load = Self { from, length, count, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };
+        // With parabolic weights 1 - x² the mean of y' is the slope of the regression line through y, which has the
+        // least noise. The sums of x² and of the weights over a window:
+        let per_window = length as f64;
+        let squares = (per_window * per_window - 1.0) / (3.0 * per_window);
+        let weights = per_window - squares;
+        let scale = Vector3::new(1.0 / weights, 1.0 / weights, 2.0 / (squares * per_window * interval_s));
         let (mut charge, mut angle, mut before) = (0.0, 0.0, None);
         for (window, start) in (from..).step_by(length).take(count + 1).enumerate() {
-            let (mut row, mut mean, mut weights, mut squares) = (Vector3::zeros(), 0.0, 0.0, 0.0);
+            let (mut row, mut mean) = (Vector3::zeros(), 0.0);
             for (at, k) in (start..start + length).enumerate() {
                 if k > from {
                     charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
                     angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
                 }
-                // With parabolic weights the mean of y' is the slope of the regression line through y, which has the
-                // least noise.
-                let x = (2 * at + 1) as f64 / length as f64 - 1.0;
+                let x = (2 * at + 1) as f64 * per_window.recip() - 1.0;
                 let weight = 1.0 - x * x;
                 row += Vector3::new(weight * output[k], weight * angle, x * output[k]);
                 mean += weight * charge;
-                weights += weight;
-                squares += x * x;
             }
-            let per_speed = 2.0 / (squares * length as f64 * interval_s);
-            let here = (row.component_mul(&Vector3::new(1.0 / weights, 1.0 / weights, per_speed)), mean / weights);
+            let here = (row.component_mul(&scale), mean / weights);
             if let Some((row, mean)) = before.replace(here) {
                 (load.rows[window - 1], load.charges[window - 1]) = (here.0 - row, here.1 - mean);
             }
@@ -102,6 +105,17 @@ impl Load {
     /// The step that a load at `sample` changes. All samples before the first step belong to it.
     pub(crate) fn step_of(&self, sample: usize) -> usize {
         (sample.saturating_sub(self.from + self.length / 2) / self.length).min(self.count - 1)
+    }
+
+    /// The samples of each step by [`Self::step_of`], in order.
+    pub(crate) fn steps(&self, samples: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+        let middle = self.from + self.length / 2;
+        let first = move |step: usize| match step {
+            0 => samples.start,
+            step if step == self.count => samples.end,
+            step => (middle + step * self.length).clamp(samples.start, samples.end),
+        };
+        (0..self.count).map(move |step| first(step)..first(step + 1))
     }
 
     /// Covariance of the errors of an estimate from the load. `change` is the change of the estimate by a charge of 1

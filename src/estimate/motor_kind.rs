@@ -102,8 +102,9 @@ impl Way<'_> {
         let (mut inrush, mut sum) = (0.0_f64, 0.0);
         for k in 0..=self.len {
             sum += self.current(k) - if k < ripple { 0.0 } else { self.current(k - ripple) };
-            inrush = inrush.max(sum / ripple as f64);
+            inrush = inrush.max(sum);
         }
+        let inrush = inrush / ripple as f64;
         let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
         let length = (self.len - from) / BLOCKS;
         let quarter = (length / 4).max(1);

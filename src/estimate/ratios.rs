@@ -12,6 +12,8 @@
 //! varying load and errors of the model are correlated over still longer times. So the covariance is that of a random
 //! load (see `load`).
 
+use std::ops::Range;
+
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
@@ -103,62 +105,29 @@ pub(super) fn start(window: &Window) -> Option<usize> {
 
 /// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
 pub(super) fn of(window: &Window) -> Option<Ratios> {
-    let Window { input, output, .. } = window;
-    let (equilibrium, interval_s) = (window.equilibrium, window.interval_s);
+    let Window { output, interval_s, .. } = window;
     let travel = *output.last()?;
-    let (reach, from) = (reach(interval_s), start(window)?);
+    let (reach, from) = (reach(*interval_s), start(window)?);
     let to = output.len().checked_sub(reach)?;
     if to < from + LEAST_SAMPLES {
         return None;
     }
-    let speed = |k: usize| (output[k + reach] - output[k - reach]) / (2.0 * reach as f64 * interval_s);
-    let rows = || {
-        let (mut charge, mut angle) = (0.0, 0.0);
-        (from..to).map(move |k| {
-            if k > from {
-                charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
-                angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
-            }
-            (Vector4::new(output[k] - output[from], angle, speed(k) - speed(from), 1.0), charge)
-        })
-    };
-    let (mut normal, mut right, mut later) = (Matrix4::zeros(), Vector4::zeros(), Vector4::zeros());
-    for (row, charge) in rows() {
-        normal += row * row.transpose();
-        right += row * charge;
-        later += row;
-    }
-    let (scaled, scale) = unit_diagonal(&normal);
+    let load = Load::of(window, from)?;
+    let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
+    let sums = Sums::over(window, from..to, &load);
+    let (scaled, scale) = unit_diagonal(&sums.normal);
     let inverse = scaled.try_inverse()?;
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
-    let found = inverse * right;
-    let load = Load::of(window, from)?;
-    // A charge of the load changes all later rows.
-    let mut effects = [Vector4::zeros(); STEPS];
-    let (mut squares, mut total) = (0.0, 0.0_f64);
-    let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
-    let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
-    // Charge from an offset of 1 A.
-    let (mut extra, input_scale) = (0.0, window.input_scale());
-    for (at, (row, charge)) in rows().enumerate() {
-        let time_s = at as f64 * interval_s;
-        extra += input_scale.map_or(1.0, |scale| scale[from + at]) * interval_s;
-        drift += row * extra;
-        dry += row * (time_s - row[0] / running);
-        hidden += row * time_s;
-        let residual = charge - row.dot(&found);
-        squares += residual * residual;
-        effects[load.step_of(from + at)] += later;
-        later -= row;
-        total = total.max(charge.abs());
-    }
-    if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * total {
+    let found = inverse * sums.charge;
+    let squares = (sums.charge_squares - found.dot(&sums.charge)).max(0.0);
+    if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * sums.largest_charge {
         return None;
     }
-    let (drift, dry) = (inverse * drift, inverse * dry * (DRY_SHARE * found[0] * running));
+    let drift = inverse * sums.offset;
+    let dry = inverse * (sums.time - sums.normal.column(0) / running) * (DRY_SHARE * found[0] * running);
     // With play the rails are ahead of the sensor by a constant distance.
-    let hidden = inverse * hidden * (HIDDEN_SHARE * travel * found[1]);
-    let covariance = load.covariance(|step| (inverse * effects[step]).xyz())?;
+    let hidden = inverse * sums.time * (HIDDEN_SHARE * travel * found[1]);
+    let covariance = load.covariance(|step| (inverse * sums.effects[step]).xyz())?;
     let values = [found[0], found[1]];
     if !(values.iter().all(|v| v.is_finite() && *v > 0.0)) {
         return None;
@@ -169,4 +138,69 @@ pub(super) fn of(window: &Window) -> Option<Ratios> {
     let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j] + hidden[i] * hidden[j]));
     let log_offset = std::array::from_fn(|i| window.rest_a * drift[i] / values[i]);
     Some(Ratios { values, log_covariance, log_systematic, log_offset, from })
+}
+
+/// Sums over the samples of a movement. The factors of a sample are those of the integrated equation, and 1 for its
+/// constant: y - `y_s`, ∫(y - `y_eq`) dt, y' - `y'_s` and 1.
+struct Sums {
+    /// Products of the factors.
+    normal: Matrix4<f64>,
+    /// Products of the factors with the charge ∫u dt, with the time since the first sample, and with the charge from
+    /// an offset of 1 A.
+    charge: Vector4<f64>,
+    time: Vector4<f64>,
+    offset: Vector4<f64>,
+    charge_squares: f64,
+    largest_charge: f64,
+    /// For each step of the load: sum of `charge` over the step's samples, each with a charge of 1 from there on.
+    effects: [Vector4<f64>; STEPS],
+}
+
+impl Sums {
+    fn over(window: &Window, samples: Range<usize>, load: &Load) -> Self {
+        let Window { input, output, equilibrium, interval_s, .. } = window;
+        let (from, reach, input_scale) = (samples.start, reach(*interval_s), window.input_scale());
+        let speed = |k: usize| (output[k + reach] - output[k - reach]) / (2.0 * reach as f64 * interval_s);
+        let first_speed = speed(from);
+        let (mut charge, mut angle, mut offset) = (0.0, 0.0, 0.0);
+        let (mut charge_squares, mut largest_charge) = (0.0, 0.0_f64);
+        // Row i has the products of factor i. An array of complete rows is faster than a symmetric matrix: the compiler
+        // computes several products at a time.
+        let mut sums = [[0.0; 8]; 4];
+        let mut effects = [Vector4::zeros(); STEPS];
+        for (effect, step) in effects.iter_mut().zip(load.steps(samples.clone())) {
+            for k in step {
+                if k > from {
+                    charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
+                    angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
+                }
+                offset += input_scale.map_or(1.0, |scale| scale[k]) * interval_s;
+                charge_squares += charge * charge;
+                largest_charge = largest_charge.max(charge.abs());
+                let time_s = (k - from) as f64 * interval_s;
+                let factors = [output[k] - output[from], angle, speed(k) - first_speed, 1.0];
+                let row = [factors[0], factors[1], factors[2], 1.0, charge, time_s, offset, 0.0];
+                for i in 0..4 {
+                    // A charge at this sample does not change those before it.
+                    effect[i] -= sums[i][3];
+                    for j in 0..8 {
+                        sums[i][j] += factors[i] * row[j];
+                    }
+                }
+            }
+        }
+        let column = |j: usize| Vector4::from_fn(|i, _| sums[i][j]);
+        for (effect, step) in effects.iter_mut().zip(load.steps(samples)) {
+            *effect += column(3) * step.len() as f64;
+        }
+        Self {
+            normal: Matrix4::from_fn(|i, j| sums[i][j]),
+            charge: column(4),
+            time: column(5),
+            offset: column(6),
+            charge_squares,
+            largest_charge,
+            effects,
+        }
+    }
 }
