@@ -54,20 +54,11 @@ struct Buffers {
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
-    /// Whether to compute [`Estimate::running`].
-    with_running: bool,
 }
 
 impl Identifier {
     /// Estimates coefficients and features of a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
-        self.identify_for(throw, settings, true)
-    }
-
-    /// Like [`Self::identify`]. `compares_ratios`: whether [`Estimate::running`] is needed, which takes a third of the
-    /// time.
-    pub(crate) fn identify_for(&mut self, throw: &Throw, settings: &Settings, compares_ratios: bool) -> Identification {
-        self.buffers.with_running = compares_ratios;
         let Some(Resampled { trace, first, every, position_every }) = held::resampled(&throw.trace) else {
             return self.identify_sampled(throw, 1.0, settings);
         };
@@ -135,29 +126,7 @@ impl Identifier {
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
             .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
         let moved = direction_moved(&movement, &outcome);
-        let undamaged = !outcome
-            .as_ref()
-            .is_err_and(|reason| reason.faulty_channel().is_some() || matches!(reason, Rejection::PositionJump { .. }));
-        let mut features = movement.features();
-        match outcome {
-            Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
-                features = features.without(channel);
-            }
-            Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
-            Err(Rejection::TooSlow { .. }) => {
-                (features.duration_s, features.release_s, features.charge_as) = (None, None, None);
-            }
-            _ => {}
-        }
-        add_supply(&mut features, throw);
-        if undamaged
-            && movement.sign != 0.0
-            && interval_s * LEAST_RATE_HZ <= 1.0
-            && let Some(armature) = Armature::of(&movement, settings.radians_per_mm())
-        {
-            armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
-            features.motor = motor_kind::shown(&movement, &armature);
-        }
+        let mut features = features_of(throw, &movement, &outcome, settings);
         if let Ok(estimate) = &outcome {
             (features.start_delay_s, features.start_gain) =
                 start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free).unzip();
@@ -255,8 +224,7 @@ impl Buffers {
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
-                let running = self.with_running.then(|| ratios::of(&self.window)).flatten();
-                let running = running.as_ref().map(Ratios::running);
+                let running = ratios::of(&self.window).as_ref().map(Ratios::running);
                 return Ok(Estimate { grade, reason: noisy, running, ..estimate });
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
@@ -311,6 +279,39 @@ fn identify_current(
         unused_fields: throw.unused_fields(),
         short_of_stroke_mm: None,
     }
+}
+
+/// The features of a throw with a toe position. What a damaged channel shows is left out.
+fn features_of(
+    throw: &Throw,
+    movement: &Movement<'_>,
+    outcome: &Result<Estimate, Rejection>,
+    settings: &Settings,
+) -> Features {
+    let mut features = movement.features();
+    match outcome {
+        Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
+            features = features.without(*channel);
+        }
+        Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
+        Err(Rejection::TooSlow { .. }) => {
+            (features.duration_s, features.release_s, features.charge_as) = (None, None, None);
+        }
+        _ => {}
+    }
+    add_supply(&mut features, throw);
+    let is_damaged = outcome
+        .as_ref()
+        .is_err_and(|reason| reason.faulty_channel().is_some() || matches!(reason, Rejection::PositionJump { .. }));
+    if !is_damaged
+        && movement.sign != 0.0
+        && movement.interval_s * LEAST_RATE_HZ <= 1.0
+        && let Some(armature) = Armature::of(movement, settings.radians_per_mm())
+    {
+        armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
+        features.motor = motor_kind::shown(movement, &armature);
+    }
+    features
 }
 
 /// Adds supply voltage and energy to the features. The voltage is that published, also if it is impossible, which the

@@ -10,14 +10,6 @@ use crate::{
 /// Largest number of threads if the configuration does not set it.
 const MOST_THREADS: usize = 8;
 
-/// A throw with the settings of its machine.
-pub(crate) struct ToIdentify {
-    pub(crate) throw: Throw,
-    pub(crate) settings: Settings,
-    /// Whether the monitor of the machine compares ratios.
-    pub(crate) compares_ratios: bool,
-}
-
 /// The identifiers that no thread uses now, one for each thread. Each keeps its buffers.
 pub(crate) struct Pool {
     idle: Vec<Identifier>,
@@ -31,9 +23,9 @@ impl Pool {
         Self { idle: (0..threads).map(|_| Identifier::default()).collect() }
     }
 
-    /// Identifies each throw. `None` for a throw that makes the estimator panic: such a defect must not block other
+    /// Identifies each throw with the settings of its machine. `None` for a throw that makes the estimator panic: such a defect must not block other
     /// throws.
-    pub(crate) async fn identify(&mut self, throws: Vec<ToIdentify>) -> Vec<Option<Identification>> {
+    pub(crate) async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
         let threads = self.idle.len().max(1);
         let share = throws.len().div_ceil(threads).max(1);
         let mut throws = throws.into_iter();
@@ -62,11 +54,8 @@ impl Pool {
 }
 
 /// Identifies a throw; `None` after a panic.
-fn guarded(
-    identifier: &mut Identifier,
-    ToIdentify { throw, settings, compares_ratios }: &ToIdentify,
-) -> Option<Identification> {
-    let attempt = std::panic::AssertUnwindSafe(|| identifier.identify_for(throw, settings, *compares_ratios));
+fn guarded(identifier: &mut Identifier, (throw, settings): &(Throw, Settings)) -> Option<Identification> {
+    let attempt = std::panic::AssertUnwindSafe(|| identifier.identify(throw, settings));
     let found = std::panic::catch_unwind(attempt).ok();
     if found.is_none() {
         // After a panic the buffers may be inconsistent.

@@ -13,7 +13,7 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 use tokio::sync::watch;
 
 use self::{
-    identify::{Pool, ToIdentify},
+    identify::Pool,
     monitors::{JudgementContext, Monitors},
 };
 use super::{clock, config::Config};
@@ -99,11 +99,7 @@ impl Judge {
     pub(super) async fn judge(&mut self, throws: &[StoredThrow]) -> Arc<[Judgement]> {
         let config = self.config();
         let readable = throws.iter().filter_map(|stored| {
-            Some(ToIdentify {
-                throw: stored.throw.as_ref().ok()?.clone(),
-                settings: config.machines.of(&stored.machine).clone(),
-                compares_ratios: self.monitors.compares_ratios(&stored.machine),
-            })
+            Some((stored.throw.as_ref().ok()?.clone(), config.machines.of(&stored.machine).clone()))
         });
         let mut found = self.pool.identify(readable.collect()).await.into_iter();
         // One transaction stores the batch, so the monitor after the last throw of each machine is enough.

@@ -119,11 +119,6 @@ impl Monitors {
         outcomes
     }
 
-    /// Whether the monitor of a machine compares ratios, or may decide to do so at its next throw.
-    pub(crate) fn compares_ratios(&self, machine: &MachineId) -> bool {
-        self.of_machines.get(machine).is_none_or(|monitor| monitor.compares_ratios())
-    }
-
     /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not
     /// evaluated: the defect must not stop the judgement of all other machines, again after each restart.
     pub(crate) fn judge(
@@ -295,7 +290,7 @@ impl Monitors {
         let first = MachineId { site: site.clone(), machine: Name::fixed(SMALLEST_NAME) };
         let of_site = self.of_machines.range(first..).take_while(|(machine, _)| machine.site == *site);
         let others = of_site.filter(|(machine, _)| Some(*machine) != except).map(|(_, monitor)| &**monitor);
-        MachineMonitor::common(others.filter(|monitor| monitor.has_departures()), at)
+        MachineMonitor::common(others, at)
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].

@@ -21,7 +21,7 @@ use self::{temperature::Temperature, trend::TrendThrow};
 use super::{
     Cause, Settings,
     observation::{Evaluated, SCALE_VARIANCE},
-    statistics::{Scatter, Sym3, centre_and_sd, median},
+    statistics::{Scatter, Sym3, centre_and_sd, median, to_f32},
 };
 use crate::throw::Direction;
 
@@ -108,16 +108,12 @@ pub(super) struct Changes<'a> {
 }
 
 impl BaselineThrow {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "1e-7 of a logarithm, temperature or duration is far below any scatter, and no machine makes 4e9 throws"
-    )]
     pub(super) fn new(order: u64, throw: &Evaluated) -> Self {
         Self {
-            order: order as u32,
-            log: throw.log.map(|log| log as f32),
-            temperature_c: throw.temperature_c.map(|t| t as f32),
-            duration_s: throw.duration_s.map(|d| d as f32),
+            order: u32::try_from(order).unwrap_or(u32::MAX),
+            log: throw.log.map(to_f32),
+            temperature_c: throw.temperature_c.map(to_f32),
+            duration_s: throw.duration_s.map(to_f32),
         }
     }
 

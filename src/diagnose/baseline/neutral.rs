@@ -15,7 +15,7 @@ use crate::{
     diagnose::{
         Observation,
         observation::{Evaluated, apparent_friction},
-        statistics::median,
+        statistics::{median, to_f32},
     },
     estimate::Rejection,
 };
@@ -64,8 +64,7 @@ impl Neutral {
         else {
             return false;
         };
-        #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-        let values = shown(coefficients, duration_s).map(|value| value as f32);
+        let values = shown(coefficients, duration_s).map(to_f32);
         let side = &mut sides[direction.side()];
         if side.len() < FIRST && values.iter().all(|value| value.is_finite()) {
             side.push(values);
@@ -125,7 +124,6 @@ fn shown([b0, a1, a0]: [f64; 3], duration_s: f64) -> [f64; 2] {
 fn elsewhere([[to_reverse, spring], [to_normal, other_spring]]: [[f64; 2]; 2]) -> Option<f32> {
     let (less, more) = (to_reverse.min(to_normal), to_reverse.max(to_normal));
     let is_shown = more > RATIO * less.max(0.0) && (spring - other_spring).abs() < SAME_SPRING;
-    #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-    let share = ((to_normal - to_reverse) / 2.0) as f32;
+    let share = to_f32((to_normal - to_reverse) / 2.0);
     (is_shown && share.is_finite()).then_some(share)
 }

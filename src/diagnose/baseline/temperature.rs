@@ -137,20 +137,21 @@ impl Temperature {
         fitted
     }
 
+    /// Adds the sums of a fitted slope, which snapshots of version 1 do not contain.
+    pub(crate) fn add_sums(&mut self, scatter: &Scatter) {
+        if self.source == TemperatureSource::Fitted {
+            self.information = noise(scatter)[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
+            self.product = self.per_k.map(|k| k * self.information);
+        }
+    }
+
     /// Updates the compensation with a throw. `raw`: residual without compensation; `distance`: temperature from the
     /// reference \[K\]; `suspected`: a drift is suspected; `scatter`: of the machine.
     pub(crate) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, suspected: bool, scatter: &Scatter) {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
         }
-        let variance = scatter.of_one_throw().diagonal();
-        let lag1 = Vector3::from(scatter.lag1);
-        let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
-        if self.information == 0.0 && self.source == TemperatureSource::Fitted {
-            // A snapshot of version 1 contains the slope, but not its sums.
-            self.information = noise[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
-            self.product = self.per_k.map(|k| k * self.information);
-        }
+        let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
         if !suspected {
             self.next = None;
             if self.anchor.throws.is_some() {
@@ -265,7 +266,35 @@ impl Temperature {
     }
 }
 
+/// Variance of ln b0, ln a1, ln a0 of one throw, with serial correlation.
+fn noise(scatter: &Scatter) -> Vector3<f64> {
+    let variance = scatter.of_one_throw().diagonal();
+    Vector3::from_fn(|i, _| variance[i] * serial_inflation(scatter.lag1[i]))
+}
+
 /// Covariance of a mean of throws by the temperature, from the standard deviation of its effect.
 pub(crate) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix3;
+
+    use super::*;
+
+    /// Throws at one temperature say nothing about the slopes, however many there are.
+    #[test]
+    fn throws_at_one_temperature_leave_the_slopes_unknown() {
+        let logs: [_; 60] = std::array::from_fn(|k| Vector3::repeat(1e-3 * ((7 * k) % 13) as f64));
+        let throws = logs.map(|log| (log, Some(20.0)));
+        let mut temperature = Temperature::learn(&throws, &Settings::default());
+        let before = temperature.effect_sd(10.0);
+        let scatter = Scatter::learn(&logs, Matrix3::identity() * 1e-8, 1);
+        for _ in 0..100 {
+            temperature.learn_on(Vector3::zeros(), 0.0, false, &scatter);
+        }
+        let after = temperature.effect_sd(10.0);
+        assert!(before.min() > 0.0 && (after - before).norm() < 1e-9, "{before:?} {after:?}");
+    }
 }

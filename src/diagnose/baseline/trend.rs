@@ -113,14 +113,10 @@ impl Filling {
 
 /// The change over the whole series, if it has a trend.
 fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evidence: f64) -> Option<f64> {
-    if !Series::may_have(time, values, levels, error_part, evidence) {
-        return None;
-    }
-    let series = Series::new(values, levels, error_part);
+    let has_evidence = |series: &Series| series.bayes_factor(time) >= evidence;
+    Some(Series::uncorrelated(values, levels, error_part)).filter(has_evidence)?;
+    let series = Some(Series::new(values, levels, error_part)).filter(has_evidence)?;
     let sloped = series.with(time);
-    if sloped.evidence - series.evidence() < evidence {
-        return None;
-    }
     let step = |at: usize| -> Vec<f64> { (0..values.len()).map(|t| if t < at { -0.5 } else { 0.5 }).collect() };
     let steps: Vec<f64> = (1..STEPS).map(|at| series.with(&step(at * values.len() / STEPS)).evidence).collect();
     let stepped = ln_sum(steps.into_iter()) - (STEPS as f64 - 1.0).ln();
@@ -156,9 +152,8 @@ mod tests {
                 })
                 .collect();
             for bound in [WHILE_FILLING.evidence, AT_THE_END.evidence] {
-                let series = Series::new(&values, &levels, error_part);
-                let is_shown = series.with(&time).evidence - series.evidence() >= bound;
-                let may_be = Series::may_have(&time, &values, &levels, error_part, bound);
+                let is_shown = Series::new(&values, &levels, error_part).bayes_factor(&time) >= bound;
+                let may_be = Series::uncorrelated(&values, &levels, error_part).bayes_factor(&time) >= bound;
                 assert!(may_be || !is_shown, "seed {seed}, phi {phi}, rise {rise}, {length} throws, bound {bound}");
                 (shown, refuted) = (shown + u32::from(is_shown), refuted + u32::from(!may_be));
             }

@@ -16,7 +16,7 @@ use crate::{
         AlarmEvent, Cause, Drifting, RunnerUp, Settings, Severity,
         alarm::{Alarms, Rule, RuleResult, Step},
         gauges::Gauges,
-        statistics::{LONGEST_WINDOW, percent},
+        statistics::{LONGEST_WINDOW, percent, to_f32},
         text,
         track::Suspicion,
     },
@@ -198,8 +198,7 @@ impl DriftAlarms {
     /// change is too small for a warning.
     pub(crate) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
         let matters = |i: usize| settings.relevance(Cause::OF_COEFFICIENTS[i], shared[i]) > SHARED_FROM;
-        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
-        let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
+        let kept = |i: usize| if matters(i) { to_f32(shared[i]) } else { 0.0 };
         self.shared = [0, 1, 2].map(kept);
     }
 

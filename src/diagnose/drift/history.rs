@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Point;
-use crate::diagnose::statistics::{LONGEST_WINDOW, LastValues};
+use crate::diagnose::statistics::{LONGEST_WINDOW, LastValues, to_f32};
 
 /// Means of consecutive blocks of throws since the baseline. When there are [`History::PLACES`] blocks, neighbouring
 /// blocks are joined in pairs, and new blocks are twice as long. So the history stays complete, and becomes coarser.
@@ -40,7 +40,6 @@ impl History {
     const FIRST_LENGTH: u32 = 4;
 
     /// Adds the residual of the machine's throw number `order`.
-    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
     pub(crate) fn push(&mut self, residual: &Vector3<f64>, order: u64) {
         self.since.get_or_insert(order);
         for (sum, value) in self.sum.iter_mut().zip(residual.iter()) {
@@ -50,7 +49,7 @@ impl History {
         if self.filling < self.length {
             return;
         }
-        self.blocks.push(self.sum.map(|sum| (sum / f64::from(self.length)) as f32));
+        self.blocks.push(self.sum.map(|sum| to_f32(sum / f64::from(self.length))));
         self.sum = [0.0; 3];
         self.filling = 0;
         if self.blocks.len() == Self::PLACES {

@@ -27,12 +27,15 @@ use serde::{Deserialize, Serialize};
 use super::{
     Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Window, fit, fit_along, single,
 };
-use crate::diagnose::{
-    AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
-    alarm::{Rule, Step, count_over},
-    gauges::{Circuit, Gauge, Gauges, Offset, ShownBy},
-    statistics::{LONGEST_WINDOW, Level, WINDOWS, percent, streak},
-    text,
+use crate::{
+    diagnose::{
+        AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
+        alarm::{Rule, Step, count_over},
+        gauges::{Circuit, Gauge, Gauges, ShownBy},
+        statistics::{LONGEST_WINDOW, Level, WINDOWS, percent, streak},
+        text,
+    },
+    throw::Channel,
 };
 
 /// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
@@ -328,11 +331,12 @@ impl Instruments {
 
     /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an
     /// offset of the current changes neither coefficients nor features, and explains no other alarm.
-    pub(crate) fn judge_offset(&mut self, sensor: Offset, step: &mut Step) {
+    pub(crate) fn judge_offset(&mut self, sensor: Channel, step: &mut Step) {
         let Some((level, size)) = self.gauges.offset(sensor) else { return };
-        let (streaks, channel) = match sensor {
-            Offset::Current => (&mut self.rest, SensorChannel::Current),
-            Offset::Position => (&mut self.shift, SensorChannel::Position),
+        let channel = sensor.into();
+        let streaks = match sensor {
+            Channel::Current => &mut self.rest,
+            Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
         streaks.follow(size > 1.0, true, false, Some(size), delay);

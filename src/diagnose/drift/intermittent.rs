@@ -13,7 +13,7 @@ use statrs::function::beta::checked_beta_reg;
 use super::{CLOSE, Explanation, direction_of, single};
 use crate::diagnose::{
     Cause, Settings,
-    statistics::{LastValues, SparseValues, is_default, sym3},
+    statistics::{LastValues, SparseValues, is_default, sym3, to_f32},
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -106,9 +106,8 @@ impl Intermittent {
             let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
             square(d) > ANY.far && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
         };
-        #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
         let ended = if far(departure) {
-            let (first, throws) = self.begun[side].unwrap_or(([0, 1, 2].map(|i| departure[i] as f32), 0));
+            let (first, throws) = self.begun[side].unwrap_or(([0, 1, 2].map(|i| to_f32(departure[i])), 0));
             self.begun[side] = Some((first, throws + 1));
             None
         } else {

@@ -253,12 +253,7 @@ fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Setti
         let bound = e.size.abs() + 2.0 * e.size_sd;
         (settings.relevance(cause, e.size), settings.relevance(cause, bound))
     };
-    if cause == Cause::Unattributed {
-        let shown = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));
-        shown.map(of).fold((0.0, 0.0), max_of_each)
-    } else {
-        of(cause)
-    }
+    alarm_causes(cause).filter(|part| window.shows(*part)).map(of).fold((0.0, 0.0), max_of_each)
 }
 
 /// The mean of both directions with equal weights, as dry friction may change the coefficients of each differently.

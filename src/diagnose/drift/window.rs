@@ -14,7 +14,7 @@ use crate::{
     diagnose::{
         Cause,
         baseline::{Baseline, covariance_of_effect},
-        statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3},
+        statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3, to_f32},
     },
     estimate::Estimate,
 };
@@ -67,13 +67,15 @@ pub(crate) struct RecentThrow {
 }
 
 impl RecentThrow {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "1e-7 of a logarithm is far below any scatter, and no machine makes 4e9 throws"
-    )]
     pub(crate) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3, ratios_only: bool) -> Self {
-        let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order: order as u32, residual, sensor, distance_k: distance_k as f32, ratios_only }
+        let order = u32::try_from(order).unwrap_or(u32::MAX);
+        Self {
+            order,
+            residual: [0, 1, 2].map(|i| to_f32(residual[i])),
+            sensor,
+            distance_k: to_f32(distance_k),
+            ratios_only,
+        }
     }
 
     /// Whether the throw shows the common scale of the coefficients, and so the inertia.

@@ -12,7 +12,7 @@ use crate::{
     diagnose::{
         Cause, Severity,
         alarm::{RuleResult, Step, count_over},
-        statistics::{LONGEST_WINDOW, LastValues, Level, median, percent},
+        statistics::{LONGEST_WINDOW, LastValues, Level, median, percent, to_f32},
         text,
     },
     estimate::Features,
@@ -133,8 +133,7 @@ impl FeatureWatch {
         let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);
         let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
-        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
-        let pct = |departure: &Departure| percent(departure.change.level.value) as f32;
+        let pct = |departure: &Departure| to_f32(percent(departure.change.level.value));
         self.season_pct = seasonal.map(pct);
         let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         let waits = self.is_new_fall(&changes, step.at) && self.reported == 0.0;
@@ -200,9 +199,8 @@ impl FeatureWatch {
             self.earlier[side] = None;
             return;
         }
-        #[expect(clippy::cast_possible_truncation, reason = "far below the scatter")]
         let present: Changes = std::array::from_fn(|gauge| {
-            self.level(side, gauge).map_or(0.0, |departure| departure.change.level.value as f32)
+            self.level(side, gauge).map_or(0.0, |departure| to_f32(departure.change.level.value))
         });
         self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
     }

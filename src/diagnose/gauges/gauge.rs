@@ -1,6 +1,6 @@
 //! The gauges, and their values in a throw.
 
-use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
+use crate::{diagnose::statistics::rounded, estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 /// A quantity of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,8 +94,5 @@ pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
         features.start_position_mm.zip(features.end_position_mm).map(|(start, end)| f64::midpoint(start, end)),
         celsius,
     ];
-    // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
-    #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
-    let rounded = |value: f64| ((1e4 * value).round() / 1e4) as f32;
     shown.map(|value| value.map(rounded).filter(|value| value.is_finite()))
 }

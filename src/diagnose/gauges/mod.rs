@@ -16,7 +16,6 @@ pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{Change, Gauges};
-pub(super) use offset::Offset;
 pub(super) use start::StartWatch;
 
 use self::{

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Gauge, Values};
-use crate::diagnose::statistics::{centre_and_sd, skewed_sd};
+use crate::diagnose::statistics::{centre_and_sd, skewed_sd, to_f32};
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
@@ -109,9 +109,7 @@ impl Normal {
                 // On a machine without a toe sensor, sampled at 25 Hz, the charge of half of the throws contains no
                 // sample of the inrush.
                 let sd = sd.max(skewed_sd(&values, centre));
-                #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
-                let known = (centre as f32, sd as f32);
-                self.known[at] = Some(known);
+                self.known[at] = Some((to_f32(centre), to_f32(sd)));
             }
             if learned.len() >= LEARNED.1 {
                 *learned = Vec::new();

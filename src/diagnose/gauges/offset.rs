@@ -4,7 +4,7 @@ use super::{Gauge, Gauges, values};
 use crate::{
     diagnose::statistics::{Level, WINDOWS},
     estimate::Features,
-    throw::Direction,
+    throw::{Channel, Direction},
 };
 
 /// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
@@ -24,31 +24,23 @@ const END_SHARE: f64 = 0.01;
 /// Least significance of a shift, in standard deviations of a level.
 const SHIFT_SD: f64 = 4.0;
 
-/// The sensors whose offset is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Offset {
-    /// The current sensor, by the current at rest.
-    Current,
-    /// The position sensor, by both ends of the movement.
-    Position,
-}
-
 impl Gauges {
-    /// Offset of a sensor, and its size relative to the least reported offset. The level is that of the last three
-    /// throws; six throws must show the offset too.
-    pub(crate) fn offset(&self, sensor: Offset) -> Option<(Level, f64)> {
+    /// Offset of a sensor, and its size relative to the least reported offset: that of the current sensor by the current
+    /// at rest, that of the position sensor by both ends of the movement. The level is that of the last three throws;
+    /// six throws must show the offset too.
+    pub(crate) fn offset(&self, sensor: Channel) -> Option<(Level, f64)> {
         let ((level, size), (_, longer)) = (self.offset_in(sensor, WINDOWS[0])?, self.offset_in(sensor, WINDOWS[1])?);
         Some((level, size.min(longer)))
     }
 
     /// [`Self::offset`] over the last `throws`.
-    fn offset_in(&self, sensor: Offset, throws: usize) -> Option<(Level, f64)> {
+    fn offset_in(&self, sensor: Channel, throws: usize) -> Option<(Level, f64)> {
         let (level, least) = match sensor {
-            Offset::Current => {
+            Channel::Current => {
                 let level = self.level(Gauge::Rest, throws)?;
                 (level, self.least_rest_a().max(REST_SD * level.sd))
             }
-            Offset::Position => {
+            Channel::Position => {
                 let [level, travel] = [Gauge::Middle, Gauge::Travel].map(|gauge| self.level(gauge, throws));
                 let (level, changed, travel_mm) = (level?, travel?.value, self.normal_travel_mm()?);
                 // If the travel changed as much, only one end has moved, or the gain of the sensor has changed.

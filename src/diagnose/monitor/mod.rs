@@ -141,11 +141,6 @@ impl MachineMonitor {
         self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
     }
 
-    /// Whether the machine has a departure from a baseline; [`Self::common`] needs such machines only.
-    pub fn has_departures(&self) -> bool {
-        !self.trail.is_empty()
-    }
-
     /// Common change of machines with these monitors in the hours before `at`.
     pub fn common<'a>(machines: impl Iterator<Item = &'a Self>, at: Timestamp) -> Common {
         site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
@@ -383,12 +378,6 @@ impl MachineMonitor {
         let by_features = self.features.is_monitoring() && !self.tracks.any_baseline();
         let is_learning = progress.iter().any(|(throws, needed)| throws < needed);
         (is_learning && !by_features).then_some(progress)
-    }
-
-    /// Whether the ratios of complete throws are compared ([`Estimate::running`](crate::estimate::Estimate::running)), or
-    /// may be from the next throw on.
-    pub(crate) fn compares_ratios(&self) -> bool {
-        self.tracks.compares_ratios()
     }
 
     /// The baseline in use for a direction.

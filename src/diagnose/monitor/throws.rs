@@ -12,14 +12,13 @@ use crate::{
         alarm::{Alarms, Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, Known, LatestThrow, Origin},
-        gauges::Offset,
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
         statistics::percent,
         track::Tracks,
     },
     estimate::{Features, Motor},
-    throw::POSSIBLE_SUPPLY_V,
+    throw::{Channel, POSSIBLE_SUPPLY_V},
 };
 
 impl MachineMonitor {
@@ -143,7 +142,7 @@ impl MachineMonitor {
             self.drift.on_unjudged();
             self.observe_features(observation, step);
         }
-        for sensor in [Offset::Current, Offset::Position] {
+        for sensor in [Channel::Current, Channel::Position] {
             self.instruments.judge_offset(sensor, step);
         }
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.

@@ -9,7 +9,7 @@ use crate::{
     diagnose::{
         AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
         alarm::Step,
-        statistics::{is_default, streak},
+        statistics::{is_default, streak, to_f32},
         text,
     },
     estimate::{Features, Rejection},
@@ -288,8 +288,7 @@ impl Operation {
             self.usually_contradicted = Some(contradicted);
         }
         let Features { start_position_mm: start, end_position_mm: end, travel_mm: travel, .. } = *features;
-        #[expect(clippy::cast_possible_truncation, reason = "a position needs no more digits")]
-        let before = mem::replace(&mut self.ended_mm, end.map(|end| end as f32));
+        let before = mem::replace(&mut self.ended_mm, end.map(to_f32));
         let is_unusual = self.usually_contradicted.is_some_and(|usual| usual != contradicted);
         // Only the first throw can show this: later throws with a reversed axis begin where the last one ended, too.
         let is_first = if contradicted { self.contradicted } else { self.agreed } == 1;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::diagnose::{
     AlarmEvent, Cause,
     alarm::Step,
-    statistics::{LastValues, median, percent},
+    statistics::{LastValues, median, percent, rounded},
     text,
 };
 
@@ -62,15 +62,8 @@ pub(crate) struct Trail {
 impl Trail {
     /// Adds the departure of a throw. `of_one_throw`: covariance of one throw of the machine.
     pub(crate) fn push(&mut self, at: Timestamp, departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>) {
-        // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
-        #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
-        let rounded = |values: &Vector3<f64>| [0, 1, 2].map(|i| ((1e4 * values[i]).round() / 1e4) as f32);
-        self.sd = rounded(&of_one_throw.diagonal().map(|variance| variance.sqrt().max(1e-3)));
-        self.last.push((at, rounded(departure)));
-    }
-
-    pub(crate) fn is_empty(&self) -> bool {
-        self.last.is_empty()
+        self.sd = [0, 1, 2].map(|i| rounded(of_one_throw[(i, i)].sqrt().max(1e-3)));
+        self.last.push((at, [0, 1, 2].map(|i| rounded(departure[i]))));
     }
 
     /// The latest departure in the hours before `at`, with the standard deviations of one throw.

@@ -20,7 +20,11 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
-use super::autoregression::{Autoregression, dot, ln_sum};
+use super::{
+    autoregression::{Autoregression, ln_sum},
+    regression::Whitened,
+    to_f32,
+};
 
 /// Grid of phi, from -0.3 to 0.97: number of nodes, atanh phi of the first node, distance of the nodes in atanh phi.
 const NODES: (usize, f64, f64) = (9, -0.3, 0.3);
@@ -72,11 +76,17 @@ pub(crate) fn possible(
     kinds: [Kind; 2],
 ) -> [[Possible; NODES.0]; 3] {
     let own = residuals.len() as f64 - 1.0;
-    let whitened: [[Whitened; NODES.0]; 3] = std::array::from_fn(|i| {
+    let mean_only = [vec![1.0; residuals.len()]];
+    // Sum of squares around the best mean, and -1/2 ln det - 1/2 ln info.
+    let whitened: [[(f64, f64); NODES.0]; 3] = std::array::from_fn(|i| {
         let series: Vec<f64> = residuals.iter().map(|residual| residual[i]).collect();
         // Errors of the estimates relative to the natural scatter, which is 0 for b0 in a baseline of ratios.
         let error = (sensor[i] / natural[i].max(f64::MIN_POSITIVE)).min(LARGEST_ERROR);
-        std::array::from_fn(|at| Whitened::of(&series, &Autoregression { phi: phi_of(at), natural: 1.0, error }))
+        std::array::from_fn(|at| {
+            let noise = Autoregression { phi: phi_of(at), natural: 1.0, error };
+            let whitened = Whitened::new(&noise, &series, &mean_only);
+            (whitened.squares(), whitened.of_levels)
+        })
     });
     let mut found = [[[(0.0, 0.0); NODES.0]; 3]; 2];
     let mut totals = [0.0; 2];
@@ -87,12 +97,12 @@ pub(crate) fn possible(
         };
         for (i, nodes) in found.iter_mut().enumerate() {
             for (at, (evidence, variance)) in nodes.iter_mut().enumerate() {
-                let Whitened { squares, ln_determinant, information } = whitened[i][at];
+                let (squares, of_mean) = whitened[i][at];
                 let squares = squares + kind.worth * typical[i];
-                *evidence = of_prior(typical[i])
-                    - 0.5 * ((z_of(at) - USUAL_PHI) / kind.phi_sd).powi(2)
-                    - kind.phi_sd.ln()
-                    - 0.5 * (ln_determinant + information.ln() + (own + kind.worth) * squares.ln());
+                *evidence =
+                    of_prior(typical[i]) - 0.5 * ((z_of(at) - USUAL_PHI) / kind.phi_sd).powi(2) - kind.phi_sd.ln()
+                        + of_mean
+                        - 0.5 * (own + kind.worth) * squares.ln();
                 *variance = squares / (own + kind.worth);
             }
             let of_nodes = ln_sum(nodes.iter().map(|(evidence, _)| *evidence));
@@ -112,33 +122,10 @@ pub(crate) fn possible(
         };
         let variance = mean(&|kind| found[kind][i][at].1);
         let freedom = mean(&|kind| own * worth + kinds[kind].worth);
-        #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a weight or a variance has no effect")]
-        Possible { weight: weight as f32 / 3.0, variance: variance as f32, freedom: freedom as f32 }
+        Possible { weight: to_f32(weight) / 3.0, variance: to_f32(variance), freedom: to_f32(freedom) }
     };
     std::array::from_fn(|i| std::array::from_fn(|at| mean(i, at)))
 }
 
 /// Largest ratio of the errors' variance to the natural variance.
 const LARGEST_ERROR: f64 = 50.0;
-
-/// Result of whitening a series: its values become independent, with equal variance.
-#[derive(Clone, Copy)]
-struct Whitened {
-    /// Sum of squares around the best mean.
-    squares: f64,
-    /// Logarithm of the determinant of the series' covariance.
-    ln_determinant: f64,
-    /// Information about the mean.
-    information: f64,
-}
-
-impl Whitened {
-    /// Filters the series and a constant in the same way; the best mean is then that of least squares.
-    fn of(series: &[f64], noise: &Autoregression) -> Self {
-        let noise = noise.whitening(series.len());
-        let (values, ones) = (noise.of(series), noise.of(&vec![1.0; series.len()]));
-        let information = dot(&ones, &ones);
-        let squares = (dot(&values, &values) - dot(&values, &ones).powi(2) / information).max(0.0);
-        Self { squares, ln_determinant: noise.ln_determinant, information }
-    }
-}

@@ -17,7 +17,7 @@ const CHANGE_SD: f64 = 4.0;
 pub(crate) struct Series(Vec<Whitened>);
 
 /// A series with its levels removed, whitened for a given phi.
-struct Whitened {
+pub(super) struct Whitened {
     noise: Whitening,
     /// Orthonormal columns that span the levels.
     basis: Vec<Vec<f64>>,
@@ -26,7 +26,7 @@ struct Whitened {
     /// Half of the degrees of freedom of `rest`.
     half_freedom: f64,
     /// Logarithm of the evidence, without the part of `rest`.
-    of_levels: f64,
+    pub(super) of_levels: f64,
 }
 
 /// Evidence for a regressor.
@@ -45,24 +45,22 @@ impl Series {
         Self(phis.map(|phi| Whitened::new(&noise(phi), values, levels)).collect())
     }
 
-    /// Whether the logarithm of the Bayes factor of a regressor against levels alone may reach `bound`. A lag-1
-    /// correlation lets chance look like a regressor, so the factor is largest without one, and this value of phi is
-    /// enough to refute a regressor, in a sixteenth of the time.
-    pub(crate) fn may_have(
-        regressor: &[f64],
-        values: &[f64],
-        levels: &[Vec<f64>],
-        error_part: f64,
-        bound: f64,
-    ) -> bool {
+    /// [`Self::new`] without a lag-1 correlation. The correlation lets chance look like a regressor, so the Bayes factor
+    /// of a regressor is largest without one: if it is small here, it is small for [`Self::new`], which takes 16 times as
+    /// long.
+    pub(crate) fn uncorrelated(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let noise = Autoregression { phi: 0.0, natural: 1.0 - error_part, error: error_part };
-        let uncorrelated = Self(vec![Whitened::new(&noise, values, levels)]);
-        uncorrelated.with(regressor).evidence - uncorrelated.evidence() >= bound
+        Self(vec![Whitened::new(&noise, values, levels)])
+    }
+
+    /// Logarithm of the Bayes factor of a regressor against levels alone.
+    pub(crate) fn bayes_factor(&self, regressor: &[f64]) -> f64 {
+        self.with(regressor).evidence - self.evidence()
     }
 
     /// Logarithm of the evidence for levels alone.
     pub(crate) fn evidence(&self) -> f64 {
-        let of = |part: &Whitened| part.of_levels - part.half_freedom * dot(&part.rest, &part.rest).ln();
+        let of = |part: &Whitened| part.of_levels - part.half_freedom * part.squares().ln();
         ln_sum(self.0.iter().map(of))
     }
 
@@ -76,7 +74,7 @@ impl Series {
 }
 
 impl Whitened {
-    fn new(noise: &Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
+    pub(super) fn new(noise: &Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
         let noise = noise.whitening(values.len());
         let mut rest = noise.of(values);
         let mut of_levels = -0.5 * noise.ln_determinant;
@@ -99,12 +97,17 @@ impl Whitened {
         Self { noise, basis, rest, half_freedom, of_levels }
     }
 
+    /// Sum of squares around the best levels.
+    pub(super) fn squares(&self) -> f64 {
+        dot(&self.rest, &self.rest)
+    }
+
     fn with(&self, regressor: &[f64]) -> Regression {
         let mut x = self.noise.of(regressor);
         remove(&mut x, &self.basis);
         let precision = dot(&x, &x) + CHANGE_SD.powi(-2);
         let change = dot(&x, &self.rest) / precision;
-        let square = (dot(&self.rest, &self.rest) - change * change * precision).max(f64::MIN_POSITIVE);
+        let square = (self.squares() - change * change * precision).max(f64::MIN_POSITIVE);
         let evidence = self.of_levels - self.half_freedom * square.ln() - 0.5 * (precision * CHANGE_SD.powi(2)).ln();
         Regression { evidence, change }
     }

@@ -3,16 +3,16 @@
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22. Stored as `f32`, which halves the snapshot; the precision of
-/// 1e-7 is far below any scatter.
+use super::to_f32;
+
+/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(crate) struct Sym3([f32; 6]);
 
 impl From<Matrix3<f64>> for Sym3 {
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to single precision is the purpose")]
     fn from(m: Matrix3<f64>) -> Self {
-        Self([m[(0, 0)], m[(0, 1)], m[(0, 2)], m[(1, 1)], m[(1, 2)], m[(2, 2)]].map(|v| v as f32))
+        Self([m[(0, 0)], m[(0, 1)], m[(0, 2)], m[(1, 1)], m[(1, 2)], m[(2, 2)]].map(to_f32))
     }
 }
 

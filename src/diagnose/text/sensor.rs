@@ -1,11 +1,8 @@
 //! Texts about sensors, supply and the circuit of the motor.
 
 use crate::{
-    diagnose::{
-        SensorChannel, drift::SensorFault, gauges::Offset, observation::Unusable, operation::Implausible,
-        statistics::Level,
-    },
-    throw::{POSSIBLE_C, brief, rounded, utc},
+    diagnose::{SensorChannel, drift::SensorFault, observation::Unusable, operation::Implausible, statistics::Level},
+    throw::{Channel, POSSIBLE_C, brief, rounded, utc},
 };
 
 /// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
@@ -15,8 +12,10 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
         SensorChannel::Position => ("reads", "the travel differs from the stroke"),
         SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
-        SensorChannel::Temperature => ("reads", "it differs from the weather"),
-        SensorChannel::Supply => ("reads", "the motor's resistance and back-EMF seem changed as much, its current not"),
+        // A wrong temperature has its own texts.
+        SensorChannel::Supply | SensorChannel::Temperature => {
+            ("reads", "the motor's resistance and back-EMF seem changed as much, its current not")
+        }
     };
     let way = match (fault.channel, pct > 0.0) {
         (SensorChannel::Clock, true) => "fast",
@@ -34,16 +33,16 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
 }
 
 /// Text about an offset of a sensor.
-pub(crate) fn offset(name: &str, sensor: Offset, level: &Level) -> String {
+pub(crate) fn offset(name: &str, sensor: Channel, level: &Level) -> String {
     let Level { value, sd } = *level;
     let half_width = (1.96 * sd).max(0.1);
     match sensor {
-        Offset::Current => format!(
+        Channel::Current => format!(
             "Machine {name}: between throws the current sensor reads {value:+.1} A (±{half_width:.1} A) against its \
              baseline: an offset. It is subtracted from each throw, so the machine is monitored as before. Check the \
              current sensor's zero and supply, then whether the logger's circuit feeds something new."
         ),
-        Offset::Position => format!(
+        Channel::Position => format!(
             "Machine {name}: the position sensor reads {value:+.1} mm (±{half_width:.1} mm) at both ends against its \
              baseline: it moved, or its zero was set again. The shift is compensated, so the machine is monitored as \
              before. Check how the sensor is fixed, and set its zero; if it is right now, take a new baseline \
@@ -60,10 +59,10 @@ pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
     )
 }
 
-pub(crate) fn offset_over(name: &str, sensor: Offset) -> String {
+pub(crate) fn offset_over(name: &str, sensor: Channel) -> String {
     let reads = match sensor {
-        Offset::Current => "between throws the current sensor",
-        Offset::Position => "at both ends the position sensor",
+        Channel::Current => "between throws the current sensor",
+        Channel::Position => "at both ends the position sensor",
     };
     format!("Machine {name}: {reads} reads as in its baseline again.")
 }
@@ -162,30 +161,32 @@ pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String
 pub(crate) const SENSOR_PLAUSIBLE: &str = "the sensors of temperature and supply voltage are plausible again.";
 
 pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
-    let (what, check) = match found {
+    let (what, check): (String, String) = match found {
         Unusable::Values(SensorChannel::Clock) => (
-            "the recordings of its throws last longer than a point machine can move".to_owned(),
+            "the recordings of its throws last longer than a point machine can move".into(),
             "sample_rate_hz in the logger, which may have another unit than Hz; throws_not_evaluated has the duration \
-             of each throw",
+             of each throw"
+                .into(),
         ),
-        Unusable::Values(channel) => (
-            format!("the {channel} reads impossible, stuck or very noisy values"),
-            if channel == SensorChannel::Current {
-                "the sensor, its cable and its supply, and that the logger sends A; throws_not_evaluated has the \
-                 reason of each throw"
-            } else {
-                "the sensor, its cable and its supply, and that the logger sends mm; throws_not_evaluated has the \
-                 reason of each throw"
-            },
-        ),
+        Unusable::Values(channel) => {
+            let unit = if channel == SensorChannel::Current { "A" } else { "mm" };
+            (
+                format!("the {channel} reads impossible, stuck or very noisy values"),
+                format!(
+                    "the sensor, its cable and its supply, and that the logger sends {unit}; throws_not_evaluated has \
+                     the reason of each throw"
+                ),
+            )
+        }
         Unusable::Missing => (
-            "the logger no longer sends a toe position (position_mm)".to_owned(),
-            "the sensor and its cable, and the logger's configuration",
+            "the logger no longer sends a toe position (position_mm)".into(),
+            "the sensor and its cable, and the logger's configuration".into(),
         ),
         Unusable::Reversed => (
-            "the position moves against the direction that the logger names, unlike before".to_owned(),
+            "the position moves against the direction that the logger names, unlike before".into(),
             "whether the axis of the position or the names of the directions were changed. If both are right now, \
-             take a new baseline (rebaseline)",
+             take a new baseline (rebaseline)"
+                .into(),
         ),
     };
     format!("Machine {name}: {what}, so the throws cannot be evaluated. Check {check}.")

@@ -16,7 +16,7 @@ use super::{
         visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
-    statistics::{Scatter, Sym3, WINDOWS, median},
+    statistics::{Scatter, Sym3, WINDOWS, median, to_f32},
 };
 use crate::{estimate::Estimate, throw::Direction};
 
@@ -86,9 +86,7 @@ impl RoughErrors {
     /// departure larger than stated is left out, as it may be a fault that is not detected yet.
     fn learn(&mut self, square: f64) {
         if self.throws < Self::THROWS.1 && square < 1.0 {
-            #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
-            let square = square as f32;
-            (self.throws, self.squares) = (self.throws + 1, self.squares + square);
+            (self.throws, self.squares) = (self.throws + 1, self.squares + to_f32(square));
         }
     }
 
@@ -234,10 +232,11 @@ impl Tracks {
         Some(self.sides[direction.side()].baseline.as_ref()?.scatter.of_one_throw())
     }
 
-    /// Converts throws of snapshot version 1, whose residuals contain the temperature compensation.
+    /// Converts a snapshot of version 1, whose residuals contain the temperature compensation.
     pub(super) fn add_temperature(&mut self) {
         for track in &mut self.sides {
-            if let Some(baseline) = &track.baseline {
+            if let Some(baseline) = &mut track.baseline {
+                baseline.temperature.add_sums(&baseline.scatter);
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
         }
@@ -401,11 +400,6 @@ impl Tracks {
     /// Discards the last throws, and keeps the baselines.
     pub(super) fn forget_recent(&mut self) {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
-    }
-
-    /// Whether a direction is compared by ratios only, or may change to that with its next throw.
-    pub(super) fn compares_ratios(&self) -> bool {
-        self.sides.iter().any(|track| track.of_ratios || track.baseline.is_none())
     }
 
     /// Whether a direction has a baseline of ratios, with which only the ratios of its throws are compared.
