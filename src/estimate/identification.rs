@@ -97,25 +97,21 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// Length of the longest window of the diagnosis \[throws\], as the factor of the covariance of ratios in
-    /// [`Self::drift_covariance`].
-    pub const LONGEST_WINDOW: f64 = LONGEST_WINDOW as f64;
-
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///
     /// For a complete estimate this is `covariance`: the errors that are equal in every throw (`systematic`) cancel.
     ///
     /// For an estimate of ratios only, the equal errors do not cancel, as the baseline may consist of complete
     /// estimates. The errors in `covariance` come from the misfit of the model, which repeats from throw to throw. Both
-    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by
-    /// [`Self::LONGEST_WINDOW`].
+    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by the length
+    /// of the longest window of the diagnosis.
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
         }
         let coefficients = Vector3::from(self.coefficients()) / self.b0;
         let of_scale = self.covariance[(0, 0)] * coefficients * coefficients.transpose();
-        of_scale + Self::LONGEST_WINDOW * (self.covariance - of_scale + self.systematic)
+        of_scale + f64::from(LONGEST_WINDOW) * (self.covariance - of_scale + self.systematic)
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).
