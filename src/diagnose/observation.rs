@@ -4,10 +4,10 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::SensorChannel;
+use super::{SensorChannel, statistics::LONGEST_WINDOW};
 use crate::{
     estimate,
-    estimate::{Estimate, Features, Grade, Identification, Motor, Rejection, RunningRatios},
+    estimate::{Features, Grade, Identification, Motor, Rejection, RunningRatios},
     throw::{Direction, Throw, ThrowRef},
 };
 
@@ -241,7 +241,7 @@ impl Evaluated {
         let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
         // Most of the error of ratios is a misfit that is equal in every throw of the machine, and cancels in a
         // comparison; the part that differs shows as scatter.
-        let most = if observation.ratios_only { Estimate::LONGEST_WINDOW } else { WORST_SD * WORST_SD };
+        let most = if observation.ratios_only { f64::from(LONGEST_WINDOW) } else { WORST_SD * WORST_SD };
         let usable = sensor.iter().all(|v| v.is_finite())
             && sensor.diagonal().iter().all(|v| *v >= 0.0)
             && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < most);
@@ -266,7 +266,7 @@ impl Evaluated {
     /// errors of a complete estimate are not those of ratios, so its ratios come from [`Self::running`] if
     /// `of_running`, as in all baselines but those of an earlier version of the program.
     pub(super) fn ratios(self, of_running: bool) -> Self {
-        let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
+        let repeats = if self.ratios_only { f64::from(LONGEST_WINDOW) } else { 1.0 };
         let own = || (self.log.map(|log| log - self.log[0]), relative_to(0, &self.sensor) / repeats);
         let (log, sensor) = self.running.filter(|_| of_running).unwrap_or_else(own);
         Self { log, sensor: sensor + Matrix3::repeat(SCALE_VARIANCE), ratios_only: true, ..self }

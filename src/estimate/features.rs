@@ -1,13 +1,12 @@
 //! Features of a throw: values that maintainers know. Nearly all are known without an estimate of the coefficients.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::settings::Motor;
 use crate::throw::Channel;
 
 /// Features of a throw; `None` if the trace does not show them.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Features {
     /// Time from the start of the motor to the arrival of the toe \[s\]; without a position, to the end of the motor.
     pub duration_s: Option<f64>,

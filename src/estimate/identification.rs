@@ -1,7 +1,6 @@
 //! The result of the estimator for a throw: its estimate or the reason why there is none, and its features.
 
 use nalgebra::{Matrix2, Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
 
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
@@ -10,9 +9,7 @@ use crate::throw::Direction;
 pub(crate) const LONGEST_WINDOW: u32 = 24;
 
 /// How far an estimate can be trusted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[derive(strum::EnumString, strum::IntoStaticStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Grade {
     /// The model fits the throw; the covariance is that of the sensors' noise.
@@ -34,10 +31,9 @@ impl Grade {
 }
 
 /// The coefficients of equation (12) for one throw, with their covariance.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// Trust in the estimate.
-    #[serde(default)]
     pub grade: Grade,
     /// KT / J \[rad s⁻² A⁻¹\] (rad s⁻² A⁻² for a series motor).
     pub b0: f64,
@@ -47,26 +43,20 @@ pub struct Estimate {
     pub a0: f64,
     /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is set to 1,
     /// with a large variance.
-    #[serde(default)]
     pub ratios_only: bool,
     /// Covariance of (b0, a1, a0) from the sensors' noise, which differs in each throw.
-    #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
     /// Covariance of the errors of (b0, a1, a0) that the sensors do not cause. Dry friction in the viscous model, and a
     /// possible brake at the start, act equally in every throw of a machine. A random load is part of the scatter of
     /// its baseline. So a comparison with a baseline does not contain these errors.
-    #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// Errors of (b0, a1, a0) for one standard deviation of the part of the current at rest that the machine does not
     /// draw in motion. They are equal in every throw of a machine, and change the ratios as well.
-    #[serde(default)]
     pub offset: [f64; 3],
     /// Why the estimate is rough: the check that the throw did not pass. `None` if it is not rough.
-    #[serde(default)]
     pub reason: Option<Rejection>,
     /// The ratios of a complete estimate as an estimate of ratios only gives them, without the start of the throw. Where
     /// the model fits roughly, both have other errors. So a machine that is compared by ratios compares these.
-    #[serde(skip)]
     pub running: Option<RunningRatios>,
     /// Fit of the model of all three coefficients; `None` if the estimate is from the current alone, or this model has
     /// no solution.
@@ -78,7 +68,7 @@ pub struct Estimate {
 }
 
 /// The fit of a model to a throw.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fit {
     /// `R²_T` \[%\]: 100 minus the share of the output's variance that the model does not explain.
     pub pct: f64,
@@ -107,25 +97,21 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
-    /// Length of the longest window of the diagnosis \[throws\], as the factor of the covariance of ratios in
-    /// [`Self::drift_covariance`].
-    pub const LONGEST_WINDOW: f64 = LONGEST_WINDOW as f64;
-
     /// Covariance of (b0, a1, a0) for a comparison with a baseline.
     ///
     /// For a complete estimate this is `covariance`: the errors that are equal in every throw (`systematic`) cancel.
     ///
     /// For an estimate of ratios only, the equal errors do not cancel, as the baseline may consist of complete
     /// estimates. The errors in `covariance` come from the misfit of the model, which repeats from throw to throw. Both
-    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by
-    /// [`Self::LONGEST_WINDOW`].
+    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by the length
+    /// of the longest window of the diagnosis.
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
         }
         let coefficients = Vector3::from(self.coefficients()) / self.b0;
         let of_scale = self.covariance[(0, 0)] * coefficients * coefficients.transpose();
-        of_scale + Self::LONGEST_WINDOW * (self.covariance - of_scale + self.systematic)
+        of_scale + f64::from(LONGEST_WINDOW) * (self.covariance - of_scale + self.systematic)
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).
@@ -152,7 +138,7 @@ impl Estimate {
 }
 
 /// The result of the estimator for a throw.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Identification {
     /// Direction of the movement from the position, or the direction that the logger declared if the position does not
     /// show it.
@@ -164,11 +150,9 @@ pub struct Identification {
     /// The estimate or the rejection.
     pub outcome: Result<Estimate, Rejection>,
     /// A sentence about the fields of the message whose values are not possible; `None` if there are none.
-    #[serde(default)]
     pub unused_fields: Option<String>,
     /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the
     /// gain of the position sensor, or the configured stroke, is wrong.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub short_of_stroke_mm: Option<f64>,
 }
 
@@ -187,19 +171,5 @@ impl Identification {
         let parts: Vec<String> =
             reason.map(ToString::to_string).into_iter().chain(short).chain(self.unused_fields.clone()).collect();
         (!parts.is_empty()).then(|| parts.join("; "))
-    }
-}
-
-/// JSON of a 3x3 matrix as three rows.
-mod rows {
-    use nalgebra::Matrix3;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub(super) fn serialize<S: Serializer>(matrix: &Matrix3<f64>, serializer: S) -> Result<S::Ok, S::Error> {
-        <[[f64; 3]; 3]>::from(matrix.transpose()).serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Matrix3<f64>, D::Error> {
-        <[[f64; 3]; 3]>::deserialize(deserializer).map(|rows| Matrix3::from(rows).transpose())
     }
 }

@@ -269,7 +269,7 @@ fn identify_current(
         .and_then(|()| usable(movement, settings))
         .and_then(|()| {
             current_only::estimate(movement, throw, settings, &mut features)
-                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why })
+                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace), why })
         });
     Identification {
         direction: throw.direction,

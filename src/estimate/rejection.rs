@@ -1,7 +1,5 @@
 //! The reasons why a throw has no estimate.
 
-use serde::{Deserialize, Serialize};
-
 use crate::throw::{CENTIMETRE_MM, Channel, INCH_MM, brief, rounded};
 
 /// Least number of samples in the rise of an unfiltered current.
@@ -26,9 +24,8 @@ fn likely_unit(travel_mm: f64, stroke_mm: f64) -> String {
 }
 
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
-/// programs, and the tag `code` in JSON.
-#[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize, strum::IntoStaticStr)]
-#[serde(tag = "code", rename_all = "snake_case")]
+/// programs.
+#[derive(Debug, Clone, PartialEq, thiserror::Error, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Rejection {
     /// The trace or its window is too short for three coefficients.
@@ -54,12 +51,10 @@ pub enum Rejection {
     },
     /// The message has no toe position, and the coefficients do not follow from current and supply voltage either.
     #[error("{sent}, so only the features of the current are known: {why}")]
-    #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
     NoPosition {
         /// The content of `position_mm`, which is no toe position, as a clause for the text.
-        #[serde(default)]
-        sent: String,
+        sent: &'static str,
         /// Why the coefficients do not follow from current and supply voltage, as a clause for the text.
         why: String,
     },
@@ -342,7 +337,7 @@ pub enum Rejection {
     )]
     Uncertain {
         /// Name of the coefficient.
-        name: String,
+        name: &'static str,
         /// Standard deviation of the coefficient \[%\].
         sd_pct: f64,
         /// The limit \[%\].

@@ -58,9 +58,7 @@ pub struct Case {
     pub cause: &'static str,
     /// Values of the parameter in tests 2 to 6.
     pub values: [f64; 5],
-    /// Value of the parameter in the nominal machine.
-    pub nominal: fn(&Parameters) -> f64,
-    set: fn(&mut Parameters, f64),
+    parameter: fn(&mut Parameters) -> &mut f64,
     expected: fn(usize) -> [Expected; 3],
 }
 
@@ -71,8 +69,7 @@ const CASES: [Case; 4] = [
         unit: "N m/A",
         cause: "kt",
         values: [0.5, 0.6, 0.7, 0.9, 1.0],
-        nominal: |machine| machine.torque_constant,
-        set: |machine, value| machine.torque_constant = value,
+        parameter: |machine| &mut machine.torque_constant,
         expected: |at| {
             let b0 = [-37.4, -25.4, -11.1, 14.1, 24.8][at];
             [Expected::Change(b0), Expected::Within(2.0), Expected::Within(2.0)]
@@ -83,8 +80,7 @@ const CASES: [Case; 4] = [
         unit: "",
         cause: "friction",
         values: [0.001, 0.0025, 0.005, 0.01, 0.02],
-        nominal: |machine| machine.rails.slide_friction,
-        set: |machine, value| machine.rails.slide_friction = value,
+        parameter: |machine| &mut machine.rails.slide_friction,
         expected: |at| {
             // The study gives the change for the largest value only; smaller values have smaller changes.
             let a1 = if at == 4 { Expected::Change(2.5) } else { Expected::Within(2.5) };
@@ -96,8 +92,7 @@ const CASES: [Case; 4] = [
         unit: "N m/rad",
         cause: "stiffness",
         values: [0.1, 0.2, 0.3, 0.4, 0.5],
-        nominal: |machine| machine.screw_stiffness_nm,
-        set: |machine, value| machine.screw_stiffness_nm = value,
+        parameter: |machine| &mut machine.screw_stiffness_nm,
         expected: |at| {
             let a0 = [208.0, 410.0, 618.0, 817.0, 1019.0][at];
             [Expected::Within(1.5), Expected::Within(1.5), Expected::Change(a0)]
@@ -108,8 +103,7 @@ const CASES: [Case; 4] = [
         unit: "kg m²",
         cause: "inertia",
         values: [1e-4, 2e-4, 4e-4, 6e-4, 7.5e-4],
-        nominal: |machine| machine.load_inertia_kg_m2,
-        set: |machine, value| machine.load_inertia_kg_m2 = value,
+        parameter: |machine| &mut machine.load_inertia_kg_m2,
         expected: |at| [Expected::Change([-3.0, -19.0, -39.0, -51.0, -57.5][at]); 3],
     },
 ];
@@ -209,9 +203,10 @@ fn run_case(
     let (reference, sensors) = (truth(nominal)?, Sensors::default());
     let mut tests: Vec<Test> = Vec::with_capacity(6);
     let mut singles: Vec<Vec<[f64; 3]>> = Vec::with_capacity(6);
-    for (at, value) in std::iter::once((case.nominal)(nominal)).chain(case.values).enumerate() {
-        let mut machine = nominal.clone();
-        (case.set)(&mut machine, value);
+    let mut machine = nominal.clone();
+    let first = *(case.parameter)(&mut machine);
+    for (at, value) in std::iter::once(first).chain(case.values).enumerate() {
+        *(case.parameter)(&mut machine) = value;
         let motion = machine.simulate(DIRECTION, &Conditions::default(), sensors.step_s())?;
         let mut traces = Vec::with_capacity(study.throws);
         let mut estimates = Vec::with_capacity(study.throws);

@@ -6,7 +6,7 @@
 
 use crate::throw::{
     Direction, OutOfRange,
-    Range::{Above, Finite, If, Within},
+    Range::{Finite, If, Within},
     settings,
 };
 
@@ -33,9 +33,6 @@ settings! {
         pub supply_ratio: f64 = 1.0, Within(0.0, 3.0, "");
         /// Position of an obstacle between rail and stock rail \[mm from normal\]; `None` for no obstacle.
         pub obstruction_mm: Option<f64> = None;
-        /// Time after which the motor is cut off although the stroke is not complete \[s\]; `None` for the controller's
-        /// longest time.
-        pub cut_off_after_s: Option<f64> = None, Above(0.0);
         /// Phase of the mains of a rectified supply when the motor is switched on \[rad\].
         pub supply_phase_rad: f64 = 0.0, Finite;
     }
@@ -147,8 +144,7 @@ impl<'a> Machine<'a> {
 
     fn run(mut self) -> Motion {
         let p = self.parameters;
-        let limit_s = self.conditions.cut_off_after_s.unwrap_or(p.timeout_s).min(p.timeout_s);
-        let steps_on = steps(limit_s, self.h);
+        let steps_on = steps(p.timeout_s, self.h);
         let settle = steps(SETTLE_S, self.h);
         let cut_off_mm = self.end_mm - self.sign * p.cut_off_mm;
         let mut motion = Motion {

@@ -1,30 +1,19 @@
-//! `/metrics`: counters and states of the daemon for Prometheus, as `OpenMetrics` text. Readers that do not accept this
-//! get the older text format of Prometheus.
+//! `/metrics`: counters and states of the daemon in the text format of Prometheus, version 0.0.4.
 //!
 //! The number of values of each label is bounded: causes, severities, reasons of rejection, states of the disk.
 //! Machines have series of their own only in fleets of up to `web.machine_metrics` machines.
 
 use std::{
-    collections::HashSet,
-    fmt::Write as _,
-    sync::{Arc, atomic::AtomicU64},
+    collections::BTreeMap,
+    fmt::{Display, Write as _},
+    sync::Arc,
     time::Duration,
 };
 
 use axum::{
     extract::State,
-    http::{HeaderMap, HeaderValue, StatusCode, header},
+    http::header,
     response::{IntoResponse, Response},
-};
-use prometheus_client::{
-    encoding::text::encode,
-    metrics::{
-        counter::{ConstCounter, Counter},
-        family::Family,
-        gauge::{ConstGauge, Gauge},
-        info::Info,
-    },
-    registry::{Registry, Unit},
 };
 use strum::VariantArray as _;
 use tokio::time;
@@ -36,75 +25,67 @@ use crate::{
     store::{DiskLevel, Dropped, FleetQuery, FleetRow},
 };
 
-const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-const TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
-
-type Labels<const N: usize> = [(&'static str, String); N];
-
 /// Time limit for each of the two reads of the database. If the first read fails, the response has only the counters of
 /// the daemon. If the second read fails, the response has no values for single machines.
 const LIMIT: Duration = Duration::from_secs(2);
 
-pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
-    let mut registry = Registry::with_prefix("pointsd");
+type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
+
+/// The text of a response.
+#[derive(Default)]
+struct Text(String);
+
+impl Text {
+    /// Appends a family: its comments, also if it has no series, and a line for each series.
+    fn family<'a, const N: usize>(
+        &mut self,
+        kind: &str,
+        (name, help): (&str, &str),
+        series: impl IntoIterator<Item = (Labels<'a, N>, impl Display)>,
+    ) {
+        let text = &mut self.0;
+        let _ = writeln!(text, "# HELP pointsd_{name} {help}.\n# TYPE pointsd_{name} {kind}");
+        for (labels, value) in series {
+            let _ = write!(text, "pointsd_{name}");
+            for (at, (label, value)) in labels.iter().enumerate() {
+                let before = if at == 0 { '{' } else { ',' };
+                let _ = write!(text, "{before}{label}=\"{}\"", escaped(value));
+            }
+            let _ = writeln!(text, "{} {value}", if N > 0 { "}" } else { "" });
+        }
+    }
+
+    fn counter(&mut self, name: &str, help: &str, value: u64) {
+        self.family("counter", (name, help), [([], value)]);
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: u64) {
+        self.family("gauge", (name, help), [([], value)]);
+    }
+}
+
+/// The value of a label, escaped for its quotation marks.
+fn escaped(value: &str) -> String {
+    value.replace('\\', r"\\").replace('"', "\\\"").replace('\n', r"\n")
+}
+
+pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
+    let mut text = Text::default();
     let report = web.view.sources.report();
-    throws(&mut registry, &web.view, &report);
-    daemon(&mut registry, &report);
+    throws(&mut text, &web.view, &report);
+    daemon(&mut text, &report);
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
-        database(&mut registry, &overview);
-        alarms(&mut registry, &overview);
+        database(&mut text, &overview);
+        alarms(&mut text, &overview);
         let (limit, total) = (web.view.config().web.machine_metrics, overview.tally.total());
         let rows = if total <= u64::from(limit) { machine_rows(&web, limit).await } else { None };
         let help = "Machines without series of their own: more than web.machine_metrics, or their read took too long";
-        count(&mut registry, "machines_omitted", help, if rows.is_some() { 0 } else { total });
+        text.gauge("machines_omitted", help, if rows.is_some() { 0 } else { total });
         if let Some(rows) = rows {
-            machines(&mut registry, &rows);
+            machines(&mut text, &rows);
         }
     }
-    let mut text = String::new();
-    if let Err(error) = encode(&mut text, &registry) {
-        return (StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"))
-            .into_response();
-    }
-    let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
-    let (kind, text) = if accept.contains("application/openmetrics-text") {
-        (OPEN_METRICS, text)
-    } else {
-        (TEXT, prometheus_text(&text))
-    };
-    ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], text).into_response()
-}
-
-/// Converts `OpenMetrics` text to the older format. That has no units, no type `info` and no end mark, and its comments
-/// name a counter with `_total`, as its samples do.
-fn prometheus_text(open_metrics: &str) -> String {
-    let of_kind = |kind: &'static str| {
-        let types = open_metrics.lines().filter_map(|line| line.strip_prefix("# TYPE "));
-        types.filter_map(move |it| it.strip_suffix(kind)?.strip_suffix(' ')).collect::<HashSet<_>>()
-    };
-    let (counters, infos) = (of_kind("counter"), of_kind("info"));
-    let mut text = String::with_capacity(open_metrics.len());
-    for line in open_metrics.lines() {
-        let mut words = line.splitn(4, ' ');
-        match (words.next(), words.next(), words.next(), words.next()) {
-            (Some("#"), Some("UNIT" | "EOF"), ..) => continue,
-            (Some("#"), Some(comment), Some(name), rest) => {
-                let is_info = infos.contains(name);
-                let end = if counters.contains(name) {
-                    "_total"
-                } else if is_info {
-                    "_info"
-                } else {
-                    ""
-                };
-                let rest = rest.map(|rest| if is_info && comment == "TYPE" { "gauge" } else { rest });
-                let _ = write!(text, "# {comment} {name}{end} {}", rest.unwrap_or_default());
-            }
-            _ => text.push_str(line),
-        }
-        text.push('\n');
-    }
-    text
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text.0).into_response()
 }
 
 /// The rows of up to `limit` machines; `None` without an answer of the database in time.
@@ -117,67 +98,66 @@ async fn machine_rows(web: &Web, limit: u32) -> Option<Vec<FleetRow>> {
     time::timeout(LIMIT, read).await.ok()?.ok()
 }
 
-/// Registers the series of each machine. Names of machines are valid labels: at most 64 characters of `A-Z a-z 0-9 _
-/// -`.
-fn machines(registry: &mut Registry, rows: &[FleetRow]) {
-    let name = |row: &FleetRow| [("site", row.machine.site.to_string()), ("machine", row.machine.machine.to_string())];
-    let with = |row: &FleetRow, label: &'static str, value: &str| {
-        let [site, machine] = name(row);
-        [site, machine, (label, value.to_owned())]
-    };
-    let state = Family::<Labels<3>, Gauge>::default();
-    let last = Family::<Labels<2>, Gauge>::default();
-    let drift = Family::<Labels<3>, Gauge<f64, AtomicU64>>::default();
-    let limit = Family::<Labels<3>, Gauge<f64, AtomicU64>>::default();
-    for row in rows {
-        state.get_or_create(&with(row, "state", row.state.as_str())).set(1);
-        if let Some(started_at) = row.started_at {
-            last.get_or_create(&name(row)).set(started_at.as_second());
-        }
-        for now in &row.drifts {
-            drift.get_or_create(&with(row, "cause", now.cause.as_str())).set(now.change_pct);
-            if let Some(forecast) = now.limit_in_throws {
-                limit.get_or_create(&with(row, "cause", now.cause.as_str())).set(forecast.mid);
-            }
-        }
+/// Appends the series of each machine.
+fn machines(text: &mut Text, rows: &[FleetRow]) {
+    fn labels(row: &FleetRow) -> Labels<'_, 2> {
+        [("site", row.machine.site.as_str()), ("machine", row.machine.machine.as_str())]
     }
-    registry.register("machine_state", "1 for the present state of the machine", state);
+    fn with<'a>(row: &'a FleetRow, label: &'static str, value: &'a str) -> Labels<'a, 3> {
+        let [site, machine] = labels(row);
+        [site, machine, (label, value)]
+    }
+    let states = rows.iter().map(|row| (with(row, "state", row.state.as_str()), 1));
+    text.family("gauge", ("machine_state", "1 for the present state of the machine"), states);
+    let last = rows.iter().filter_map(|row| Some((labels(row), row.started_at?.as_second())));
     let help = "Start of the last judged throw of the machine";
-    registry.register_with_unit("machine_last_throw_timestamp", help, Unit::Seconds, last);
-    registry.register("machine_drift_percent", "Present change from the baseline, for each active drift", drift);
-    registry.register("machine_throws_to_limit", "Estimated throws until the drift reaches its critical limit", limit);
+    text.family("gauge", ("machine_last_throw_timestamp_seconds", help), last);
+    let drifts = || rows.iter().flat_map(|row| row.drifts.iter().map(move |drift| (row, drift)));
+    let changes = drifts().map(|(row, drift)| (with(row, "cause", drift.cause.as_str()), drift.change_pct));
+    let help = "Present change from the baseline, for each active drift";
+    text.family("gauge", ("machine_drift_percent", help), changes);
+    let forecasts = drifts()
+        .filter_map(|(row, drift)| Some((with(row, "cause", drift.cause.as_str()), drift.limit_in_throws?.mid)));
+    let help = "Estimated throws until the drift reaches its critical limit";
+    text.family("gauge", ("machine_throws_to_limit", help), forecasts);
 }
 
-fn throws(registry: &mut Registry, view: &View, report: &StatusReport) {
+fn throws(text: &mut Text, view: &View, report: &StatusReport) {
     for (name, help, value) in [
-        ("throws_received", "Messages received on the keys of throws", report.received),
-        ("throws_stored", "Throws stored", report.stored),
-        ("throws_judged", "Throws identified and diagnosed", report.judged),
-        ("throws_duplicate", "Throws received again after they were stored", report.duplicates),
-        ("replies_ignored", "Replies of loggers that did not match the query", report.ignored),
-        ("messages_quarantined", "Messages that are not a valid throw", report.quarantined),
-        ("messages_dropped", "Messages dropped because the queue was full", report.dropped),
-        ("messages_lost", "Messages received that could not be stored", report.lost),
-        ("machines_refused", "Throws of new machines refused above subscribe.max_machines", report.machines_refused),
-        ("alarm_events", "Alarm events", report.alarm_events),
-        ("alarm_events_lost", "Alarm events that the database rejected", report.alarm_events_lost),
-        ("webhook_refused", "Alarm events that the receiver of the webhook refused", report.webhook_refused),
-        ("messages_published", "Messages published", report.published),
-        ("messages_unpublished", "Health messages dropped because the publishing queue was full", report.unpublished),
+        ("throws_received_total", "Messages received on the keys of throws", report.received),
+        ("throws_stored_total", "Throws stored", report.stored),
+        ("throws_judged_total", "Throws identified and diagnosed", report.judged),
+        ("throws_duplicate_total", "Throws received again after they were stored", report.duplicates),
+        ("replies_ignored_total", "Replies of loggers that did not match the query", report.ignored),
+        ("messages_quarantined_total", "Messages that are not a valid throw", report.quarantined),
+        ("messages_dropped_total", "Messages dropped because the queue was full", report.dropped),
+        ("messages_lost_total", "Messages received that could not be stored", report.lost),
+        (
+            "machines_refused_total",
+            "Throws of new machines refused above subscribe.max_machines",
+            report.machines_refused,
+        ),
+        ("alarm_events_total", "Alarm events", report.alarm_events),
+        ("alarm_events_lost_total", "Alarm events that the database rejected", report.alarm_events_lost),
+        ("webhook_refused_total", "Alarm events that the receiver of the webhook refused", report.webhook_refused),
+        ("messages_published_total", "Messages published", report.published),
+        (
+            "messages_unpublished_total",
+            "Health messages dropped because the publishing queue was full",
+            report.unpublished,
+        ),
     ] {
-        registry.register(name, help, ConstCounter::new(value));
+        text.counter(name, help, value);
     }
-    let rejected = Family::<Labels<1>, Counter>::default();
-    for (reason, number) in view.sources.status.rejected() {
-        rejected.get_or_create(&[("reason", reason)]).inc_by(number);
-    }
-    registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", rejected);
-    count(registry, "throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
+    let rejected = view.sources.status.rejected();
+    let rejected = rejected.iter().map(|(reason, number)| ([("reason", reason.as_str())], number));
+    text.family("counter", ("throws_not_evaluated_total", "Judged throws that were rejected, by reason"), rejected);
+    text.gauge("throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
     let inbox = view.sources.inbox.queued_bytes() as u64;
-    gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, inbox);
+    text.gauge("inbox_bytes", "Memory of received messages not stored yet", inbox);
 }
 
-fn database(registry: &mut Registry, overview: &Overview) {
+fn database(text: &mut Text, overview: &Overview) {
     let statistics = &overview.statistics;
     for (name, help, value) in [
         ("throws_waiting", "Throws stored and not judged yet", statistics.pending),
@@ -187,81 +167,70 @@ fn database(registry: &mut Registry, overview: &Overview) {
         ("throws_kept", "Throws in the database", statistics.throws),
         ("traces_kept", "Throws in the database with their trace", statistics.traces),
         ("machines", "Machines with any state or throw", overview.tally.total()),
+        ("database_bytes", "Data in the database", statistics.data_bytes),
+        ("wal_bytes", "Write-ahead log of the database", statistics.wal_bytes),
     ] {
-        count(registry, name, help, value);
+        text.gauge(name, help, value);
     }
-    gauge(registry, "database", "Data in the database", Unit::Bytes, statistics.data_bytes);
-    gauge(registry, "wal", "Write-ahead log of the database", Unit::Bytes, statistics.wal_bytes);
     if let Some(free) = statistics.free_disk_bytes {
-        gauge(registry, "disk_free", "Free space on the disk of the database", Unit::Bytes, free);
+        text.gauge("disk_free_bytes", "Free space on the disk of the database", free);
     }
-    let dropped = Family::<Labels<1>, Counter>::default();
     let counters = statistics.counters();
-    for kind in Dropped::VARIANTS {
-        let rows = counters.get(&kind.counter()).copied().unwrap_or(0);
-        dropped.get_or_create(&[("kind", kind.as_ref().to_owned())]).inc_by(rows);
-    }
-    registry.register("dropped", "Rows dropped to keep the database within its bounds, since its creation", dropped);
-    let failed = ConstCounter::new(statistics.failed_writes);
-    registry.register("failed_writes", "Write transactions that failed", failed);
+    let dropped = Dropped::VARIANTS
+        .iter()
+        .map(|kind| ([("kind", kind.as_ref())], counters.get(&kind.counter()).copied().unwrap_or(0)));
+    let help = "Rows dropped to keep the database within its bounds, since its creation";
+    text.family("counter", ("dropped_total", help), dropped);
+    text.counter("failed_writes_total", "Write transactions that failed", statistics.failed_writes);
 }
 
-fn daemon(registry: &mut Registry, report: &StatusReport) {
-    let build = Info::new([("version", report.version.clone())]);
-    registry.register("build", "Version of the program", build);
-    gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
-    count(registry, "connected", "Whether zenoh has a link", report.connected.into());
-    count(registry, "loggers", "Loggers that are connected", report.loggers as u64);
-    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.fleet_counts.count(*state)));
-    counts(registry, "machine_states", "Machines in each state", "state", states);
-    count(registry, "alarms_shelved", "Open alarms that are shelved", report.fleet_counts.shelved_alarms);
-    let levels = DiskLevel::VARIANTS.iter().map(|level| (level.as_ref(), u64::from(report.disk == *level)));
-    counts(registry, "disk_state", "1 for the present state of the disk", "state", levels);
+fn daemon(text: &mut Text, report: &StatusReport) {
+    text.family("gauge", ("build_info", "Version of the program"), [([("version", report.version.as_str())], 1)]);
+    text.gauge("uptime_seconds", "Time since the daemon started", report.uptime_s);
+    text.gauge("connected", "Whether zenoh has a link", report.connected.into());
+    text.gauge("loggers", "Loggers that are connected", report.loggers as u64);
+    let states =
+        MachineState::VARIANTS.iter().map(|state| ([("state", state.as_str())], report.fleet_counts.count(*state)));
+    text.family("gauge", ("machine_states", "Machines in each state"), states);
+    text.gauge("alarms_shelved", "Open alarms that are shelved", report.fleet_counts.shelved_alarms);
+    let levels = DiskLevel::VARIANTS.iter().map(|level| ([("state", level.as_ref())], u8::from(report.disk == *level)));
+    text.family("gauge", ("disk_state", "1 for the present state of the disk"), levels);
     let is_silent = |task: &TaskName| report.silent.iter().any(|silent| silent == task.as_ref());
-    let beats = TaskName::VARIANTS.iter().map(|task| (task.as_ref(), u64::from(!is_silent(task))));
-    counts(registry, "loop_alive", "Whether the heartbeat of a loop of the daemon is fresh", "loop", beats);
+    let beats = TaskName::VARIANTS.iter().map(|task| ([("loop", task.as_ref())], u8::from(!is_silent(task))));
+    text.family("gauge", ("loop_alive", "Whether the heartbeat of a loop of the daemon is fresh"), beats);
 }
 
-fn alarms(registry: &mut Registry, overview: &Overview) {
-    let [open, active] = [(); 2].map(|()| Family::<Labels<2>, Gauge>::default());
-    let cell = |cause: &str, severity: &str| [("cause", cause.to_owned()), ("severity", severity.to_owned())];
+fn alarms(text: &mut Text, overview: &Overview) {
+    let mut counts = BTreeMap::new();
     for cause in Cause::VARIANTS {
         for severity in [Severity::Warning, Severity::Critical] {
-            for alarms in [&open, &active] {
-                alarms.get_or_create(&cell(cause.as_str(), severity.as_str())).set(0);
-            }
+            counts.insert((cause.as_str(), severity.as_str()), [0; 2]);
         }
     }
     for count in &overview.alarms_by_kind {
-        open.get_or_create(&cell(&count.cause, &count.severity)).set(count.open);
-        active.get_or_create(&cell(&count.cause, &count.severity)).set(count.active);
+        counts.insert((&count.cause, &count.severity), [count.open, count.active]);
     }
-    registry.register("alarms_open", "Open alarms, by cause and severity", open);
-    let help = "Open alarms that are neither over, shelved nor in maintenance, by cause and severity";
-    registry.register("alarms_active", help, active);
-}
-
-/// Registers a gauge without unit.
-fn count(registry: &mut Registry, name: &str, help: &str, value: u64) {
-    registry.register(name, help, ConstGauge::new(value.cast_signed()));
-}
-
-/// Registers a gauge with one label.
-fn counts<'a>(
-    registry: &mut Registry,
-    name: &str,
-    help: &str,
-    label: &'static str,
-    values: impl Iterator<Item = (&'a str, u64)>,
-) {
-    let family = Family::<Labels<1>, Gauge>::default();
-    for (word, value) in values {
-        family.get_or_create(&[(label, word.to_owned())]).set(value.cast_signed());
+    for (at, name, help) in [
+        (0, "alarms_open", "Open alarms, by cause and severity"),
+        (1, "alarms_active", "Open alarms that are neither over, shelved nor in maintenance, by cause and severity"),
+    ] {
+        let series =
+            counts.iter().map(|((cause, severity), counts)| ([("cause", *cause), ("severity", *severity)], counts[at]));
+        text.family("gauge", (name, help), series);
     }
-    registry.register(name, help, family);
 }
 
-/// Registers a gauge with a unit.
-fn gauge(registry: &mut Registry, name: &str, help: &str, unit: Unit, value: u64) {
-    registry.register_with_unit(name, help, unit, ConstGauge::new(value.cast_signed()));
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_are_quoted_and_a_family_without_series_has_its_comments() {
+        let mut text = Text::default();
+        text.family("gauge", ("odd", "Odd"), [([("a", "\\ \" \n"), ("b", "")], 1.5)]);
+        text.family("counter", ("none", "None"), [([("a", ""); 1], 0); 0]);
+        let expected = "# HELP pointsd_odd Odd.\n# TYPE pointsd_odd gauge\npointsd_odd{a=\"\\\\ \\\" \\n\",b=\"\"} 1.5\n\
+                        # HELP pointsd_none None.\n# TYPE pointsd_none counter\n";
+        assert_eq!(text.0, expected);
+    }
 }

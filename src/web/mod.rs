@@ -7,7 +7,7 @@
 //! | `POST /machines/{site}/{machine}/command` | an operator's command, if `web.token` is set |
 //! | `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}` | one throw and its trace; `/trace.csv` below it is the trace |
 //! | `/api/v1/…` | the same as JSON (`api`) |
-//! | `/metrics` | `OpenMetrics` text |
+//! | `/metrics` | counters and states in the text format of Prometheus |
 //! | `/healthz` | 200 while all heartbeats of the daemon's loops are fresh, else 503 with the reason |
 //!
 //! Clients cannot slow the daemon down. Number, bytes and duration of connections are bounded (`connection`), and so

@@ -6,7 +6,7 @@ use criterion::Criterion;
 use dsmc::system_identification::iv::srivc::{Initialization, InterSample, SrivcOptions, identify};
 use pointsd::estimate::{
     Hold, Identifier, Noise, Settings,
-    sriv::{Problem, Signal, Sriv, Workspace},
+    sriv::{Problem, Sriv, Workspace},
 };
 use pointsd::simulate::{Conditions, Parameters, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
@@ -37,7 +37,7 @@ pub(crate) fn estimation(criterion: &mut Criterion) {
     let noise = Noise { output: 1.6e-4, inputs: [4e-4], scale: None, offsets: [2e-5, 8e-6] };
     group.bench_function("sriv with its covariance", |bencher| {
         bencher.iter(|| {
-            let inputs = [Signal::Sampled(black_box(input), Hold::First)];
+            let inputs = [(black_box(input), Hold::First)];
             let problem = Problem { interval_s: INTERVAL_S, output: black_box(&output), inputs, equilibrium: None };
             let solution = sriv.identify(&problem, &mut workspace).expect("a sound throw");
             sriv.covariance(&problem, &solution, &noise, &workspace)

@@ -282,7 +282,7 @@ fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> O
         let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed());
         Observation {
             direction: Some(Direction::BOTH[usize::from(throw.is_multiple_of(2))]),
-            rejection: Some(Rejection::NoPosition { sent: String::new(), why: String::new() }),
+            rejection: Some(Rejection::NoPosition { sent: "", why: String::new() }),
             features: Features {
                 duration_s: of(0, 4.3),
                 running_current_a: of(1, 0.9),

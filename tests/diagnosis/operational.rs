@@ -260,7 +260,7 @@ fn without_evaluated_throws_the_present_size_is_unknown() {
 fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let mut machine = machine();
     let without = |o: &mut Observation| {
-        let no_position = Rejection::NoPosition { sent: String::new(), why: String::new() };
+        let no_position = Rejection::NoPosition { sent: "", why: String::new() };
         (o.rejection, o.estimate, o.features.running_current_a) = (Some(no_position), None, Some(2.0));
     };
     let events = feed(&mut machine, 25, without);

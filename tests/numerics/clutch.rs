@@ -117,7 +117,6 @@ fn impossible_conditions_are_refused_by_name() {
         (Conditions { temperature_c: f64::NAN, ..plain }, "temperature_c"),
         (Conditions { temperature_c: 200.0, ..plain }, "temperature_c"),
         (Conditions { supply_ratio: -0.1, ..plain }, "supply_ratio"),
-        (Conditions { cut_off_after_s: Some(0.0), ..plain }, "cut_off_after_s"),
     ] {
         let error = Parameters::default().simulate(Direction::NormalToReverse, &conditions, STEP_S).unwrap_err();
         assert_eq!(error.key, name);
@@ -171,11 +170,12 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
 #[test]
 fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
     let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
-    let identify = |direction, conditions: &Conditions| {
-        let throw = simulated_in(conditions, &Parameters::default(), &Sensors::default(), direction, 7);
+    let identify = |direction, conditions: &Conditions, timeout_s| {
+        let machine = Parameters { timeout_s, ..Parameters::default() };
+        let throw = simulated_in(conditions, &machine, &Sensors::default(), direction, 7);
         Identifier::default().identify(&throw, &settings)
     };
-    let free = Conditions::default();
+    let (free, timeout_s) = (Conditions::default(), Parameters::default().timeout_s);
     for direction in Direction::BOTH {
         for at_pct in [86.0, 88.0, 90.0, 92.0, 93.0, 94.0] {
             let far_mm = match direction {
@@ -184,16 +184,14 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
             };
             // An obstruction: the clutch slips until the controller gives up, or until a protection cuts the motor off.
             let blocked = Conditions { obstruction_mm: Some(far_mm), ..free };
-            let whole_s = identify(direction, &free).features.duration_s.unwrap();
-            for cut_off_after_s in [None, Some(whole_s + 0.2), Some(whole_s + 1.0)] {
-                let found = identify(direction, &Conditions { cut_off_after_s, ..blocked });
-                let refused = found.outcome.unwrap_err();
-                assert!(refused.is_incomplete(), "{direction}, {at_pct} %, {cut_off_after_s:?}: {refused}");
+            let whole_s = identify(direction, &free, timeout_s).features.duration_s.unwrap();
+            for timeout_s in [timeout_s, whole_s + 0.2, whole_s + 1.0] {
+                let refused = identify(direction, &blocked, timeout_s).outcome.unwrap_err();
+                assert!(refused.is_incomplete(), "{direction}, {at_pct} %, {timeout_s} s: {refused}");
             }
             // The motor loses its supply during the movement.
             for late_s in [-0.06, -0.03, 0.0] {
-                let lost = Conditions { cut_off_after_s: Some(whole_s * at_pct / 100.0 + late_s), ..free };
-                let found = identify(direction, &lost);
+                let found = identify(direction, &free, whole_s * at_pct / 100.0 + late_s);
                 let travel_mm = found.features.travel_mm.unwrap();
                 let is_short = travel_mm < 0.945 * 115.0;
                 assert!(

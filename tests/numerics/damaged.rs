@@ -337,19 +337,19 @@ fn a_few_missing_samples_do_not_change_the_coefficients() {
 #[test]
 fn faults_of_the_machine_are_distinguished_from_those_of_the_sensors() {
     let machine = Parameters::default();
-    let outcome = |conditions: Conditions, stroke_mm: Option<f64>| {
-        let throw = simulated_in(&conditions, &machine, &Sensors::default(), Direction::NormalToReverse, 3);
-        let settings = Settings { stroke_mm, ..settings_of(&machine) };
+    let outcome = |machine: &Parameters, conditions: Conditions, stroke_mm: Option<f64>| {
+        let throw = simulated_in(&conditions, machine, &Sensors::default(), Direction::NormalToReverse, 3);
+        let settings = Settings { stroke_mm, ..settings_of(machine) };
         Identifier::default().identify(&throw, &settings)
     };
     let obstructed = Conditions { obstruction_mm: Some(60.0), ..Conditions::default() };
-    let refused = outcome(obstructed, None).outcome.unwrap_err();
+    let refused = outcome(&machine, obstructed, None).outcome.unwrap_err();
     assert!(matches!(refused, Rejection::Obstructed { .. }) && refused.is_incomplete(), "{refused}");
-    let found = outcome(obstructed, Some(115.0));
+    let found = outcome(&machine, obstructed, Some(115.0));
     assert!(matches!(found.outcome, Err(Rejection::Incomplete { .. })), "{:?}", found.outcome);
     assert!((58.0..75.0).contains(&found.features.travel_mm.unwrap()), "{:?}", found.features);
-    let cut_off = Conditions { cut_off_after_s: Some(2.0), ..Conditions::default() };
-    let refused = outcome(cut_off, Some(115.0)).outcome.unwrap_err();
+    let cut_off = Parameters { timeout_s: 2.0, ..machine };
+    let refused = outcome(&cut_off, Conditions::default(), Some(115.0)).outcome.unwrap_err();
     assert!(matches!(refused, Rejection::Incomplete { .. }), "{refused}");
 }
 

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use pointsd::estimate::{
     Hold, Identifier, Rejection, Settings,
-    sriv::{Problem, Signal, Sriv, Termination, Workspace},
+    sriv::{Problem, Sriv, Termination, Workspace},
 };
 use pointsd::throw::{Throw, Trace};
 
@@ -39,11 +39,8 @@ fn mass_friction_and_offset_of_a_real_drive_come_out_as_published() {
         })
         .collect();
     let sriv = Sriv::<1, 3, 4>::new([0, 0, 0]).unwrap();
-    let inputs = [
-        Signal::Sampled(&force[1..force.len() - 1], Hold::First),
-        Signal::Sampled(&sign, Hold::First),
-        Signal::Constant,
-    ];
+    let ones = vec![1.0; sign.len()];
+    let inputs = [(&force[1..force.len() - 1], Hold::First), (&sign, Hold::First), (&ones, Hold::Zero)];
     let problem = Problem { interval_s: INTERVAL_S, output: &velocity, inputs, equilibrium: None };
     let found = sriv.identify(&problem, &mut Workspace::default()).unwrap();
     assert_eq!(found.termination, Termination::Converged);
@@ -67,7 +64,7 @@ fn mass_friction_and_offset_of_a_real_drive_come_out_as_published() {
 fn the_plain_model_from_force_to_position_is_refused() {
     let Some((force, position)) = recorded() else { return };
     let sriv = Sriv::<2, 1, 3>::new([0]).unwrap();
-    let inputs = [Signal::Sampled(&force, Hold::First)];
+    let inputs = [(&*force, Hold::First)];
     let problem = Problem { interval_s: INTERVAL_S, output: &position, inputs, equilibrium: None };
     let found = sriv.identify(&problem, &mut Workspace::default()).unwrap();
     assert_eq!(found.termination, Termination::Converged);

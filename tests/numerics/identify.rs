@@ -1,7 +1,6 @@
 //! The whole estimator on simulated throws: it must return the simulated coefficients.
 
-use nalgebra::Matrix3;
-use pointsd::estimate::{Estimate, Features, Fit, Grade, Identification, Identifier, Rejection, Settings};
+use pointsd::estimate::{Identification, Identifier, Settings};
 use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -107,42 +106,5 @@ fn a_declared_direction_that_the_toe_contradicts_is_flagged_and_the_movement_win
         assert_eq!(found.direction, Some(Direction::NormalToReverse));
         assert_eq!(found.direction_contradicted, contradicted);
         assert!(found.outcome.is_ok());
-    }
-}
-
-#[test]
-fn an_identification_survives_json() {
-    let covariance = Matrix3::new(4.0, 0.1, 0.02, 0.1, 0.01, 0.003, 0.02, 0.003, 0.0009);
-    let estimate = Estimate {
-        grade: Grade::Rough,
-        b0: 203.1,
-        a1: 5.9,
-        a0: 1.56,
-        ratios_only: false,
-        running: None,
-        covariance,
-        systematic: Matrix3::zeros(),
-        offset: [0.1, 0.02, 0.01],
-        reason: Some(Rejection::BrakedStart),
-        fit: Some(Fit { pct: 99.9, iterations: 4 }),
-        start_s: 0.2,
-        end_s: 4.1,
-    };
-    let outcomes = [Ok(estimate), Err(Rejection::TooShort { samples: 3, duration_s: 0.1 }), Err(Rejection::Singular)];
-    for (outcome, quality) in outcomes.into_iter().zip(["rough", "too_short", "singular"]) {
-        let found = Identification {
-            direction: Some(Direction::ReverseToNormal),
-            direction_contradicted: false,
-            features: Features { duration_s: Some(4.1), ..Features::default() },
-            outcome,
-            unused_fields: None,
-            short_of_stroke_mm: None,
-        };
-        let json = serde_json::to_value(&found).unwrap();
-        assert_eq!(serde_json::from_value::<Identification>(json.clone()).unwrap(), found);
-        assert_eq!(found.quality(), quality);
-        if found.outcome.is_err() {
-            assert_eq!(json["outcome"]["Err"]["code"], quality);
-        }
     }
 }

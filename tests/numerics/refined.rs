@@ -2,7 +2,7 @@
 
 use pointsd::estimate::{
     Hold, Identifier, Noise, Settings,
-    sriv::{Problem, Signal, Sriv, Workspace},
+    sriv::{Problem, Sriv, Workspace},
 };
 use pointsd::simulate::{Conditions, Parameters, Sensors};
 use pointsd::throw::{Direction, Throw};
@@ -67,7 +67,7 @@ fn refined_estimates_scatter_half_as_much_without_bias_as_their_covariance_state
 fn a_trace_without_noise_of_the_current_is_not_refined() {
     let (input, output) = second_order(203.0, 5.9, 1.56, 4000, 1e-3, 0.012, 7);
     let sriv = Sriv::<2, 1, 3>::new([0]).unwrap();
-    let inputs = [Signal::Sampled(&input, Hold::First)];
+    let inputs = [(&*input, Hold::First)];
     let problem = Problem { interval_s: 1e-3, output: &output, inputs, equilibrium: None };
     let mut workspace = Workspace::default();
     let plain = sriv.identify(&problem, &mut workspace).unwrap();

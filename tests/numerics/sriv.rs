@@ -6,7 +6,7 @@ use dsmc::system_identification::iv::srivc::{Initialization, InterSample, SrivcO
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 use pointsd::estimate::{
     Hold,
-    sriv::{Failure, Problem, Signal, Solution, Sriv, Termination, Workspace},
+    sriv::{Failure, Problem, Solution, Sriv, Termination, Workspace},
 };
 use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -59,7 +59,7 @@ pub(crate) fn second_order(
 fn compare<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, hold: Hold, lambda: f64) -> f64 {
     let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
     (sriv.start_per_s, sriv.tolerance) = (lambda, 1e-10);
-    let problem = Problem { interval_s: h, output: y, inputs: [Signal::Sampled(u, hold)], equilibrium: None };
+    let problem = Problem { interval_s: h, output: y, inputs: [(u, hold)], equilibrium: None };
     let ours = sriv.identify(&problem, &mut Workspace::default()).unwrap();
     let options = SrivcOptions {
         input_intersample: match hold {
@@ -104,7 +104,7 @@ fn the_iteration_ends_near_its_limit() {
         let [end, limit] = [tolerance, 1e-14].map(|tolerance| {
             let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
             (sriv.start_per_s, sriv.tolerance) = (lambda, tolerance);
-            let inputs = [Signal::Sampled(u, Hold::Zero)];
+            let inputs = [(u, Hold::Zero)];
             let problem = Problem { interval_s: h, output: y, inputs, equilibrium: None };
             SVector::from(sriv.identify(&problem, &mut Workspace::default()).unwrap().parameters)
         });
@@ -178,7 +178,7 @@ impl RaoGarnier {
     fn identify(&self, y: &[f64], workspace: &mut Workspace<6>) -> Result<Solution<4, 1, 6>, Failure> {
         let mut sriv = Sriv::<4, 1, 6>::new([1]).unwrap();
         sriv.start_per_s = 20.0;
-        let inputs = [Signal::Sampled(&self.input, Hold::Zero)];
+        let inputs = [(&*self.input, Hold::Zero)];
         sriv.identify(&Problem { interval_s: 0.01, output: y, inputs, equilibrium: None }, workspace)
     }
 }
@@ -221,7 +221,8 @@ fn a_constant_load_is_identified_as_another_input() {
         *y += 7.0 / 25.0 * (1.0 - (-decay * t).exp() * (cos + decay / omega * sin));
     }
     let sriv = Sriv::<2, 2, 4>::new([0, 0]).unwrap();
-    let inputs = [Signal::Sampled(&u, Hold::First), Signal::Constant];
+    let ones = vec![1.0; len];
+    let inputs = [(&*u, Hold::First), (&*ones, Hold::Zero)];
     let problem = Problem { interval_s: h, output: &y, inputs, equilibrium: None };
     let found = sriv.identify(&problem, &mut Workspace::default()).unwrap();
     for (found, truth) in found.parameters.iter().zip([40.0, 7.0, 3.0, 25.0]) {
@@ -233,8 +234,7 @@ fn a_constant_load_is_identified_as_another_input() {
 fn data_that_determine_nothing_fail_with_the_reason() {
     let sriv = Sriv::<2, 1, 3>::new([0]).unwrap();
     let flat = vec![0.0; 100];
-    let problem =
-        |u, y| Problem { interval_s: 0.01, output: y, inputs: [Signal::Sampled(u, Hold::First)], equilibrium: None };
+    let problem = |u, y| Problem { interval_s: 0.01, output: y, inputs: [(u, Hold::First)], equilibrium: None };
     let identify = |u, y| sriv.identify(&problem(u, y), &mut Workspace::default()).map(|s| s.parameters);
     assert_eq!(identify(&flat, &flat), Err(Failure::Singular));
     assert_eq!(identify(&flat[1..], &flat), Err(Failure::UnequalLengths));

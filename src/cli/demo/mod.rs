@@ -3,9 +3,14 @@
 mod outcome;
 mod screen;
 
-use std::{fs, net::Ipv4Addr, path::PathBuf};
+use std::{
+    env, fs,
+    net::Ipv4Addr,
+    path::{Path, PathBuf},
+};
 
 use anyhow::anyhow;
+use tempfile::TempDir;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{
@@ -62,8 +67,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 async fn demo(arguments: &Arguments) -> Outcome {
     let began = clock::monotonic();
     let mut signals = Signals::listen()?;
-    let folder = Folder::make(arguments)?;
-    let database = folder.database();
+    let (database, temporary) = database(arguments)?;
     let listening = Listening::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
     let url = listening.url();
     let mut daemon = Daemon::start(config(&database)?).await.map_err(start_failure)?;
@@ -109,7 +113,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
     output::line(outcome::table(&rows))?;
     let right = rows.iter().all(outcome::Row::is_right);
     output::line(outcome::sentence(&rows, began.elapsed()))?;
-    if folder.is_kept {
+    if temporary.is_none() {
         output::line(outcome::queries(&database))?;
     }
     if arguments.keep {
@@ -119,7 +123,8 @@ async fn demo(arguments: &Arguments) -> Outcome {
             ended = daemon.ended() => return Err(died(ended)),
         }
     } else {
-        let stays = if folder.is_kept { "daemon and the dashboard" } else { "daemon, the dashboard and the database" };
+        let stays =
+            if temporary.is_none() { "daemon and the dashboard" } else { "daemon, the dashboard and the database" };
         output::line(format_args!("With --keep the {stays} stay."))?;
     }
     drop(logger);
@@ -132,44 +137,25 @@ fn died(task: &str) -> Failure {
     Failure::new(Exit::Software, anyhow!("{task} ended unexpectedly"))
 }
 
-/// The folder of the demo. On drop a temporary folder is removed, unless --keep is given.
-struct Folder {
-    path: PathBuf,
-    is_kept: bool,
+/// The path of the database, and its folder if this is removed at the end. An existing database is an error.
+fn database(arguments: &Arguments) -> Result<(PathBuf, Option<TempDir>), Failure> {
+    let (folder, temporary) = if let Some(folder) = &arguments.folder {
+        output::writable(folder, fs::create_dir_all(folder))?;
+        (folder.clone(), None)
+    } else {
+        let made = tempfile::Builder::new().prefix("pointsd-demo-").tempdir();
+        let made = output::writable(&env::temp_dir(), made)?;
+        if arguments.keep { (made.keep(), None) } else { (made.path().to_owned(), Some(made)) }
+    };
+    let database = folder.join("points.db");
+    if database.exists() {
+        let error = anyhow!("{} exists already: name another folder", database.display());
+        return Err(Failure::new(Exit::CannotCreate, error));
+    }
+    Ok((database, temporary))
 }
 
-impl Folder {
-    /// Creates the folder. It is an error if it has a database already.
-    fn make(arguments: &Arguments) -> Result<Self, Failure> {
-        let path = match &arguments.folder {
-            Some(path) => path.clone(),
-            None => std::env::temp_dir().join(format!("pointsd-demo-{}", boot_id())),
-        };
-        output::writable(&path, fs::create_dir_all(&path))?;
-        let folder = Self { path, is_kept: arguments.keep || arguments.folder.is_some() };
-        if folder.database().exists() {
-            let error = anyhow!("{} exists already: name another folder", folder.database().display());
-            return Err(Failure::new(Exit::CannotCreate, error));
-        }
-        Ok(folder)
-    }
-
-    fn database(&self) -> PathBuf {
-        self.path.join("points.db")
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        if !self.is_kept
-            && let Err(error) = fs::remove_dir_all(&self.path)
-        {
-            tracing::debug!(%error, folder = %self.path.display(), "removing the folder of the demo failed");
-        }
-    }
-}
-
-fn config(database: &std::path::Path) -> Result<Config, Failure> {
+fn config(database: &Path) -> Result<Config, Failure> {
     let text = format!(
         "store.path = {:?}\nmonitor.site = \"demo\"\nzenoh.listen.endpoints = [\"tcp/127.0.0.1:0\"]\n",
         database.display().to_string()

@@ -10,13 +10,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{Point, Thresholds};
-use crate::{
-    diagnose::{
-        Cause,
-        baseline::{Baseline, covariance_of_effect},
-        statistics::{LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3, to_f32},
-    },
-    estimate::Estimate,
+use crate::diagnose::{
+    Cause,
+    baseline::{Baseline, covariance_of_effect},
+    statistics::{LONGEST_WINDOW, LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3, to_f32},
 };
 
 /// Largest part of the limit of T that a single innovation may contribute to a window of three throws: two throws show
@@ -331,7 +328,7 @@ impl<'a> Stream<'a> {
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
         // The misfit that repeats is in no innovation; only the part that differs from throw to throw is.
-        let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / Estimate::LONGEST_WINDOW);
+        let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / f64::from(LONGEST_WINDOW));
         let sensor = mean_sensor(&self.0[..window.throws]) - repeated;
         // The correlation is that of the machine alone: beside a large outlier, the errors of the estimates are small.
         let phi = scatter.highest_lag1();

@@ -16,9 +16,9 @@ use super::{
         visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
-    statistics::{Scatter, Sym3, WINDOWS, median, to_f32},
+    statistics::{LONGEST_WINDOW, Scatter, Sym3, WINDOWS, median, to_f32},
 };
-use crate::{estimate::Estimate, throw::Direction};
+use crate::throw::Direction;
 
 /// The temperature hides a fault if its uncertain effect makes the least visible size larger by more than this factor.
 const HIDES_FROM: f64 = 1.5;
@@ -173,7 +173,7 @@ impl Tracks {
             if !suspected {
                 let departure = baseline.compensated((raw, distance));
                 let of_machine = relative_to(fixed, &baseline.scatter.of_one_throw()).trace();
-                let stated = sensor.trace() / Estimate::LONGEST_WINDOW;
+                let stated = sensor.trace() / f64::from(LONGEST_WINDOW);
                 track.rough.learn((departure.norm_squared() - of_machine) / stated.max(f64::MIN_POSITIVE));
             }
             sensor *= RoughErrors::share([track.rough, rough_of_other]);

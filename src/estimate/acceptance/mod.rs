@@ -128,7 +128,7 @@ pub(super) fn estimate(
         } else if sd_pct.is_nan() {
             return Err(Rejection::Singular);
         } else if sd_pct > MAX_SD_PCT[i] {
-            return Err(Rejection::Uncertain { name: name.to_owned(), sd_pct, limit_pct: MAX_SD_PCT[i] });
+            return Err(Rejection::Uncertain { name, sd_pct, limit_pct: MAX_SD_PCT[i] });
         }
     }
     let [b0, a1, a0] = parameters;

@@ -1,6 +1,6 @@
 //! A block of samples: the signals, the states of their filters, and the values computed from these states.
 
-use super::problem::{Problem, Signal};
+use super::problem::Problem;
 
 /// Number of samples in a block.
 pub(super) const BLOCK: usize = 64;
@@ -61,11 +61,8 @@ impl<const N: usize, const S: usize, const P: usize> Block<N, S, P> {
             to[used..].fill(0.0);
             used
         };
-        for (to, input) in self.inputs.iter_mut().zip(&problem.inputs) {
-            match input {
-                Signal::Sampled(u, _) => _ = load(to, u),
-                Signal::Constant => to.fill(1.0),
-            }
+        for (to, (input, _)) in self.inputs.iter_mut().zip(&problem.inputs) {
+            load(to, input);
         }
         if let Some(equilibrium) = problem.equilibrium {
             load(&mut self.equilibrium, equilibrium);

@@ -29,7 +29,7 @@ use nalgebra::{SMatrix, SVector};
 use super::{
     Solution,
     filter::{Discrete, Hold},
-    problem::{Problem, Signal, Sriv, Workspace},
+    problem::{Problem, Sriv, Workspace},
 };
 
 /// Variances of the white noise on the signals of a problem.
@@ -71,7 +71,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         }
         middle += sum * noise.offsets[1] * sum.transpose();
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
-            let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
+            let (_, hold) = problem.inputs[s];
             let Some(filter) = Discrete::new(&solution.denominator, represented * problem.interval_s) else { continue };
             let numerator = self.numerator(&solution.parameters, s);
             let scale = noise.scale.filter(|_| s == 0);

@@ -21,8 +21,8 @@
 //! `y_eq`) / Â, which is independent of the noise in y. Filter and auxiliary model come from the previous estimate; the
 //! first estimate is least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
 //!
-//! A constant load is the input [`Signal::Constant`]. One pass over the samples filters them, forms the sums and stores
-//! the instruments for the covariance. The buffers of a [`Workspace`] are reused from problem to problem.
+//! A constant load is an input of ones. One pass over the samples filters them, forms the sums and stores the
+//! instruments for the covariance. The buffers of a [`Workspace`] are reused from problem to problem.
 
 pub(super) mod block;
 pub(super) mod covariance;
@@ -42,7 +42,7 @@ use self::{
 };
 use super::{matrix::invert, rejection::Rejection};
 
-pub use problem::{Problem, Signal, Sriv, Workspace};
+pub use problem::{Problem, Sriv, Workspace};
 
 /// The reason why the iteration ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,7 +57,7 @@ pub enum Termination {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Failure {
-    /// A sampled input, or the equilibrium, and the output differ in length.
+    /// An input, or the equilibrium, and the output differ in length.
     #[error("input and output differ in length")]
     UnequalLengths,
     /// Fewer samples than twice the parameters.
@@ -122,8 +122,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     /// When there are too few samples, the signals differ in length, or the normal equations are singular.
     pub fn identify(&self, problem: &Problem<S>, workspace: &mut Workspace<P>) -> Result<Solution<N, S, P>, Failure> {
         let len = problem.output.len();
-        let differs = |input: &Signal| matches!(input, Signal::Sampled(u, _) if u.len() != len);
-        if problem.inputs.iter().any(differs) || problem.equilibrium.is_some_and(|shift| shift.len() != len) {
+        if problem.inputs.iter().map(|(input, _)| *input).chain(problem.equilibrium).any(|signal| signal.len() != len) {
             return Err(Failure::UnequalLengths);
         }
         if len < 2 * P {

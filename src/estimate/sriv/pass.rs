@@ -17,7 +17,7 @@
 use super::{
     block::{BLOCK, BankSamples, Block, Samples},
     filter::{Discrete, Hold},
-    problem::{Problem, Signal, Sriv, Workspace},
+    problem::{Problem, Sriv, Workspace},
     sums::{Raw, Sums, regressor},
 };
 
@@ -160,10 +160,7 @@ impl<const N: usize, const P: usize> Filters<'_, N, P> {
     fn start<const S: usize>(&self, problem: &Problem<S>) -> States<N, S> {
         let start = |filter: &Discrete<N>, hold: Hold, first: f64| filter.readout(hold).start(&[0.0; N], first);
         let banks = self.banks.each_ref().map(|bank| BankStates {
-            inputs: problem.inputs.map(|input| match input {
-                Signal::Sampled(u, hold) => start(bank.filter, hold, u[0]),
-                Signal::Constant => start(bank.filter, Hold::Zero, 1.0),
-            }),
+            inputs: problem.inputs.map(|(input, hold)| start(bank.filter, hold, input[0])),
             shift: [0.0; N],
         });
         let output = start(self.banks[0].filter, Hold::First, problem.output[0]);
@@ -236,7 +233,7 @@ impl<'a, const N: usize, const P: usize> Bank<'a, N, P> {
         let shift = filter.readout(Hold::Zero).state[0];
         let mut bank = Self { filter, input: [0; P], state: [[0.0; N]; P], through: [0.0; P], shift };
         for (at, (input, derivative)) in sriv.columns[..P - N].iter().enumerate() {
-            let readout = filter.readout(problem.inputs[*input].hold());
+            let readout = filter.readout(problem.inputs[*input].1);
             bank.input[at] = *input;
             bank.state[at] = readout.state[*derivative];
             bank.through[at] = readout.through[*derivative];

@@ -2,24 +2,6 @@
 
 use super::{filter::Hold, polynomial::root_radius};
 
-/// One input of the model.
-#[derive(Debug, Clone, Copy)]
-pub enum Signal<'a> {
-    /// Samples at the times of the output's samples, and the values between them.
-    Sampled(&'a [f64], Hold),
-    /// The constant 1 from the first sample on: its coefficient is a constant load.
-    Constant,
-}
-
-impl Signal<'_> {
-    pub(super) fn hold(&self) -> Hold {
-        match self {
-            Self::Sampled(_, hold) => *hold,
-            Self::Constant => Hold::Zero,
-        }
-    }
-}
-
 /// The data of an identification.
 #[derive(Debug, Clone, Copy)]
 pub struct Problem<'a, const S: usize> {
@@ -27,8 +9,8 @@ pub struct Problem<'a, const S: usize> {
     pub interval_s: f64,
     /// The output. The system is at rest before the first sample.
     pub output: &'a [f64],
-    /// The inputs. Sampled inputs are as long as the output.
-    pub inputs: [Signal<'a>; S],
+    /// The inputs, sampled at the times of the output's samples, and their values between the samples.
+    pub inputs: [(&'a [f64], Hold); S],
     /// The output `y_eq` at which the term with `a_N` vanishes (the spring is unstressed), as mean over the interval
     /// after each sample; 0 while a brake or dry friction holds the machine. `None` if it is always 0.
     pub equilibrium: Option<&'a [f64]>,

@@ -29,7 +29,7 @@ use super::{
     filter::{Discrete, Hold},
     pass::Auxiliary,
     polynomial::is_stable,
-    problem::{Problem, Signal, Sriv, Workspace},
+    problem::{Problem, Sriv, Workspace},
     solve,
 };
 
@@ -47,7 +47,6 @@ impl Sriv<2, 1, 3> {
         noise: &Noise<1>,
         workspace: &mut Workspace<3>,
     ) -> Result<Option<Solution<2, 1, 3>>, Failure> {
-        let Signal::Sampled(_, hold) = problem.inputs[0] else { return Ok(None) };
         let share = noise.scale.map_or(1.0, |scale| scale.iter().map(|s| s * s).sum::<f64>() / scale.len() as f64);
         let ratio = noise.inputs[0] * share / noise.output;
         if !(ratio.is_finite() && ratio > 0.0) {
@@ -73,7 +72,7 @@ impl Sriv<2, 1, 3> {
             (refined.parameters, refined.denominator) = (next, c);
         }
         let filter = Discrete::new(&refined.denominator, problem.interval_s).ok_or(Failure::Singular)?;
-        let bias = noise_in_instrument(&refined.parameters, &filter, hold, problem, noise).ok_or(Failure::Singular)?;
+        let bias = noise_in_instrument(&refined.parameters, &filter, problem, noise).ok_or(Failure::Singular)?;
         refined.parameters = (Vector3::from(refined.parameters) - refined.inverse * Vector3::from(bias)).into();
         Ok(Some(refined))
     }
@@ -89,11 +88,11 @@ fn spectral_factor([b0, a1, a0]: &[f64; 3], ratio: f64) -> [f64; 2] {
 fn noise_in_instrument(
     parameters: &[f64; 3],
     filter: &Discrete<2>,
-    hold: Hold,
     problem: &Problem<1>,
     noise: &Noise<1>,
 ) -> Option<[f64; 3]> {
     let [b0, a1, a0] = *parameters;
+    let (_, hold) = problem.inputs[0];
     let model = Discrete::new(&[a1, a0], problem.interval_s)?;
     let (input_row, model_row, linear) = (filter.readout(hold), model.readout(hold), filter.readout(Hold::First));
     let len = problem.output.len();

@@ -9,7 +9,7 @@ use super::{
 use crate::estimate::{
     rejection::Rejection,
     settings::{Motor, Settings},
-    sriv::{Problem, Signal, filter::Hold},
+    sriv::{Problem, filter::Hold},
 };
 
 /// Least number of samples, and shortest time, from which three coefficients can be estimated.
@@ -135,7 +135,7 @@ impl Window {
         Problem {
             interval_s: self.interval_s,
             output: &self.output,
-            inputs: [Signal::Sampled(&self.input, Hold::First)],
+            inputs: [(&self.input, Hold::First)],
             equilibrium: (self.equilibrium != 0.0).then_some(&self.shift),
         }
     }

@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, fit};
-use crate::estimate::{Hold, midpoint, sriv::Signal};
+use crate::estimate::{Hold, midpoint};
 use crate::simulate::{Coefficients, Parameters};
 use crate::throw::OutOfRange;
 
@@ -62,7 +62,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
         for _ in 0..throws {
             let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);
             // The current is constant between two samples.
-            let inputs = [Signal::Sampled(&current, Hold::Zero)];
+            let inputs = [(&*current, Hold::Zero)];
             let variances = [CURRENT_NOISE_A.powi(2), noise * noise];
             fit::<1, 3>(&mut row, inputs, INTERVAL_S, &position, variances, plant.known.values());
         }

@@ -2,7 +2,7 @@
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, Trial, fit, without_dry_friction};
-use crate::estimate::{Hold, sriv::Signal};
+use crate::estimate::Hold;
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange};
 
@@ -45,12 +45,13 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
         let trace = sensors.record(&motion, Direction::NormalToReverse, &mut bench.rng)?.trace;
         let end = trace.position_mm().iter().position(|mm| *mm > 0.95 * machine.stroke_mm).unwrap_or(trace.len());
         let output: Vec<f64> = trace.position_mm()[..end].iter().map(|mm| mm * radians_per_mm).collect();
-        let input = Signal::Sampled(&trace.current_a()[..end], Hold::First);
+        let input = (&trace.current_a()[..end], Hold::First);
+        let ones = vec![1.0; end];
         let variances = [sensors.current.noise.powi(2), (sensors.position.noise * radians_per_mm).powi(2)];
         let interval_s = trace.sample_rate_hz().recip();
         fit::<1, 3>(&mut three, [input], interval_s, &output, variances, known.values());
         let viscous = [known.b0, known.a1_viscous, known.a0];
-        fit::<2, 4>(&mut four, [input, Signal::Constant], interval_s, &output, variances, viscous);
+        fit::<2, 4>(&mut four, [input, (&ones, Hold::Zero)], interval_s, &output, variances, viscous);
     }
     Ok(Finding {
         name: "fourth_coefficient",

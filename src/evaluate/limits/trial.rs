@@ -5,8 +5,8 @@ use rand_chacha::ChaCha12Rng;
 
 use super::finding::Row;
 use crate::estimate::{
-    Grade, Identifier, Noise, Settings,
-    sriv::{Problem, Signal, Sriv, Workspace},
+    Grade, Hold, Identifier, Noise, Settings,
+    sriv::{Problem, Sriv, Workspace},
 };
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw};
@@ -99,7 +99,7 @@ impl Bench {
 /// `inputs` is the current. `current`, `position`: variances of their noise; `truth`: the true coefficients.
 pub(super) fn fit<const S: usize, const P: usize>(
     row: &mut Row,
-    inputs: [Signal; S],
+    inputs: [(&[f64], Hold); S],
     interval_s: f64,
     output: &[f64],
     [current, position]: [f64; 2],
@@ -126,13 +126,12 @@ pub(super) fn fit<const S: usize, const P: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::Hold;
 
     #[test]
     fn a_row_has_the_reason_why_there_is_no_estimate() {
         let mut row = Row::new("no current", 1, true);
         let (current, position) = ([0.0; 100], [1.0; 100]);
-        fit::<1, 3>(&mut row, [Signal::Sampled(&current, Hold::First)], 1e-3, &position, [1.0; 2], [1.0; 3]);
+        fit::<1, 3>(&mut row, [(&current, Hold::First)], 1e-3, &position, [1.0; 2], [1.0; 3]);
         assert_eq!(row.refusal.as_deref(), Some("singular"));
     }
 }

@@ -6,38 +6,25 @@ use serde::{
     Deserialize, Deserializer, Serialize,
     de::{self, SeqAccess, Visitor},
 };
+use serde_json::Number;
 
 use crate::throw::MAX_SAMPLES;
 
 /// A whole number; the form 7.0, which some languages write, is accepted too.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(try_from = "Number")]
 pub(super) struct Count(pub(super) u64);
 
-impl<'de> Deserialize<'de> for Count {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visit;
-        impl Visitor<'_> for Visit {
-            type Value = Count;
+impl TryFrom<Number> for Count {
+    type Error = String;
 
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a whole number from 0")
-            }
-
-            fn visit_u64<E: de::Error>(self, value: u64) -> Result<Count, E> {
-                Ok(Count(value))
-            }
-
-            fn visit_f64<E: de::Error>(self, value: f64) -> Result<Count, E> {
-                // Beyond 2^53 a float does not represent every whole number.
-                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
-                if value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(&value) {
-                    Ok(Count(value as u64))
-                } else {
-                    Err(E::invalid_value(de::Unexpected::Float(value), &self))
-                }
-            }
-        }
-        deserializer.deserialize_any(Visit)
+    fn try_from(number: Number) -> Result<Self, String> {
+        // Beyond 2^53 a float does not represent every whole number.
+        let is_whole = |value: &f64| value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(value);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
+        let whole = || number.as_f64().filter(is_whole).map(|value| value as u64);
+        let count = number.as_u64().or_else(whole);
+        count.map(Self).ok_or_else(|| format!("invalid value: {number}, expected a whole number from 0"))
     }
 }
 
