@@ -24,7 +24,7 @@ impl TryFrom<Number> for Count {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
         let whole = || number.as_f64().filter(is_whole).map(|value| value as u64);
         let count = number.as_u64().or_else(whole);
-        count.map(Self).ok_or_else(|| format!("invalid value: {number}, expected a whole number from 0"))
+        count.map(Self).ok_or_else(|| format!("{number}, must be a whole number from 0"))
     }
 }
 
