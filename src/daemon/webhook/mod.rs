@@ -120,13 +120,10 @@ impl Notifier {
     /// no event is pending.
     async fn pending(&mut self, limit: u32) -> Vec<Pending> {
         loop {
-            // Rows that could not be removed come first.
-            let limit = if self.is_kept { ALL } else { limit };
-            let mut rows = self.store.reader().notifications(limit).await.unwrap_or_else(|error| {
+            let rows = self.store.reader().notifications(self.last, limit).await.unwrap_or_else(|error| {
                 seldom!(warn, %error, "reading the notifications failed; retrying");
                 Vec::new()
             });
-            rows.retain(|(row, _)| *row > self.last);
             let Some((last, _)) = rows.last() else { return self.uncommitted() };
             let last = *last;
             let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
