@@ -117,19 +117,19 @@ impl Daemon {
         lock: DatabaseLock,
     ) -> Result<Self, StartError> {
         let (config, current) = watch::channel(Arc::new(config));
-        let shared = Arc::new(Shared::new(Arc::clone(&current.borrow()), session, opened.store));
+        let (connections, loggers) = watch::channel(Loggers::default());
+        let shared = Arc::new(Shared::new(Arc::clone(&current.borrow()), session, opened.store, loggers));
         let Shared { session, store, status, config: at_start, .. } = &*shared;
         let mut start = Starting { shared: Arc::clone(&shared), tasks: Tasks::default() };
         let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
         let (sender, commands) = CommandSender::new();
-        let (connections, loggers) = watch::channel(Loggers::default());
         let (outlet, publishing) = Outlet::start(session);
 
         start.start_webhook().await?;
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
-        start.start_judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
-        let sources = start.start_receiver(&outlet, loggers).await?;
+        start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;
+        let sources = start.start_receiver(&outlet).await?;
 
         presence::watch(session, &start.scope(Kind::Alive), Arc::clone(status), connections).await?;
         start.start_answers(&sender, &sources).await?;
@@ -246,7 +246,6 @@ impl Starting {
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
         watchers: broadcast::Sender<Judged>,
-        loggers: watch::Receiver<Loggers>,
         commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
         let shared = Arc::clone(&self.shared);
@@ -255,17 +254,13 @@ impl Starting {
             Arc::clone(&peers).follow(&shared.session).await?;
         }
         let judge = Judge::restore(shared.store.clone(), config).await?;
-        let links = Links { outlet, watchers, loggers, commands, peers };
+        let links = Links { outlet, watchers, commands, peers };
         self.tasks.spawn(JUDGE, JudgeLoop::new(shared, judge, links).run());
         Ok(())
     }
 
     /// Starts the reception of live throws and of the loggers' backlogs.
-    async fn start_receiver(
-        &mut self,
-        outlet: &Outlet,
-        loggers: watch::Receiver<Loggers>,
-    ) -> Result<StatusSources, StartError> {
+    async fn start_receiver(&mut self, outlet: &Outlet) -> Result<StatusSources, StartError> {
         let Shared { config, session, store, status, .. } = &*self.shared;
         let (subscribe, monitor) = (&config.subscribe, &config.monitor);
         let (inbox, dropped) = Inbox::subscribe(session, &self.scope(Kind::Throw), subscribe.max_payload_bytes).await?;
@@ -281,7 +276,7 @@ impl Starting {
         status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
         let shared = || Arc::clone(&self.shared);
         let intake = Arc::new(Intake::new(shared(), machines));
-        let backlog = Backlog::new(shared(), Arc::clone(&intake), loggers, dropped);
+        let backlog = Backlog::new(shared(), Arc::clone(&intake), dropped);
         self.tasks.spawn(RECEIVE, ReceiveLoop::new(shared(), inbox, intake).run());
         // Stopped together with the receiving loop: the next start fetches the rest of the backlogs.
         self.tasks.spawn("backlog", backlog.run());

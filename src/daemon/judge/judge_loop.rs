@@ -10,7 +10,7 @@ use std::{
 
 use jiff::Timestamp;
 use tokio::{
-    sync::{broadcast, mpsc, watch},
+    sync::{broadcast, mpsc},
     time,
 };
 
@@ -20,7 +20,6 @@ use crate::{
     daemon::{
         clock,
         config::Config,
-        receive::presence::Loggers,
         shared::Shared,
         supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
@@ -74,7 +73,6 @@ impl Changes {
 pub(crate) struct Links {
     pub(crate) outlet: Outlet,
     pub(crate) watchers: broadcast::Sender<Judged>,
-    pub(crate) loggers: watch::Receiver<Loggers>,
     pub(crate) commands: mpsc::Receiver<PendingCommand>,
     pub(crate) peers: Arc<Peers>,
 }
@@ -275,7 +273,7 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         self.update_daemon_alarms().await?;
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
-        let loggers = self.links.loggers.borrow().clone();
+        let loggers = self.shared.loggers.borrow().clone();
         let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, &self.own_machine);
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
@@ -335,7 +333,7 @@ impl JudgeLoop {
 
     fn update_report(&mut self) {
         let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
-        let loggers = self.links.loggers.borrow().alive.clone();
+        let loggers = self.shared.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.monitors.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
@@ -433,7 +431,7 @@ impl JudgeLoop {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
             return Ok((false, text));
         }
-        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().alive.contains(machine) {
+        if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
@@ -456,7 +454,7 @@ impl JudgeLoop {
         }
         tracing::info!(%machine, ?command, "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
-        let is_away = !self.links.loggers.borrow().alive.contains(machine);
+        let is_away = !self.shared.loggers.borrow().alive.contains(machine);
         let undated = is_away && self.judge.monitors.may_send_undated(machine);
         let late = if undated && matches!(command, Command::Rebaseline { .. }) {
             ". Its logger is not connected: throws that it made before this command and sends later may be learned too, \

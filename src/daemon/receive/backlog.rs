@@ -9,14 +9,13 @@
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
 use tokio::{
-    sync::{mpsc, watch},
+    sync::mpsc,
     task::JoinSet,
     time::{self, Instant},
 };
 
 use super::{
     Intake,
-    presence::Loggers,
     schedule::{AT_A_TIME, NextPage, Schedule},
 };
 use crate::{
@@ -58,9 +57,6 @@ const ROUND: Duration = Duration::from_mins(5);
 const LATER: u32 = 4;
 /// Least time between two database queries for missing throws.
 const MISSING_CHECK: Duration = Duration::from_millis(100);
-/// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
-/// is cleared.
-const WITH_TOKEN: usize = 200_000;
 /// Largest number of machines with missing throws in one database query.
 const MISSING: u32 = 10_000;
 
@@ -81,23 +77,15 @@ enum QueryEnd {
 pub(crate) struct Backlog {
     shared: Arc<Shared>,
     intake: Arc<Intake>,
-    loggers: watch::Receiver<Loggers>,
-    /// Machines whose loggers had a token at the last change of `loggers`.
+    /// Machines whose loggers had a token at their last change.
     seen: HashSet<MachineId>,
-    /// Machines whose loggers ever had a token since the start.
-    with_token: HashSet<MachineId>,
     /// Keys of live messages that were dropped.
     dropped: mpsc::Receiver<String>,
 }
 
 impl Backlog {
-    pub(in crate::daemon) fn new(
-        shared: Arc<Shared>,
-        intake: Arc<Intake>,
-        loggers: watch::Receiver<Loggers>,
-        dropped: mpsc::Receiver<String>,
-    ) -> Self {
-        Self { shared, intake, loggers, seen: HashSet::new(), with_token: HashSet::new(), dropped }
+    pub(in crate::daemon) fn new(shared: Arc<Shared>, intake: Arc<Intake>, dropped: mpsc::Receiver<String>) -> Self {
+        Self { shared, intake, seen: HashSet::new(), dropped }
     }
 
     pub(crate) async fn run(mut self) {
@@ -107,6 +95,7 @@ impl Backlog {
         let mut check = time::interval(MISSING_CHECK);
         check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
+        let mut loggers = self.shared.loggers.clone();
         loop {
             while queries.len() < AT_A_TIME
                 && let Some((machine, mut page)) = schedule.next()
@@ -121,13 +110,9 @@ impl Backlog {
             let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
             tokio::select! {
                 () = self.shared.stops.receive.cancelled() => return queries.shutdown().await,
-                Ok(()) = self.loggers.changed() => {
-                    let alive = self.loggers.borrow_and_update().alive.clone();
+                Ok(()) = loggers.changed() => {
+                    let alive = loggers.borrow_and_update().alive.clone();
                     alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
-                    if self.with_token.len() >= WITH_TOKEN {
-                        self.with_token.clear();
-                    }
-                    self.with_token.extend(alive.difference(&self.seen).cloned());
                     self.seen = alive;
                 }
                 Some(key) = self.dropped.recv() => {
@@ -167,8 +152,9 @@ impl Backlog {
 
     /// Schedules queries of the loggers of known machines that never had a token, except those that are scheduled.
     fn request_without_token(&self, schedule: &mut Schedule) {
+        let loggers = self.shared.loggers.borrow();
         for machine in self.intake.machines.lock().keys() {
-            if !self.with_token.contains(machine) && !schedule.turns.contains_key(machine) {
+            if !loggers.had_token(machine) && !schedule.turns.contains_key(machine) {
                 schedule.request(machine);
             }
         }
@@ -179,7 +165,11 @@ impl Backlog {
         match self.shared.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
-                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_connected(&machine)) {
+                    if schedule
+                        .turns
+                        .get(&machine)
+                        .is_none_or(|turn| turn.was_away && self.intake.is_connected(&machine))
+                    {
                         schedule.request(&machine);
                     }
                 }
@@ -191,16 +181,11 @@ impl Backlog {
         }
     }
 
-    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
-    fn is_connected(&self, machine: &MachineId) -> bool {
-        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.intake.is_live(machine))
-    }
-
     async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: NextPage) {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
         turn.next_page = Some(page);
         self.shared.missing.notify_one();
-        let is_connected = self.is_connected(machine);
+        let is_connected = self.intake.is_connected(machine);
         turn.was_away = !is_connected;
         let pause = match ended {
             QueryEnd::Complete => return schedule.done(machine),

@@ -124,9 +124,11 @@ impl Intake {
         }
     }
 
-    /// Whether a live throw of a machine was received in the last minute.
-    pub(super) fn is_live(&self, machine: &MachineId) -> bool {
-        self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
+    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
+    fn is_connected(&self, machine: &MachineId) -> bool {
+        let is_live = || self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE);
+        let loggers = self.shared.loggers.borrow();
+        loggers.alive.contains(machine) || (!loggers.gone.contains(machine) && is_live())
     }
 
     /// The hash of a message from a backlog, and whether the message is quarantined for the first time.
