@@ -1,7 +1,8 @@
 //! Zenoh sessions, publishers, subscribers and queries.
 //!
 //! A callback of zenoh must not wait, as this would stall the whole link: it only does a `try_send` to a bounded queue,
-//! or changes a value. Puts and replies block on a slow link, so they run on threads of their own.
+//! changes a value, or starts work on another thread. Puts and replies block on a slow link, so they run on threads of
+//! their own.
 
 mod backlog;
 mod error;

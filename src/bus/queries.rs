@@ -6,11 +6,11 @@ use std::sync::{
 };
 
 use tokio::{
+    runtime::Handle,
     sync::{
         OwnedSemaphorePermit, Semaphore,
         mpsc::{self, error::TrySendError},
     },
-    task,
 };
 use zenoh::{
     Session, Wait,
@@ -32,8 +32,6 @@ const MAX_PAYLOAD: usize = 64 << 10;
 /// A queryable with a bounded queue of queries.
 pub struct QueryQueue {
     waiting: mpsc::Receiver<Query>,
-    /// Queries that found `waiting` full, for an error reply.
-    refused: mpsc::Receiver<Query>,
     dropped: Arc<AtomicU64>,
     /// A permit for each query whose replies are being sent.
     sending: Arc<Semaphore>,
@@ -48,9 +46,8 @@ impl QueryQueue {
     pub async fn declare(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let (sender, waiting) = mpsc::channel(QUEUE);
         let dropped = Arc::<AtomicU64>::default();
-        let counter = Arc::clone(&dropped);
-        // The callback must not reply, as a reply waits for a slow link: `next` replies.
-        let (refuse, refused) = mpsc::channel(QUEUE);
+        let sending = Arc::new(Semaphore::new(SENDING));
+        let (counter, permits, runtime) = (Arc::clone(&dropped), Arc::clone(&sending), Handle::current());
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query: Query| {
@@ -61,14 +58,15 @@ impl QueryQueue {
                 }
                 if let Err(TrySendError::Full(question)) = sender.try_send(query) {
                     counter.fetch_add(1, Relaxed);
-                    // If this queue is full too, the query ends without a reply.
-                    let _ = refuse.try_send(question);
+                    // While slow links use all permits, the query ends without a reply.
+                    if let Ok(permit) = Arc::clone(&permits).try_acquire_owned() {
+                        send(&runtime, question, Err(BUSY.to_owned()), permit);
+                    }
                 }
             })
             .await
             .map_err(BusError::new(format!("answer queries on {key_expression}")))?;
-        let sending = Arc::new(Semaphore::new(SENDING));
-        Ok(Self { waiting, refused, dropped, sending, _queryable: queryable })
+        Ok(Self { waiting, dropped, sending, _queryable: queryable })
     }
 
     /// Number of queries refused since the last call: the queue was full, or their payload too large.
@@ -76,17 +74,8 @@ impl QueryQueue {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They get this
-    /// reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
+    /// The next query; `None` when the session is closed. Cancel safe.
     pub async fn next(&mut self) -> Option<Query> {
-        // Only the queries that are refused now: during a flood others follow without end.
-        for _ in 0..self.refused.len() {
-            let question = self.refused.recv().await?;
-            // While slow links use all permits, the query ends without a reply.
-            if let Ok(permit) = Arc::clone(&self.sending).try_acquire_owned() {
-                send(question, Err(BUSY.to_owned()), permit);
-            }
-        }
         self.waiting.recv().await
     }
 
@@ -95,15 +84,15 @@ impl QueryQueue {
     pub(crate) async fn answer(&self, question: Query, replies: Result<Vec<(String, Vec<u8>)>, String>) {
         // The result is always `Ok`, as nothing closes the semaphore.
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
-            send(question, replies, permit);
+            send(&Handle::current(), question, replies, permit);
         }
     }
 }
 
 /// Sends replies on a blocking thread: a reply blocks on a slow link, until zenoh closes the link after 5 s without
 /// progress.
-fn send(query: Query, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
-    task::spawn_blocking(move || {
+fn send(runtime: &Handle, query: Query, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
+    runtime.spawn_blocking(move || {
         let _permit = permit;
         let failed = |error| tracing::debug!(%error, "sending a reply failed");
         match replies {

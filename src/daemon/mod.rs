@@ -25,6 +25,7 @@ mod offline;
 mod publish;
 mod receive;
 mod retention;
+mod shared;
 mod start;
 mod stop;
 mod supervision;

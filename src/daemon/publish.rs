@@ -7,17 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::{sync::Notify, time};
-use tokio_util::sync::CancellationToken;
-use zenoh::Session;
+use tokio::time;
 
-use super::{
-    clock,
-    supervision::{heartbeat::TaskName, status::Status},
-};
+use super::{clock, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
     bus::{self, Outlet},
-    store::{Store, seldom},
+    store::seldom,
 };
 
 /// Number of messages read from the outbox in one query.
@@ -35,32 +30,29 @@ const PUT_LIMIT: Duration = Duration::from_secs(20);
 
 /// The publishing loop.
 pub(super) struct Publisher {
-    pub(super) store: Store,
-    pub(super) session: Session,
+    pub(super) shared: Arc<Shared>,
     pub(super) outlet: Outlet,
-    pub(super) status: Arc<Status>,
-    pub(super) outbox: Arc<Notify>,
     /// Publishes nothing: shows whether alarms have a subscriber.
     pub(super) audience: zenoh::pubsub::Publisher<'static>,
     /// Whether the database is new: no earlier process published from it, so no subscriber has to reconnect.
     pub(super) is_first: bool,
-    pub(super) is_client: bool,
 }
 
 impl Publisher {
-    /// Runs until `stop`, then publishes the rest of the outbox.
-    pub(super) async fn run(self, stop: CancellationToken) {
+    /// Runs until its stop signal, then publishes the rest of the outbox.
+    pub(super) async fn run(self) {
+        let Shared { session, status, stops, outbox, is_client, .. } = &*self.shared;
         let mut beat = time::interval(Duration::from_secs(1));
         // Rows that zenoh accepted, with the time.
         let mut accepted: VecDeque<(i64, Instant)> = VecDeque::new();
         let mut last = 0;
         let start = clock::monotonic();
         loop {
-            let stopping = stop.is_cancelled();
-            let connected = bus::is_connected(&self.session).await;
-            self.status.edit().connected = connected;
+            let stopping = stops.publish.is_cancelled();
+            let connected = bus::is_connected(session).await;
+            status.edit().connected = connected;
             // A client without its router reaches no subscriber.
-            let reaches = connected || !self.is_client;
+            let reaches = connected || !is_client;
             let since = start.elapsed();
             let waited = since >= AUDIENCE_LIMIT;
             let may_begin = self.is_first || since >= RECONNECT_WAIT;
@@ -68,13 +60,13 @@ impl Publisher {
                 last = self.publish(last, &mut accepted).await;
             }
             self.remove_settled(&mut accepted).await;
-            self.status.heartbeats.beat(TaskName::Publish);
+            status.heartbeats.beat(TaskName::Publish);
             if stopping || self.outlet.is_closed() {
                 return;
             }
             tokio::select! {
-                () = stop.cancelled() => {}
-                () = self.outbox.notified() => {}
+                () = stops.publish.cancelled() => {}
+                () = outbox.notified() => {}
                 _ = beat.tick() => {}
             }
         }
@@ -88,7 +80,7 @@ impl Publisher {
     /// Publishes the messages after the row `last`; returns the last row that zenoh accepted.
     async fn publish(&self, mut last: i64, accepted: &mut VecDeque<(i64, Instant)>) -> i64 {
         loop {
-            let rows = match self.store.reader().outbox_pending(last, BATCH).await {
+            let rows = match self.shared.store.reader().outbox_pending(last, BATCH).await {
                 Ok(rows) => rows,
                 Err(error) => {
                     seldom!(warn, %error, "reading the outbox failed; retrying");
@@ -113,7 +105,7 @@ impl Publisher {
                         return last;
                     }
                 }
-                self.status.heartbeats.beat(TaskName::Publish);
+                self.shared.status.heartbeats.beat(TaskName::Publish);
             }
         }
     }
@@ -126,7 +118,7 @@ impl Publisher {
             return;
         }
         let rows: Vec<i64> = accepted.iter().take(settled).map(|(row, _)| *row).collect();
-        match self.store.outbox_sent(&rows).await {
+        match self.shared.store.outbox_sent(&rows).await {
             Ok(()) => drop(accepted.drain(..settled)),
             Err(error) => {
                 seldom!(warn, %error, "removing published messages from the outbox failed; they may be sent again");

@@ -1,14 +1,12 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::{collections::HashSet, sync::Arc};
+use std::sync::Arc;
 
-use parking_lot::Mutex;
 use sd_notify::NotifyState;
 use tokio::{
-    sync::{Notify, broadcast, mpsc, watch},
+    sync::{broadcast, mpsc, watch},
     task::JoinHandle,
 };
-use tokio_util::sync::CancellationToken;
 use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
@@ -24,14 +22,15 @@ use super::{
     publish::Publisher,
     receive::{
         Intake, ReceiveLoop,
-        backlog::{Backlog, Querier},
+        backlog::Backlog,
         presence::{self, Loggers},
     },
     retention,
+    shared::Shared,
     supervision::{
         lock::DatabaseLock,
         peers::Peers,
-        status::{NAMED, Status, StatusReport, StatusSources},
+        status::{NAMED, StatusReport, StatusSources},
         tasks::Tasks,
         watchdog,
     },
@@ -40,7 +39,6 @@ use super::{
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
     store::{self, Found, Opened, Store},
-    throw::MachineId,
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
@@ -56,14 +54,12 @@ pub(super) const PUBLISH: &str = "publish";
 
 /// The running daemon.
 pub struct Daemon {
-    pub(super) session: Session,
-    pub(super) store: Store,
+    pub(super) shared: Arc<Shared>,
     pub(super) sources: StatusSources,
     config: watch::Sender<Arc<Config>>,
     watchers: broadcast::Sender<Judged>,
     commands: CommandSender,
     pub(super) tasks: Tasks,
-    pub(super) stops: Stops,
     pub(super) publishing: [JoinHandle<()>; 2],
     pub(super) alive: LivelinessToken,
     pub(super) lock: DatabaseLock,
@@ -85,28 +81,10 @@ impl View {
     }
 }
 
-/// Stop signals of the loops. They are cancelled one after the other, so that each loop can finish the work that the
-/// previous loop left for it.
-#[derive(Default)]
-pub(super) struct Stops {
-    pub(super) receive: CancellationToken,
-    pub(super) judge: CancellationToken,
-    pub(super) publish: CancellationToken,
-    /// Cancelled when a loop has not ended in time: it then leaves its unfinished work.
-    pub(super) give_up: CancellationToken,
-}
-
-/// State shared by the steps of a start.
+/// A start of the daemon: the shared state, and the tasks started so far.
 struct Starting {
-    config: Arc<Config>,
-    session: Session,
-    store: Store,
-    status: Arc<Status>,
+    shared: Arc<Shared>,
     tasks: Tasks,
-    stops: Stops,
-    stored: Arc<Notify>,
-    outbox: Arc<Notify>,
-    webhook: Arc<Notify>,
 }
 
 impl Daemon {
@@ -138,45 +116,37 @@ impl Daemon {
         opened: Opened,
         lock: DatabaseLock,
     ) -> Result<Self, StartError> {
-        let mut start = Starting {
-            config: Arc::new(config),
-            session,
-            store: opened.store,
-            status: Arc::default(),
-            tasks: Tasks::default(),
-            stops: Stops::default(),
-            stored: Arc::default(),
-            outbox: Arc::default(),
-            webhook: Arc::default(),
-        };
-        let (config, current) = watch::channel(Arc::clone(&start.config));
+        let (config, current) = watch::channel(Arc::new(config));
+        let (connections, loggers) = watch::channel(Loggers::default());
+        let shared = Arc::new(Shared::new(Arc::clone(&current.borrow()), session, opened.store, loggers));
+        let Shared { session, store, status, config: at_start, .. } = &*shared;
+        let mut start = Starting { shared: Arc::clone(&shared), tasks: Tasks::default() };
         let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
         let (sender, commands) = CommandSender::new();
-        let (connections, loggers) = watch::channel(Loggers::default());
-        let (outlet, publishing) = Outlet::start(&start.session);
+        let (outlet, publishing) = Outlet::start(session);
 
         start.start_webhook().await?;
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
-        start.start_judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
-        let sources = start.start_receiver(&outlet, loggers).await?;
+        start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;
+        let sources = start.start_receiver(&outlet).await?;
 
-        presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), connections).await?;
+        presence::watch(session, &start.scope(Kind::Alive), Arc::clone(status), connections).await?;
         start.start_answers(&sender, &sources).await?;
-        let last_received = start.store.reader().last_received().await?;
-        start.tasks.spawn("retention", retention::run(start.store.clone(), last_received));
+        let last_received = store.reader().last_received().await?;
+        start.tasks.spawn("retention", retention::run(store.clone(), last_received));
         start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
-        let own = start.config.monitor.as_machine();
-        match bus::is_running(&start.session, &own).await {
+        let own = at_start.monitor.as_machine();
+        match bus::is_running(session, &own).await {
             Ok(true) => tracing::warn!(
                 "another daemon with the name {own} is connected: give each its own monitor.site and monitor.id, or stop one"
             ),
             Ok(false) => {}
             Err(error) => tracing::debug!(%error, "looking for a daemon of the same name failed"),
         }
-        let alive = bus::declare_alive(&start.session, &monitor_alive_key(&own)).await?;
-        let Starting { session, store, tasks, stops, .. } = start;
-        Ok(Self { session, store, sources, config, watchers, commands: sender, tasks, stops, publishing, alive, lock })
+        let alive = bus::declare_alive(session, &monitor_alive_key(&own)).await?;
+        let tasks = start.tasks;
+        Ok(Self { shared, sources, config, watchers, commands: sender, tasks, publishing, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -191,12 +161,12 @@ impl Daemon {
 
     /// Endpoints on which the session listens.
     pub async fn locators(&self) -> Vec<String> {
-        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+        self.shared.session.info().locators().await.iter().map(ToString::to_string).collect()
     }
 
     /// The database.
     pub fn store(&self) -> &Store {
-        &self.store
+        &self.shared.store
     }
 
     /// The status of the daemon.
@@ -219,7 +189,7 @@ impl Daemon {
     pub async fn ended(&mut self) -> &'static str {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
-            () = self.store.stopped() => DATABASE,
+            () = self.shared.store.stopped() => DATABASE,
         }
     }
 
@@ -247,30 +217,25 @@ impl Daemon {
 impl Starting {
     /// The key expression of the part of the fleet that this daemon serves.
     fn scope(&self, kind: Kind) -> String {
-        self.config.subscribe.key.key_expression(kind)
+        self.shared.config.subscribe.key.key_expression(kind)
     }
 
     /// Starts the publishing loop. `is_first` is true for a new database: no earlier process published from it, so no
     /// subscriber has to reconnect before the first alarm.
     async fn start_publisher(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
-            store: self.store.clone(),
-            session: self.session.clone(),
+            shared: Arc::clone(&self.shared),
             outlet,
-            status: Arc::clone(&self.status),
-            outbox: Arc::clone(&self.outbox),
-            audience: bus::declare_publisher(&self.session, self.scope(Kind::Alarm)).await?,
+            audience: bus::declare_publisher(&self.shared.session, self.scope(Kind::Alarm)).await?,
             is_first,
-            is_client: bus::is_client(&self.config.zenoh),
         };
-        self.tasks.spawn(PUBLISH, publisher.run(self.stops.publish.clone()));
+        self.tasks.spawn(PUBLISH, publisher.run());
         Ok(())
     }
 
     /// Starts the loop that sends alarm events to the webhook, if one is configured.
     async fn start_webhook(&mut self) -> Result<(), StartError> {
-        let (status, wake) = (Arc::clone(&self.status), Arc::clone(&self.webhook));
-        if let Some(notifier) = Notifier::new(self.store.clone(), &self.config, status, wake).await? {
+        if let Some(notifier) = Notifier::new(Arc::clone(&self.shared)).await? {
             self.tasks.spawn("webhook", notifier.run());
         }
         Ok(())
@@ -281,97 +246,50 @@ impl Starting {
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
         watchers: broadcast::Sender<Judged>,
-        loggers: watch::Receiver<Loggers>,
         commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
-        let peers = Arc::new(Peers::new(self.config.monitor.watched()));
-        if !self.config.monitor.peers.is_empty() {
-            Arc::clone(&peers).follow(&self.session).await?;
+        let shared = Arc::clone(&self.shared);
+        let peers = Arc::new(Peers::new(shared.config.monitor.watched()));
+        if !shared.config.monitor.peers.is_empty() {
+            Arc::clone(&peers).follow(&shared.session).await?;
         }
-        let judge = Judge::restore(self.store.clone(), config).await?;
-        let links = Links {
-            status: Arc::clone(&self.status),
-            outlet,
-            stored: Arc::clone(&self.stored),
-            outbox: Arc::clone(&self.outbox),
-            webhook: Arc::clone(&self.webhook),
-            watchers,
-            loggers,
-            commands,
-            peers,
-            give_up: self.stops.give_up.clone(),
-        };
-        self.tasks.spawn(JUDGE, JudgeLoop::new(judge, links).run(self.stops.judge.clone()));
+        let judge = Judge::restore(shared.store.clone(), config).await?;
+        let links = Links { outlet, watchers, commands, peers };
+        self.tasks.spawn(JUDGE, JudgeLoop::new(shared, judge, links).run());
         Ok(())
     }
 
     /// Starts the reception of live throws and of the loggers' backlogs.
-    async fn start_receiver(
-        &mut self,
-        outlet: &Outlet,
-        loggers: watch::Receiver<Loggers>,
-    ) -> Result<StatusSources, StartError> {
-        let subscribe = &self.config.subscribe;
-        let (inbox, dropped) =
-            Inbox::subscribe(&self.session, &self.scope(Kind::Throw), subscribe.max_payload_bytes).await?;
+    async fn start_receiver(&mut self, outlet: &Outlet) -> Result<StatusSources, StartError> {
+        let Shared { config, session, store, status, .. } = &*self.shared;
+        let (subscribe, monitor) = (&config.subscribe, &config.monitor);
+        let (inbox, dropped) = Inbox::subscribe(session, &self.scope(Kind::Throw), subscribe.max_payload_bytes).await?;
         let sources = StatusSources {
-            status: Arc::clone(&self.status),
+            status: Arc::clone(status),
             inbox: inbox.counters(),
             outlet: outlet.counters(),
-            store: self.store.clone(),
+            store: store.clone(),
         };
-        let machines = self.store.reader().machines().await?;
-        let monitor = self.config.monitor.clone();
-        let sends = |machine: &MachineId| monitor.reserves(machine).is_none();
-        let left_out = machines.iter().filter(|machine| sends(machine) && !subscribe.serves(machine));
-        self.status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
-        let intake = Arc::new(Intake {
-            store: self.store.clone(),
-            status: Arc::clone(&self.status),
-            machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, None)).collect()),
-            max_machines: subscribe.max_machines,
-            max_payload_bytes: subscribe.max_payload_bytes,
-            monitor,
-            refused_before: Mutex::default(),
-        });
-        let missing = Arc::<Notify>::default();
-        let querier = Querier {
-            session: self.session.clone(),
-            intake: Arc::clone(&intake),
-            is_client: bus::is_client(&self.config.zenoh),
-            stored: Arc::clone(&self.stored),
-        };
-        let backlog = Backlog {
-            querier: Arc::new(querier),
-            loggers,
-            seen: HashSet::new(),
-            with_token: HashSet::new(),
-            dropped,
-            missing: Arc::clone(&missing),
-        };
-        let receiver = ReceiveLoop {
-            inbox,
-            intake,
-            stored: Arc::clone(&self.stored),
-            missing,
-            give_up: self.stops.give_up.clone(),
-            undecoded: 0,
-            unstored: Vec::new(),
-            storing_fails: false,
-        };
-        self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
+        let mut machines = store.reader().machines().await?;
+        machines.retain(|machine| monitor.reserves(machine).is_none());
+        let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
+        status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
+        let shared = || Arc::clone(&self.shared);
+        let intake = Arc::new(Intake::new(shared(), machines));
+        let backlog = Backlog::new(shared(), Arc::clone(&intake), dropped);
+        self.tasks.spawn(RECEIVE, ReceiveLoop::new(shared(), inbox, intake).run());
         // Stopped together with the receiving loop: the next start fetches the rest of the backlogs.
-        self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
+        self.tasks.spawn("backlog", backlog.run());
         Ok(sources)
     }
 
     /// Starts the tasks that answer queries and commands.
     async fn start_answers(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
-        let own_machine = self.config.monitor.as_machine();
+        let Shared { config, session, store, status, .. } = &*self.shared;
+        let own_machine = config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
-        let reader = self.store.reader().clone();
-        let itself = CommandTarget { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
-        let status = &sources.status;
+        let reader = store.reader().clone();
+        let itself = CommandTarget { monitor: own_machine.to_string(), session: session.zid().to_string() };
         let alarms = |elsewhere| Responder::Alarms { reader: reader.clone(), status: Arc::clone(status), elsewhere };
         let commands = || Responder::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
@@ -388,7 +306,7 @@ impl Starting {
             all.push(("answer own commands", own(Kind::Command), commands()));
         }
         for (name, key, responder) in all {
-            let questions = QueryQueue::declare(&self.session, &key).await?;
+            let questions = QueryQueue::declare(session, &key).await?;
             self.tasks.spawn(name, responder.run(questions));
         }
         Ok(())

@@ -6,6 +6,7 @@ use sd_notify::NotifyState;
 use tokio::time;
 
 use super::{
+    shared::Shared,
     start::{Daemon, JUDGE, PUBLISH, RECEIVE},
     supervision::watchdog::notify,
 };
@@ -31,7 +32,8 @@ impl Daemon {
     /// # Errors
     /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
-        let Self { session, store, mut tasks, stops, publishing, alive, sources, lock, .. } = self;
+        let Self { shared, mut tasks, publishing, alive, sources, lock, .. } = self;
+        let Shared { session, store, stops, .. } = &*shared;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {

@@ -10,7 +10,7 @@ use super::{
     error::StoreError,
     files::{
         DatabaseFiles,
-        disk::{Disk, DiskLevel},
+        disk::Disk,
         open::{self, Report},
     },
     reader::Reader,
@@ -21,7 +21,7 @@ use super::{
         backlog_page::{BacklogPage, PageStored, WriteOff},
         connection::WritingConnection,
         cursor::Cursor,
-        judgement::{Judgement, Judgements, Outcome},
+        judgement::{Judgement, Outcome},
         quarantine::{Losses, Quarantine, QuarantinedMessage, Statement},
         spool::{Spool, Spooled, Spools},
     },
@@ -149,8 +149,7 @@ impl Store {
     /// # Errors
     /// When they could not be stored; the same call may be repeated.
     pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
-        let drop_traces = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        self.writer.write(Judgements { judgements, drop_traces }).await
+        self.writer.write(judgements).await
     }
 
     /// Stores the outcome of an operator's command or of a periodic check, in one transaction.

@@ -10,10 +10,9 @@ use std::{
 
 use jiff::Timestamp;
 use tokio::{
-    sync::{Notify, broadcast, mpsc, watch},
+    sync::{broadcast, mpsc},
     time,
 };
-use tokio_util::sync::CancellationToken;
 
 use super::{Judge, Judged, budget::Budget, commands::PendingCommand, monitors::TICK};
 use crate::{
@@ -21,12 +20,8 @@ use crate::{
     daemon::{
         clock,
         config::Config,
-        receive::presence::Loggers,
-        supervision::{
-            heartbeat::TaskName,
-            peers::Peers,
-            status::{NAMED, Status},
-        },
+        shared::Shared,
+        supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
     diagnose::{Away, Command, Irregularity, MachineMonitor, Missing},
     store::{ALL_MACHINES, Judgement, Outcome, Store, StoreError, seldom},
@@ -74,25 +69,16 @@ impl Changes {
     }
 }
 
-/// Channels and handles to the other loops of the daemon.
+/// Channels and handles to the other tasks of the daemon.
 pub(crate) struct Links {
-    pub(crate) status: Arc<Status>,
     pub(crate) outlet: Outlet,
-    /// Notified when a throw is stored.
-    pub(crate) stored: Arc<Notify>,
-    /// Notified when the outbox has a new message.
-    pub(crate) outbox: Arc<Notify>,
-    /// Notified too, for the loop that sends alarms to the webhook.
-    pub(crate) webhook: Arc<Notify>,
     pub(crate) watchers: broadcast::Sender<Judged>,
-    pub(crate) loggers: watch::Receiver<Loggers>,
     pub(crate) commands: mpsc::Receiver<PendingCommand>,
     pub(crate) peers: Arc<Peers>,
-    /// Cancelled when the daemon must end even with unstored changes.
-    pub(crate) give_up: CancellationToken,
 }
 
 pub(crate) struct JudgeLoop {
+    shared: Arc<Shared>,
     judge: Judge,
     links: Links,
     /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
@@ -108,12 +94,12 @@ pub(crate) struct JudgeLoop {
 }
 
 impl JudgeLoop {
-    pub(crate) fn new(judge: Judge, links: Links) -> Self {
-        let own_machine = judge.config().monitor.as_machine();
+    pub(crate) fn new(shared: Arc<Shared>, judge: Judge, links: Links) -> Self {
         Self {
+            own_machine: shared.config.monitor.as_machine(),
+            shared,
             judge,
             links,
-            own_machine,
             away: None,
             refused: BTreeMap::new(),
             daemon_alarms: VecDeque::new(),
@@ -121,8 +107,8 @@ impl JudgeLoop {
         }
     }
 
-    /// Runs until `stop`, then judges the throws that are still pending.
-    pub(crate) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
+    /// Runs until its stop signal, then judges the throws that are still pending.
+    pub(crate) async fn run(mut self) -> Result<(), StoreError> {
         // An error is no reason to end: the daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
             tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
@@ -135,17 +121,17 @@ impl JudgeLoop {
         let mut beat = time::interval(Duration::from_secs(1));
         let mut may_be_pending = true;
         loop {
-            self.links.status.heartbeats.beat(TaskName::Identify);
+            self.shared.status.heartbeats.beat(TaskName::Identify);
             // One batch at a time, so that a long queue of throws does not delay commands and ticks.
             tokio::select! {
-                () = stop.cancelled() => {
-                    while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
+                () = self.shared.stops.judge.cancelled() => {
+                    while !self.shared.stops.give_up.is_cancelled() && self.judge_next().await? {}
                     return Ok(());
                 }
                 Some(pending) = self.links.commands.recv() => self.answer_command(pending).await?,
                 _ = tick.tick() => self.on_tick().await?,
                 () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
-                () = self.links.stored.notified() => may_be_pending = true,
+                () = self.shared.stored.notified() => may_be_pending = true,
                 _ = beat.tick() => may_be_pending = true,
             }
         }
@@ -170,7 +156,7 @@ impl JudgeLoop {
         // shows that no data was lost.
         self.report_gaps().await?;
         let judgements = self.judge.judge(&pending).await;
-        self.links.status.heartbeats.beat(TaskName::Identify);
+        self.shared.status.heartbeats.beat(TaskName::Identify);
         match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
             Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
             Ok(false) => {}
@@ -216,7 +202,7 @@ impl JudgeLoop {
     /// next start then continues with the older monitors of the database.
     async fn until_stored(&mut self, changes: &Changes) -> Result<bool, StoreError> {
         loop {
-            self.links.status.heartbeats.beat(TaskName::Identify);
+            self.shared.status.heartbeats.beat(TaskName::Identify);
             match changes.store(&self.judge.store).await {
                 Ok(()) => return Ok(true),
                 Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
@@ -225,7 +211,7 @@ impl JudgeLoop {
             // The call below may store a newer monitor of the daemon, which the retry then replaces by an older one.
             self.judge.monitors.store_again(&self.own_machine);
             self.update_daemon_alarms().await?;
-            if self.links.give_up.is_cancelled() {
+            if self.shared.stops.give_up.is_cancelled() {
                 return Ok(false);
             }
             self.pause().await;
@@ -260,7 +246,7 @@ impl JudgeLoop {
     }
 
     fn publish(&self, judgement: &Judgement) {
-        let (status, health) = (&self.links.status, &judgement.health);
+        let (status, health) = (&self.shared.status, &judgement.health);
         status.edit().judged += 1;
         if health.is_rejected() {
             status.count_rejected(&health.quality);
@@ -276,9 +262,9 @@ impl JudgeLoop {
             tracing::warn!(%machine, cause = event.cause.as_str(), state = event.state.as_str(), "{}", event.text);
         }
         if !events.is_empty() {
-            self.links.status.edit().alarm_events += events.len() as u64;
-            self.links.outbox.notify_one();
-            self.links.webhook.notify_one();
+            self.shared.status.edit().alarm_events += events.len() as u64;
+            self.shared.outbox.notify_one();
+            self.shared.webhook.notify_one();
         }
     }
 
@@ -287,14 +273,14 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         self.update_daemon_alarms().await?;
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
-        let loggers = self.links.loggers.borrow().clone();
+        let loggers = self.shared.loggers.borrow().clone();
         let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, &self.own_machine);
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
         }
         self.report_gaps().await?;
-        for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
+        for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
             if let Some(outcome) = self.judge.monitors.update(&machine, false, now, report) {
@@ -306,7 +292,7 @@ impl JudgeLoop {
             }
         }
         let away = self.links.peers.away();
-        let away = away.map(|daemons| Away { daemons, has_link: self.links.status.edit().connected });
+        let away = away.map(|daemons| Away { daemons, has_link: self.shared.status.edit().connected });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
             let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
             let outcome = self.judge.monitors.update(&self.own_machine, !away.daemons.is_empty(), now, update);
@@ -347,7 +333,7 @@ impl JudgeLoop {
 
     fn update_report(&mut self) {
         let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
-        let loggers = self.links.loggers.borrow().alive.clone();
+        let loggers = self.shared.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.monitors.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
@@ -357,7 +343,7 @@ impl JudgeLoop {
         self.refused.retain(|machine, (_, last)| {
             !self.judge.monitors.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
-        let mut report = self.links.status.edit();
+        let mut report = self.shared.status.edit();
         report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
         report.loggers_ahead = self.judge.monitors.clocks.ahead();
         report.loggers_behind = self.judge.monitors.clocks.behind();
@@ -368,7 +354,7 @@ impl JudgeLoop {
     /// published before it is committed, and again afterwards.
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
+        let trouble = self.judge.store.trouble(self.shared.status.trouble(config.subscribe.max_machines));
         let text = trouble.as_ref().map(|(severity, text)| (*severity, text.as_str()));
         let update = |monitor: &mut MachineMonitor| monitor.trouble(text, now, &config.diagnosis);
         let new = self.judge.monitors.update(&self.own_machine, text.is_some(), now, update);
@@ -391,9 +377,9 @@ impl JudgeLoop {
             .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
         let uncommitted: Vec<Alarm> = uncommitted.collect();
         let has_uncommitted = !uncommitted.is_empty();
-        self.links.status.set_uncommitted(uncommitted);
+        self.shared.status.set_uncommitted(uncommitted);
         if has_uncommitted {
-            self.links.webhook.notify_one();
+            self.shared.webhook.notify_one();
         }
         Ok(())
     }
@@ -445,7 +431,7 @@ impl JudgeLoop {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
             return Ok((false, text));
         }
-        if matches!(command, Command::Retire { .. }) && self.links.loggers.borrow().alive.contains(machine) {
+        if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
             return Ok((false, text));
@@ -468,7 +454,7 @@ impl JudgeLoop {
         }
         tracing::info!(%machine, ?command, "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
-        let is_away = !self.links.loggers.borrow().alive.contains(machine);
+        let is_away = !self.shared.loggers.borrow().alive.contains(machine);
         let undated = is_away && self.judge.monitors.may_send_undated(machine);
         let late = if undated && matches!(command, Command::Rebaseline { .. }) {
             ". Its logger is not connected: throws that it made before this command and sends later may be learned too, \
@@ -487,14 +473,14 @@ impl JudgeLoop {
             tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);
         }
         if !events.is_empty() {
-            self.links.status.alarm_events_lost.add(events.len() as u64);
+            self.shared.status.alarm_events_lost.add(events.len() as u64);
         }
     }
 
     async fn pause(&self) {
         tokio::select! {
             () = time::sleep(PAUSE) => {}
-            () = self.links.give_up.cancelled() => {}
+            () = self.shared.stops.give_up.cancelled() => {}
         }
     }
 }

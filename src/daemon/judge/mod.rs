@@ -12,10 +12,7 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use tokio::sync::watch;
 
-use self::{
-    identify::Pool,
-    monitors::{JudgementContext, Monitors},
-};
+use self::monitors::{JudgementContext, Monitors};
 use super::{clock, config::Config};
 use crate::{
     diagnose::{AlarmEvent, Parameters},
@@ -50,7 +47,8 @@ impl From<&Judgement> for Judged {
 pub(super) struct Judge {
     pub(super) store: Store,
     pub(super) monitors: Monitors,
-    pub(super) pool: Pool,
+    /// Number of threads for the estimator.
+    threads: usize,
     pub(super) config: watch::Receiver<Arc<Config>>,
     /// The machine of the last throw in the last batch, if that batch was full. The next batch begins with the other
     /// machines.
@@ -70,8 +68,8 @@ impl Judge {
             last = Some(end.machine.clone());
             monitors.restore(page);
         }
-        let pool = Pool::new(config.borrow().identify.threads);
-        Ok(Self { store, monitors, pool, config, last: None, more: false })
+        let threads = identify::threads(config.borrow().identify.threads);
+        Ok(Self { store, monitors, threads, config, last: None, more: false })
     }
 
     /// Adopts the open alarms that no monitor has; returns the outcomes to store.
@@ -101,7 +99,7 @@ impl Judge {
         let readable = throws.iter().filter_map(|stored| {
             Some((stored.throw.as_ref().ok()?.clone(), config.machines.of(&stored.machine).clone()))
         });
-        let mut found = self.pool.identify(readable.collect()).await.into_iter();
+        let mut found = identify::identify(self.threads, readable.collect()).await.into_iter();
         // One transaction stores the batch, so the monitor after the last throw of each machine is enough.
         let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
         let judgements = throws.iter().map(|stored| {

@@ -9,21 +9,18 @@
 use std::{collections::HashSet, sync::Arc, time::Duration};
 
 use tokio::{
-    sync::{Notify, mpsc, watch},
+    sync::mpsc,
     task::JoinSet,
     time::{self, Instant},
 };
-use tokio_util::sync::CancellationToken;
-use zenoh::Session;
 
 use super::{
     Intake,
-    presence::Loggers,
     schedule::{AT_A_TIME, NextPage, Schedule},
 };
 use crate::{
     bus,
-    daemon::clock,
+    daemon::{clock, shared::Shared},
     store::{Cursor, StoreError, seldom},
     throw::{MachineId, Throw, ThrowRef},
     wire::{self, BacklogQuery, Kind},
@@ -60,9 +57,6 @@ const ROUND: Duration = Duration::from_mins(5);
 const LATER: u32 = 4;
 /// Least time between two database queries for missing throws.
 const MISSING_CHECK: Duration = Duration::from_millis(100);
-/// Largest number of remembered machines whose logger had a token: above the possible number of machines. A larger set
-/// is cleared.
-const WITH_TOKEN: usize = 200_000;
 /// Largest number of machines with missing throws in one database query.
 const MISSING: u32 = 10_000;
 
@@ -81,59 +75,56 @@ enum QueryEnd {
 
 /// The task that queries the loggers.
 pub(crate) struct Backlog {
-    pub(crate) querier: Arc<Querier>,
-    pub(crate) loggers: watch::Receiver<Loggers>,
-    /// Machines whose loggers had a token at the last change of `loggers`.
-    pub(crate) seen: HashSet<MachineId>,
-    /// Machines whose loggers ever had a token since the start.
-    pub(crate) with_token: HashSet<MachineId>,
+    shared: Arc<Shared>,
+    intake: Arc<Intake>,
+    /// Machines whose loggers had a token at their last change.
+    seen: HashSet<MachineId>,
     /// Keys of live messages that were dropped.
-    pub(crate) dropped: mpsc::Receiver<String>,
-    /// Notified when a throw number may be missing.
-    pub(crate) missing: Arc<Notify>,
+    dropped: mpsc::Receiver<String>,
 }
 
 impl Backlog {
-    pub(crate) async fn run(mut self, stop: CancellationToken) {
+    pub(in crate::daemon) fn new(shared: Arc<Shared>, intake: Arc<Intake>, dropped: mpsc::Receiver<String>) -> Self {
+        Self { shared, intake, seen: HashSet::new(), dropped }
+    }
+
+    pub(crate) async fn run(mut self) {
         let mut schedule = Schedule::default();
         let mut queries = JoinSet::new();
         let (mut round, mut until_next_round) = (Instant::now(), PAUSE);
         let mut check = time::interval(MISSING_CHECK);
         check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
+        let mut loggers = self.shared.loggers.clone();
         loop {
             while queries.len() < AT_A_TIME
                 && let Some((machine, mut page)) = schedule.next()
             {
-                let querier = Arc::clone(&self.querier);
+                let intake = Arc::clone(&self.intake);
                 queries.spawn(async move {
                     let start = Instant::now();
-                    let ended = querier.query(&machine, &mut page).await;
+                    let ended = intake.query(&machine, &mut page).await;
                     (machine, ended, page, start.elapsed() >= LONG_TURN)
                 });
             }
             let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
             tokio::select! {
-                () = stop.cancelled() => return queries.shutdown().await,
-                Ok(()) = self.loggers.changed() => {
-                    let alive = self.loggers.borrow_and_update().alive.clone();
+                () = self.shared.stops.receive.cancelled() => return queries.shutdown().await,
+                Ok(()) = loggers.changed() => {
+                    let alive = loggers.borrow_and_update().alive.clone();
                     alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
-                    if self.with_token.len() >= WITH_TOKEN {
-                        self.with_token.clear();
-                    }
-                    self.with_token.extend(alive.difference(&self.seen).cloned());
                     self.seen = alive;
                 }
                 Some(key) = self.dropped.recv() => {
                     seldom!(warn, key, "the queue of received messages is full: messages DROPPED");
                     // Only known machines, as a flood may have any number of keys.
                     if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
-                        && (self.seen.contains(&machine) || self.querier.intake.knows(&machine))
+                        && (self.seen.contains(&machine) || self.intake.knows(&machine))
                     {
                         schedule.request(&machine);
                     }
                 }
-                () = self.missing.notified() => may_miss = true,
+                () = self.shared.missing.notified() => may_miss = true,
                 _ = check.tick(), if may_miss => {
                     may_miss = false;
                     self.request_missing(&mut schedule).await;
@@ -161,8 +152,9 @@ impl Backlog {
 
     /// Schedules queries of the loggers of known machines that never had a token, except those that are scheduled.
     fn request_without_token(&self, schedule: &mut Schedule) {
-        for machine in self.querier.intake.machines.lock().keys() {
-            if !self.with_token.contains(machine) && !schedule.turns.contains_key(machine) {
+        let loggers = self.shared.loggers.borrow();
+        for machine in self.intake.machines.lock().keys() {
+            if !loggers.had_token(machine) && !schedule.turns.contains_key(machine) {
                 schedule.request(machine);
             }
         }
@@ -170,31 +162,30 @@ impl Backlog {
 
     /// Schedules queries of the loggers with missing throws, except those that wait for their next try.
     async fn request_missing(&self, schedule: &mut Schedule) {
-        match self.querier.intake.store.reader().backlogs(MISSING).await {
+        match self.shared.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
-                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_connected(&machine)) {
+                    if schedule
+                        .turns
+                        .get(&machine)
+                        .is_none_or(|turn| turn.was_away && self.intake.is_connected(&machine))
+                    {
                         schedule.request(&machine);
                     }
                 }
             }
             Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
         }
-        if let Ok(awaited) = self.querier.intake.store.reader().awaited().await {
-            self.querier.intake.status.edit().backlog = awaited;
+        if let Ok(awaited) = self.shared.store.reader().awaited().await {
+            self.shared.status.edit().backlog = awaited;
         }
-    }
-
-    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
-    fn is_connected(&self, machine: &MachineId) -> bool {
-        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
     }
 
     async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: NextPage) {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
         turn.next_page = Some(page);
-        self.missing.notify_one();
-        let is_connected = self.is_connected(machine);
+        self.shared.missing.notify_one();
+        let is_connected = self.intake.is_connected(machine);
         turn.was_away = !is_connected;
         let pause = match ended {
             QueryEnd::Complete => return schedule.done(machine),
@@ -202,7 +193,7 @@ impl Backlog {
             QueryEnd::Without(cursor) if is_connected => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
-                    match self.querier.intake.store.write_off(machine, &cursor, clock::now()).await {
+                    match self.shared.store.write_off(machine, &cursor, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
                         Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
@@ -233,16 +224,8 @@ struct ThrowPage {
     is_empty: bool,
 }
 
-/// Queries one logger.
-pub(crate) struct Querier {
-    pub(crate) session: Session,
-    pub(crate) intake: Arc<Intake>,
-    pub(crate) is_client: bool,
-    /// Notified when a throw is stored.
-    pub(crate) stored: Arc<Notify>,
-}
-
-impl Querier {
+/// The queries of one logger.
+impl Intake {
     /// Queries a logger page by page, at most [`TURN`] pages, and updates its next page. Returns how the turn ended.
     async fn query(&self, machine: &MachineId, next: &mut NextPage) -> QueryEnd {
         self.pages(machine, next).await.unwrap_or_else(|error| {
@@ -253,13 +236,13 @@ impl Querier {
 
     async fn pages(&self, machine: &MachineId, next: &mut NextPage) -> Result<QueryEnd, StoreError> {
         // A client without its router gets an empty page, as from a logger without throws.
-        if self.is_client && !bus::is_connected(&self.session).await {
+        if self.shared.is_client && !bus::is_connected(&self.shared.session).await {
             return Ok(QueryEnd::Broken);
         }
         let mut cursor = if let Some(after) = next.after.clone() {
             after
         } else {
-            let cursor = self.intake.store.reader().cursor(machine).await?;
+            let cursor = self.shared.store.reader().cursor(machine).await?;
             next.awaits = cursor.awaits;
             cursor
         };
@@ -267,7 +250,7 @@ impl Querier {
         for _ in 0..TURN {
             let limit = page_limit(&cursor, next.size).max(least);
             let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
-            let Some((new, after)) = self.store(machine, cursor.after.as_ref(), &throws).await? else {
+            let Some((new, after)) = self.store_page(machine, cursor.after.as_ref(), &throws).await? else {
                 // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
                 // because of their size.
                 if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
@@ -283,7 +266,7 @@ impl Querier {
                     true => QueryEnd::Complete,
                 });
             };
-            self.stored.notify_one();
+            self.shared.stored.notify_one();
             let is_later = next.awaits && after.is_after(&cursor);
             cursor = after;
             next.after = Some(cursor.clone());
@@ -307,7 +290,7 @@ impl Querier {
     /// Stores the throws of a page; returns the number of new ones and the next cursor, or `None` if none was stored. If
     /// SQLite refuses the page (constraint, type), it is halved down to the throws that SQLite refuses alone. These go
     /// to quarantine, and the next stored throw makes their numbers a gap. A retry would fail for ever.
-    async fn store(
+    async fn store_page(
         &self,
         machine: &MachineId,
         mut after: Option<&ThrowRef>,
@@ -316,17 +299,17 @@ impl Querier {
         let (at, mut new, mut next) = (clock::now(), 0, None);
         let mut parts: Vec<&[Throw]> = Some(throws).filter(|throws| !throws.is_empty()).into_iter().collect();
         while let Some(part) = parts.pop() {
-            match self.intake.store.spool_page(machine, after, part, at).await {
+            match self.shared.store.spool_page(machine, after, part, at).await {
                 Ok(stored) => {
-                    self.intake.status.edit().stored += stored.new;
-                    self.intake.status.edit().duplicates += stored.duplicates;
+                    self.shared.status.edit().stored += stored.new;
+                    self.shared.status.edit().duplicates += stored.duplicates;
                     new += stored.new;
                     (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
                 }
                 Err(error @ StoreError::Refused(_)) => {
                     if let [throw] = part {
                         let refused = super::unstorable(machine, throw, &error, at);
-                        self.intake.quarantine_of_backlog(vec![refused]).await;
+                        self.quarantine_of_backlog(vec![refused]).await;
                     } else {
                         let (first, rest) = part.split_at(part.len() / 2);
                         parts.extend([rest, first]);
@@ -341,21 +324,21 @@ impl Querier {
     /// Queries a page of throws after the cursor.
     async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> ThrowPage {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
-        let answer =
-            bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.intake.max_payload_bytes)
-                .await;
+        let Shared { session, config, .. } = &*self.shared;
+        let key = wire::machine_key(machine, Kind::Throw);
+        let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes).await;
         if let Some(error) = &answer.error {
             seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
         }
         let received = answer.messages.len() as u64;
-        self.intake.status.edit().received += received;
+        self.shared.status.edit().received += received;
         let mut throws: Vec<_> =
-            self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
+            self.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;
-        self.intake.status.edit().duplicates += (read - throws.len()) as u64;
-        self.intake.status.edit().ignored += ignored;
+        self.shared.status.edit().duplicates += (read - throws.len()) as u64;
+        self.shared.status.edit().ignored += ignored;
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }

@@ -15,17 +15,12 @@ use std::{
 
 use jiff::Timestamp;
 use parking_lot::Mutex;
-use tokio::{sync::Notify, task, time};
-use tokio_util::sync::CancellationToken;
+use tokio::{task, time};
 
-use super::{
-    clock,
-    config::Monitor,
-    supervision::{heartbeat::TaskName, status::Status},
-};
+use super::{clock, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
     bus::{Inbox, Message},
-    store::{QuarantinedMessage, Spooled, Store, StoreError, seldom},
+    store::{QuarantinedMessage, Spooled, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
@@ -58,21 +53,23 @@ pub(super) type Received = (MachineId, Throw, Timestamp);
 /// Decodes live messages and pages of backlogs, and quarantines invalid messages and throws of machines that are not
 /// allowed.
 pub(super) struct Intake {
-    pub(super) store: Store,
-    pub(super) status: Arc<Status>,
+    shared: Arc<Shared>,
     /// Known machines, at most `max_machines`, with the time of the last live throw since the start.
-    pub(super) machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
-    pub(super) max_machines: usize,
-    pub(super) max_payload_bytes: usize,
-    pub(super) monitor: Monitor,
+    machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
     /// Hashes of quarantined messages from backlogs: the same page may be queried again and again.
-    pub(super) refused_before: Mutex<HashSet<u64>>,
+    refused_before: Mutex<HashSet<u64>>,
 }
 
 impl Intake {
+    /// `machines` are those of the database.
+    pub(super) fn new(shared: Arc<Shared>, machines: Vec<MachineId>) -> Self {
+        let machines = machines.into_iter().map(|machine| (machine, None)).collect();
+        Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
+    }
+
     /// Decodes messages in order, and quarantines those that are no valid throw. `live` is false for pages of backlogs.
     pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
-        let (limit, count) = (self.max_payload_bytes, messages.len() as u64);
+        let (limit, count) = (self.shared.config.subscribe.max_payload_bytes, messages.len() as u64);
         // Decoding a large message takes milliseconds, too long for an async worker.
         let decoded = task::spawn_blocking(move || {
             let received_at = clock::now();
@@ -83,7 +80,7 @@ impl Intake {
             Ok(decoded) => decoded,
             Err(error) => {
                 tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
-                self.status.edit().lost += count;
+                self.shared.status.edit().lost += count;
                 return Vec::new();
             }
         };
@@ -98,7 +95,7 @@ impl Intake {
             for refused in &refused {
                 if let Ok((machine, _)) = wire::parse_key(&refused.key) {
                     let is_known = self.knows(&machine);
-                    self.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
+                    self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
                 }
             }
             self.quarantine(refused).await;
@@ -117,7 +114,7 @@ impl Intake {
             hashes.extend(is_first.then_some(hash));
             is_first
         });
-        self.status.edit().duplicates += (all - refused.len()) as u64;
+        self.shared.status.edit().duplicates += (all - refused.len()) as u64;
         if !self.quarantine(refused).await {
             // The next page with these messages stores them.
             let mut before = self.refused_before.lock();
@@ -127,9 +124,11 @@ impl Intake {
         }
     }
 
-    /// Whether a live throw of a machine was received in the last minute.
-    pub(super) fn is_live(&self, machine: &MachineId) -> bool {
-        self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
+    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
+    fn is_connected(&self, machine: &MachineId) -> bool {
+        let is_live = || self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE);
+        let loggers = self.shared.loggers.borrow();
+        loggers.alive.contains(machine) || (!loggers.gone.contains(machine) && is_live())
     }
 
     /// The hash of a message from a backlog, and whether the message is quarantined for the first time.
@@ -153,17 +152,18 @@ impl Intake {
     /// quarantine.
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, QuarantinedMessage> {
         let mut known = self.machines.lock();
+        let max_machines = self.shared.config.subscribe.max_machines;
         // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
-        let reason = if let Some(reason) = self.monitor.reserves(&machine) {
+        let reason = if let Some(reason) = self.shared.config.monitor.reserves(&machine) {
             reason
-        } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
-            self.status.machines_refused.add(1);
-            format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
+        } else if known.len() >= max_machines && !known.contains_key(&machine) {
+            self.shared.status.machines_refused.add(1);
+            format!("more than {max_machines} machines: raise subscribe.max_machines")
         } else {
             let last = known.entry(machine.clone()).or_default();
             *last = live.then(time::Instant::now).or(*last);
             if live {
-                self.status.count_valid(&machine);
+                self.shared.status.count_valid(&machine);
             }
             return Ok((machine, throw, received_at));
         };
@@ -176,8 +176,8 @@ impl Intake {
         // One log line for the batch, so that a flood of messages does not flood the log.
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
-        let stored = self.store.quarantine(refused).await;
-        let mut report = self.status.edit();
+        let stored = self.shared.store.quarantine(refused).await;
+        let mut report = self.shared.status.edit();
         if let Err(error) = &stored {
             seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
             report.lost += count;
@@ -190,47 +190,47 @@ impl Intake {
 
 /// The receiving loop of live throws.
 pub(super) struct ReceiveLoop {
-    pub(super) inbox: Inbox,
-    pub(super) intake: Arc<Intake>,
-    /// Notified when a throw is stored.
-    pub(super) stored: Arc<Notify>,
-    pub(super) missing: Arc<Notify>,
-    /// Cancelled when the daemon must end: unstored messages are then lost, and are logged and counted as lost.
-    pub(super) give_up: CancellationToken,
+    shared: Arc<Shared>,
+    inbox: Inbox,
+    intake: Arc<Intake>,
     /// Number of received messages that are not decoded yet.
-    pub(super) undecoded: u64,
-    pub(super) unstored: Vec<Received>,
+    undecoded: u64,
+    unstored: Vec<Received>,
     /// Whether the last write failed. The log then has one line about it, and not one for each retry.
-    pub(super) storing_fails: bool,
+    storing_fails: bool,
 }
 
 impl ReceiveLoop {
-    /// Receives and stores messages until `stop` is cancelled, then stores the rest of the queue. When `give_up` is
+    pub(super) fn new(shared: Arc<Shared>, inbox: Inbox, intake: Arc<Intake>) -> Self {
+        Self { shared, inbox, intake, undecoded: 0, unstored: Vec::new(), storing_fails: false }
+    }
+
+    /// Receives and stores messages until its stop signal, then stores the rest of the queue. When `give_up` is
     /// cancelled, the messages that are not stored yet are lost.
-    pub(super) async fn run(mut self, stop: CancellationToken) {
-        let give_up = self.give_up.clone();
+    pub(super) async fn run(mut self) {
+        let shared = Arc::clone(&self.shared);
         tokio::select! {
             biased;
-            () = self.receive(stop) => {}
-            () = give_up.cancelled() => self.log_lost().await,
+            () = self.receive() => {}
+            () = shared.stops.give_up.cancelled() => self.log_lost().await,
         }
     }
 
-    async fn receive(&mut self, stop: CancellationToken) {
+    async fn receive(&mut self) {
         let mut batch = Vec::with_capacity(BATCH);
         let mut beat = time::interval(Duration::from_secs(1));
         let mut open = true;
         loop {
             let count = tokio::select! {
                 biased;
-                () = stop.cancelled(), if open => {
+                () = self.shared.stops.receive.cancelled(), if open => {
                     self.inbox.close().await;
                     open = false;
                     continue;
                 }
                 count = self.inbox.receive(&mut batch, BATCH) => count,
                 _ = beat.tick() => {
-                    self.intake.status.heartbeats.beat(TaskName::Receive);
+                    self.shared.status.heartbeats.beat(TaskName::Receive);
                     continue;
                 }
             };
@@ -242,8 +242,8 @@ impl ReceiveLoop {
             self.unstored = self.intake.read(std::mem::take(&mut batch), true).await;
             self.undecoded = 0;
             self.spool().await;
-            self.missing.notify_one();
-            self.intake.status.heartbeats.beat(TaskName::Receive);
+            self.shared.missing.notify_one();
+            self.shared.status.heartbeats.beat(TaskName::Receive);
             if open {
                 time::sleep_until(next).await;
             }
@@ -254,7 +254,7 @@ impl ReceiveLoop {
     async fn spool(&mut self) {
         let mut pause = FIRST_PAUSE;
         while !self.unstored.is_empty() {
-            match self.intake.store.spool_all(&self.unstored).await {
+            match self.shared.store.spool_all(&self.unstored).await {
                 Ok(spooled) => {
                     self.unstored.clear();
                     for spooled in spooled {
@@ -262,14 +262,14 @@ impl ReceiveLoop {
                     }
                 }
                 Err(error) => {
-                    self.intake.status.heartbeats.beat(TaskName::Receive);
+                    self.shared.status.heartbeats.beat(TaskName::Receive);
                     if !std::mem::replace(&mut self.storing_fails, true) {
                         tracing::error!(%error, "storing throws failed; retrying");
                     }
                     self.quarantine_the_unstorable(&error).await;
                 }
             }
-            self.stored.notify_one();
+            self.shared.stored.notify_one();
             if self.unstored.is_empty() {
                 // The database has stored or quarantined every throw of the batch.
                 if std::mem::take(&mut self.storing_fails) {
@@ -284,8 +284,8 @@ impl ReceiveLoop {
 
     fn count(&self, spooled: Spooled) {
         match spooled {
-            Spooled::New(_) => self.intake.status.edit().stored += 1,
-            Spooled::Duplicate => self.intake.status.edit().duplicates += 1,
+            Spooled::New(_) => self.shared.status.edit().stored += 1,
+            Spooled::Duplicate => self.shared.status.edit().duplicates += 1,
         }
     }
 
@@ -295,11 +295,11 @@ impl ReceiveLoop {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.intake.status.edit().lost += self.undecoded + self.unstored.len() as u64;
+        self.shared.status.edit().lost += self.undecoded + self.unstored.len() as u64;
         self.inbox.close().await;
         let mut queued = Vec::new();
         while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
-        self.intake.status.edit().lost += queued.len() as u64;
+        self.shared.status.edit().lost += queued.len() as u64;
         let messages = self.undecoded + queued.len() as u64;
         if messages > 0 {
             tracing::error!(messages, "received messages could not be stored: they are LOST");
@@ -315,16 +315,16 @@ impl ReceiveLoop {
         // A throw stays in `unstored` until it is stored, as `give_up` can end this loop at each `await`.
         let mut at = 0;
         while let Some((machine, throw, received_at)) = self.unstored.get(at) {
-            self.intake.status.heartbeats.beat(TaskName::Receive);
-            let is_done = match self.intake.store.spool(machine, throw, *received_at).await {
+            self.shared.status.heartbeats.beat(TaskName::Receive);
+            let is_done = match self.shared.store.spool(machine, throw, *received_at).await {
                 Ok(spooled) => {
                     self.count(spooled);
                     true
                 }
                 Err(error @ StoreError::Refused(_)) => {
                     let refused = unstorable(machine, throw, &error, *received_at);
-                    let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
-                    self.intake.status.edit().quarantined += u64::from(is_kept);
+                    let is_kept = self.shared.store.quarantine(vec![refused]).await.is_ok();
+                    self.shared.status.edit().quarantined += u64::from(is_kept);
                     is_kept
                 }
                 Err(_) => false,

@@ -25,6 +25,13 @@ pub(crate) struct Loggers {
     pub(crate) gone: HashSet<MachineId>,
 }
 
+impl Loggers {
+    /// Whether the logger of a machine has a token, or had one since the start.
+    pub(super) fn had_token(&self, machine: &MachineId) -> bool {
+        self.alive.contains(machine) || self.gone.contains(machine)
+    }
+}
+
 /// Keeps `loggers` up to date with the tokens on `key_expression`, while the session is open.
 pub(crate) async fn watch(
     session: &Session,

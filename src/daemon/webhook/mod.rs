@@ -12,17 +12,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::{sync::Notify, time};
+use tokio::time;
 
-use super::{
-    clock,
-    config::{Config, Webhook},
-    error::StartError,
-    supervision::{heartbeat::TaskName, status::Status},
-};
+use super::{clock, error::StartError, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
-    store::{Store, seldom},
-    throw::MachineId,
+    store::seldom,
     wire::{self, Alarm},
 };
 use post::{PostError, WebhookServer};
@@ -47,16 +41,9 @@ type Pending = (Option<i64>, Alarm);
 
 /// The sending loop.
 pub(super) struct Notifier {
-    store: Store,
-    settings: Webhook,
+    shared: Arc<Shared>,
     server: WebhookServer,
-    monitor: MachineId,
-    status: Arc<Status>,
-    /// Notified when an alarm event is stored.
-    wake: Arc<Notify>,
-    /// Time in which at most `webhook.max_messages` messages are sent.
-    period: Duration,
-    /// Start of the present period, and number of messages sent in it.
+    /// Start of the present period of `webhook.period_s`, and number of messages sent in it.
     sent: (Instant, u32),
     /// The last row that need not be sent any more. The database may still have it: on a full or failing disk it cannot be
     /// removed.
@@ -72,40 +59,32 @@ impl Notifier {
     ///
     /// # Errors
     /// When the database or the certificates cannot be used.
-    pub(super) async fn new(
-        store: Store,
-        config: &Config,
-        status: Arc<Status>,
-        wake: Arc<Notify>,
-    ) -> Result<Option<Self>, StartError> {
-        let server = WebhookServer::new(&config.webhook).map_err(StartError::Webhook)?;
-        store.set_webhook(server.is_some()).await?;
-        let (settings, monitor) = (config.webhook.clone(), config.monitor.as_machine());
-        let (period, sent) = (Duration::from_secs_f64(settings.period_s), (clock::monotonic(), 0));
-        Ok(server.map(|server| {
-            let (last, is_kept, early) = (0, false, VecDeque::new());
-            Self { store, settings, server, monitor, status, wake, period, sent, last, is_kept, early }
-        }))
+    pub(super) async fn new(shared: Arc<Shared>) -> Result<Option<Self>, StartError> {
+        let server = WebhookServer::new(&shared.config.webhook).map_err(StartError::Webhook)?;
+        shared.store.set_webhook(server.is_some()).await?;
+        let sent = (clock::monotonic(), 0);
+        Ok(server.map(|server| Self { shared, server, sent, last: 0, is_kept: false, early: VecDeque::new() }))
     }
 
     /// Runs until the future is dropped.
     pub(super) async fn run(mut self) {
+        let period = Duration::from_secs_f64(self.shared.config.webhook.period_s);
         loop {
-            if self.sent.0.elapsed() >= self.period {
+            if self.sent.0.elapsed() >= period {
                 self.sent = (clock::monotonic(), 0);
             }
-            let is_flood = self.sent.1 >= self.settings.max_messages;
+            let is_flood = self.sent.1 >= self.shared.config.webhook.max_messages;
             let mut pending = self.pending(BATCH).await;
             if pending.is_empty() {
                 if self.is_kept {
                     self.remove().await;
                 }
                 // With a time limit, to repeat a read or a removal that failed.
-                let _ = self.wait(time::timeout(BEAT, self.wake.notified())).await;
+                let _ = self.wait(time::timeout(BEAT, self.shared.webhook.notified())).await;
                 continue;
             }
             if is_flood {
-                self.wait(time::sleep_until((self.sent.0 + self.period).into())).await;
+                self.wait(time::sleep_until((self.sent.0 + period).into())).await;
                 pending = self.pending(ALL).await;
             } else {
                 pending.truncate(1);
@@ -120,13 +99,10 @@ impl Notifier {
     /// no event is pending.
     async fn pending(&mut self, limit: u32) -> Vec<Pending> {
         loop {
-            // Rows that could not be removed come first.
-            let limit = if self.is_kept { ALL } else { limit };
-            let mut rows = self.store.reader().notifications(limit).await.unwrap_or_else(|error| {
+            let rows = self.shared.store.reader().notifications(self.last, limit).await.unwrap_or_else(|error| {
                 seldom!(warn, %error, "reading the notifications failed; retrying");
                 Vec::new()
             });
-            rows.retain(|(row, _)| *row > self.last);
             let Some((last, _)) = rows.last() else { return self.uncommitted() };
             let last = *last;
             let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
@@ -148,14 +124,14 @@ impl Notifier {
 
     /// The alarms about the daemon itself that are published and that the database cannot store yet.
     fn uncommitted(&self) -> Vec<Pending> {
-        let alarms = self.status.with_uncommitted(Vec::new()).into_iter();
+        let alarms = self.shared.status.with_uncommitted(Vec::new()).into_iter();
         alarms.filter(|alarm| self.is_wanted(alarm)).map(|alarm| (None, alarm)).collect()
     }
 
     /// Whether an event passes the filters, and was not sent before it was committed.
     fn is_wanted(&self, alarm: &Alarm) -> bool {
         let is_same = |early: &Alarm| (&early.alarm_id, early.event_no) == (&alarm.alarm_id, alarm.event_no);
-        self.settings.wants(alarm) && !self.early.iter().any(is_same)
+        self.shared.config.webhook.wants(alarm) && !self.early.iter().any(is_same)
     }
 
     /// Sends events in one message, a single event as it is and several as a summary, again and again until the receiver
@@ -164,26 +140,29 @@ impl Notifier {
         let Some((_, alarm)) = pending.last() else { return };
         let (events, mut pause) = (pending.len() as u64, FIRST_PAUSE);
         let alarms = pending.iter().map(|(_, alarm)| alarm);
-        let body =
-            if events == 1 { wire::json(alarm) } else { wire::json(&Summary::of(alarms.collect(), &self.monitor)) };
+        let body = if events == 1 {
+            wire::json(alarm)
+        } else {
+            wire::json(&Summary::of(alarms.collect(), &self.shared.config.monitor.as_machine()))
+        };
         loop {
             self.beat();
             match self.server.post(body.clone().into()).await {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
                     tracing::error!(%error, events, body, "webhook: the receiver refuses alarm events, which are not sent again");
-                    self.status.edit().webhook_refused += events;
+                    self.shared.status.edit().webhook_refused += events;
                     break;
                 }
                 Err(error) => {
-                    self.status.edit().webhook_fails = true;
+                    self.shared.status.edit().webhook_fails = true;
                     seldom!(warn, %error, "webhook: sending an alarm failed; retrying");
                 }
             }
             self.wait(time::sleep(pause)).await;
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
-        self.status.edit().webhook_fails = false;
+        self.shared.status.edit().webhook_fails = false;
         for (row, alarm) in pending {
             match row {
                 Some(row) => self.last = row,
@@ -200,7 +179,7 @@ impl Notifier {
 
     /// Removes the notifications that need not be sent any more.
     async fn remove(&mut self) {
-        let removed = self.wait(self.store.notified(self.last)).await;
+        let removed = self.wait(self.shared.store.notified(self.last)).await;
         self.is_kept = removed.is_err();
         if let Err(error) = removed {
             seldom!(warn, %error, "removing sent notifications failed; they may be sent again");
@@ -220,6 +199,6 @@ impl Notifier {
     }
 
     fn beat(&self) {
-        self.status.heartbeats.beat(TaskName::Webhook);
+        self.shared.status.heartbeats.beat(TaskName::Webhook);
     }
 }

@@ -30,7 +30,7 @@ pub enum DiskLevel {
     #[serde(rename = "ok")]
     #[strum(serialize = "ok")]
     Ample,
-    /// Less free space than `low_disk_mib` of the settings: the traces of judged throws are dropped.
+    /// Less free space than `low_disk_mib` of the settings: the oldest traces are dropped.
     Low,
     /// The last write found the disk full, and removed the ballast. The next write may fail.
     Full,

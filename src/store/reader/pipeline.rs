@@ -123,9 +123,9 @@ impl Reader {
         self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }
 
-    /// Up to `limit` notifications for the webhook with their rows, in order.
-    pub(crate) async fn notifications(&self, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
-        self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
+    /// Up to `limit` notifications for the webhook after the row `after`, with their rows, in order.
+    pub(crate) async fn notifications(&self, after: i64, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
+        self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(after).bind(limit)).await
     }
 
     /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps

@@ -136,6 +136,7 @@ statements! {
 
     // The webhook. Without one, notifications of an earlier start are removed.
     SET_WEBHOOK = "UPDATE webhook SET is_on = ?1; DELETE FROM notification WHERE NOT ?1";
-    NOTIFICATIONS = "SELECT notification_row, payload FROM notification ORDER BY notification_row LIMIT ?1";
+    NOTIFICATIONS = "SELECT notification_row, payload FROM notification WHERE notification_row > ?1 \
+        ORDER BY notification_row LIMIT ?2";
     NOTIFIED = "DELETE FROM notification WHERE notification_row <= ?1";
 }

@@ -49,7 +49,6 @@ statements! {
                 (SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE received_at_us BETWEEN ?2 AND ?4 \
                 ORDER BY throw_row LIMIT 1), 9223372036854775807)) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
     DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
     TRACES_FROM = concat!("UPDATE machine SET traces_from = last + 1 FROM \
         (SELECT machine_row, max(throw_row) AS last FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY machine_row) AS dropped \

@@ -6,16 +6,11 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 
-use super::{
-    batch,
-    spool::{count, machine_row},
-    write::Write,
-};
+use super::{batch, spool::machine_row, write::Write};
 use crate::{
     diagnose::{AlarmEvent, BaselineRecord, Command, MachineState, Present},
     estimate::{Estimate, Identification},
     store::{
-        dropped::Dropped,
         rows::{Gap, ThrowRow},
         statements as sql,
     },
@@ -112,26 +107,19 @@ impl MonitorRecord {
     }
 }
 
-/// Judgements in order.
-pub(crate) struct Judgements {
-    pub(crate) judgements: Arc<[Judgement]>,
-    /// Whether to drop the traces of the throws, because the disk has little space.
-    pub(crate) drop_traces: bool,
-}
-
-impl Write for Judgements {
+impl Write for Arc<[Judgement]> {
     /// Whether each judgement was written; false if its throw was judged before.
     type Output = Vec<bool>;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
-        let mut written = Vec::with_capacity(self.judgements.len());
-        for judgements in self.judgements.chunks(batch::MAX_ROWS) {
-            if self.write(connection, judgements).await? {
+        let mut written = Vec::with_capacity(self.len());
+        for judgements in self.chunks(batch::MAX_ROWS) {
+            if Judgement::write_all(connection, judgements).await? {
                 written.resize(written.len() + judgements.len(), true);
                 continue;
             }
             for judgement in judgements {
-                let is_written = self.write(connection, std::slice::from_ref(judgement)).await?;
+                let is_written = Judgement::write_all(connection, std::slice::from_ref(judgement)).await?;
                 written.push(is_written || judgement.write_late(connection, repeated).await?);
             }
         }
@@ -139,9 +127,9 @@ impl Write for Judgements {
     }
 }
 
-impl Judgements {
+impl Judgement {
     /// Writes judgements; false, without writing, if one of the throws was judged before.
-    async fn write(&self, connection: &mut SqliteConnection, judgements: &[Judgement]) -> sqlx::Result<bool> {
+    async fn write_all(connection: &mut SqliteConnection, judgements: &[Self]) -> sqlx::Result<bool> {
         let mut pending = batch::query(sql::PENDING_AMONG, judgements.len());
         let mut judge = batch::query(sql::SET_JUDGED, judgements.len());
         let mut estimates = batch::query(sql::ADD_ESTIMATES, judgements.len());
@@ -166,16 +154,10 @@ impl Judgements {
             if !(judgement.baselines.is_empty() && judgement.outcome.has_only_a_monitor()) {
                 judgement.write_rare(connection).await?;
             }
-            if self.drop_traces {
-                sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
-                count(connection, &Dropped::Traces.counter(), 1).await?;
-            }
         }
         Ok(true)
     }
-}
 
-impl Judgement {
     /// Writes the baselines and the events, which only few throws have.
     async fn write_rare(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
         let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
