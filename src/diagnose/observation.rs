@@ -23,7 +23,8 @@ pub struct Observation {
     pub received_at: Option<Timestamp>,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
-    /// Whether the measured movement contradicts the direction that the logger names; `None` if it was not measured.
+    /// Whether the measured movement contradicts the direction that the logger names; `None` if one of the two is
+    /// unknown.
     pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
@@ -56,7 +57,7 @@ impl Observation {
         let estimate = found.outcome.as_ref().ok();
         Self {
             direction: found.direction,
-            direction_contradicted: found.direction.map(|_| found.direction_contradicted),
+            direction_contradicted: found.direction_contradicted,
             estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
             rejection: found.outcome.as_ref().err().cloned(),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),

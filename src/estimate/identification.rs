@@ -143,8 +143,9 @@ pub struct Identification {
     /// Direction of the movement from the position, or the direction that the logger declared if the position does not
     /// show it.
     pub direction: Option<Direction>,
-    /// Whether the logger declared the direction opposite to that of the position.
-    pub direction_contradicted: bool,
+    /// Whether the measured movement contradicts the direction that the logger names; `None` if one of the two is
+    /// unknown.
+    pub direction_contradicted: Option<bool>,
     /// Features of the throw.
     pub features: Features,
     /// The estimate or the rejection.

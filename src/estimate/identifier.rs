@@ -136,7 +136,7 @@ impl Identifier {
         });
         Identification {
             direction: moved.or(throw.direction),
-            direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
+            direction_contradicted: moved.zip(throw.direction).map(|(moved, named)| moved != named),
             features,
             outcome,
             unused_fields: throw.unused_fields(),
@@ -273,7 +273,7 @@ fn identify_current(
         });
     Identification {
         direction: throw.direction,
-        direction_contradicted: false,
+        direction_contradicted: None,
         features,
         outcome,
         unused_fields: throw.unused_fields(),

@@ -7,10 +7,13 @@ use pointsd::{
         AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Missing, Observation,
         SensorChannel, Settings, Severity,
     },
-    throw::{ThrowRef, utc},
+    throw::{Direction, Throw, ThrowRef, utc},
 };
 
-use crate::operational::{ended, feed, machine, raised, summary};
+use crate::{
+    drive::{Drive, State, with_positions},
+    operational::{ended, feed, machine, raised, summary},
+};
 
 fn missing(throws: u64) -> Missing<'static> {
     Missing { throws, ..Missing::default() }
@@ -248,6 +251,24 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
         machine.monitor.caveats().len()
     };
     assert_eq!([named(4, true), named(1, true), named(1, false)], [0, 1, 0]);
+}
+
+/// A logger that always names the other direction is no fault. A throw without a movement says nothing about its names.
+#[test]
+fn throws_without_a_movement_do_not_reverse_the_position_of_a_logger_with_exchanged_names() {
+    let exchanged = |throw: Throw| {
+        let direction = throw.direction.map(|direction| match direction {
+            Direction::NormalToReverse => Direction::ReverseToNormal,
+            Direction::ReverseToNormal => Direction::NormalToReverse,
+        });
+        Throw { direction, ..throw }
+    };
+    let mut drive = Drive::new(1, false);
+    drive.logger = exchanged;
+    drive.stay_healthy(40, State::SOUND);
+    drive.logger = |throw| with_positions(throw, |_| 3.0);
+    let events = drive.events(8, State::SOUND);
+    assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::IncompleteThrow), "{events:?}");
 }
 
 /// Which throws count as made before a new baseline at 0 s. `before` and `after` are the throws that arrive before and

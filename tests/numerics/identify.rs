@@ -99,7 +99,7 @@ fn a_declared_direction_that_the_toe_contradicts_is_flagged_and_the_movement_win
     let machine = Parameters::default();
     let mut throw = simulated(&machine, &Sensors::default(), Direction::NormalToReverse, 1);
     for (declared, contradicted) in
-        [(None, false), (Some(Direction::NormalToReverse), false), (Some(Direction::ReverseToNormal), true)]
+        [(None, None), (Some(Direction::NormalToReverse), Some(false)), (Some(Direction::ReverseToNormal), Some(true))]
     {
         throw.direction = declared;
         let found = identify(&throw, &settings_of(&machine));

@@ -233,7 +233,7 @@ impl Good {
         let Ok(throw) = wire::decode_throw(Encoding::of("", &bytes), &bytes) else { return (kind, None) };
         let found = self.identifier.identify(&throw, &self.settings);
         // A direction that contradicts the movement is only flagged.
-        let contradicted = found.direction_contradicted;
+        let contradicted = found.direction_contradicted == Some(true);
         let sound = good(found.outcome).filter(|_| !contradicted);
         (kind, sound.map(|estimate| change(&estimate, whole)))
     }

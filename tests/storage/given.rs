@@ -104,7 +104,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
         },
         identification: Some(Identification {
             direction: Some(Direction::NormalToReverse),
-            direction_contradicted: false,
+            direction_contradicted: Some(false),
             features: Features { charge_as: Some(12.5), no_load_speed_rad_per_s: Some(17.0), ..Features::default() },
             unused_fields: None,
             short_of_stroke_mm: None,

@@ -193,7 +193,7 @@ impl Judgement {
         let estimate: Option<&Estimate> = found.and_then(|found| found.outcome.as_ref().ok());
         let mut add = query
             .bind(health.direction.map(Direction::as_str))
-            .bind(found.is_some_and(|found| found.direction_contradicted))
+            .bind(found.is_some_and(|found| found.direction_contradicted == Some(true)))
             .bind(&health.quality)
             .bind(&health.detail);
         for three in [health.coefficients, health.sd, health.change_pct] {
