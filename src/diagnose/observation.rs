@@ -58,7 +58,7 @@ impl Observation {
         Self {
             direction: found.direction,
             direction_contradicted: found.direction_contradicted,
-            estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
+            estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance(LONGEST_WINDOW))),
             rejection: found.outcome.as_ref().err().cloned(),
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),

@@ -5,9 +5,6 @@ use nalgebra::{Matrix2, Matrix3, Vector3};
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
-/// Length of the longest window of the diagnosis \[throws\].
-pub(crate) const LONGEST_WINDOW: u32 = 24;
-
 /// How far an estimate can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
@@ -103,15 +100,15 @@ impl Estimate {
     ///
     /// For an estimate of ratios only, the equal errors do not cancel, as the baseline may consist of complete
     /// estimates. The errors in `covariance` come from the misfit of the model, which repeats from throw to throw. Both
-    /// kinds of errors do not average out over the throws of a window, so their covariance is multiplied by the length
-    /// of the longest window of the diagnosis.
-    pub fn drift_covariance(&self) -> Matrix3<f64> {
+    /// kinds of errors do not average out over the `throws` of a window, so their covariance is multiplied by this
+    /// number.
+    pub fn drift_covariance(&self, throws: u32) -> Matrix3<f64> {
         if !self.ratios_only {
             return self.covariance;
         }
         let coefficients = Vector3::from(self.coefficients()) / self.b0;
         let of_scale = self.covariance[(0, 0)] * coefficients * coefficients.transpose();
-        of_scale + f64::from(LONGEST_WINDOW) * (self.covariance - of_scale + self.systematic)
+        of_scale + f64::from(throws) * (self.covariance - of_scale + self.systematic)
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).

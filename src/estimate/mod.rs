@@ -31,7 +31,6 @@ pub mod sriv;
 mod trace;
 
 pub use features::Features;
-pub(crate) use identification::LONGEST_WINDOW;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use model::{midpoint, modelled_position_mm};

@@ -101,7 +101,7 @@ fn the_interval_covers_a_current_that_flows_at_rest_only() {
                     assert_eq!(found.ratios_only, late > 0, "{what}");
                     covers(&found, &plain, &what);
                     // Such a current is equal in every throw, so it does not hide a drift.
-                    let [is, was] = [&found, &plain].map(|e| e.drift_covariance()[(1, 1)].sqrt() / e.a1);
+                    let [is, was] = [&found, &plain].map(|e| e.drift_covariance(24)[(1, 1)].sqrt() / e.a1);
                     assert!(is < 1.3 * was, "{what}: {is}, {was}");
                 }
             }

@@ -519,7 +519,7 @@ fn the_stated_uncertainty_of_the_mean_of_rough_throws_covers_its_error() {
             let estimate = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap();
             assert!(estimate.ratios_only, "{slide_friction}: {estimate:?}");
             let [_, stiffness] = estimate.ratios();
-            let drift = estimate.drift_covariance();
+            let drift = estimate.drift_covariance(24);
             let log = |i: usize, j: usize| drift[(i, j)] / (estimate.coefficients()[i] * estimate.coefficients()[j]);
             mean += (stiffness / (known.a0 / known.b0)).ln() / 24.0;
             variance += (log(2, 2) - 2.0 * log(0, 2) + log(0, 0)) / (24.0 * 24.0);

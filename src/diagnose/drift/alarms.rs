@@ -3,13 +3,13 @@
 use std::{mem, ops::Range};
 
 use jiff::Timestamp;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Attribution, Claim, Condition, Course, Drift, Explanation, History, Intermittent, Known, LEVELS_FOLLOW,
-    LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Reading, Transition, Window, explained,
-    fit, friction_of_sound_motor,
+    Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent, Known,
+    LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Reading, Transition, Window,
+    explained, fit, friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
@@ -110,10 +110,7 @@ impl DriftAlarms {
     ) -> Reading {
         let LatestThrow { drift, settings, .. } = latest;
         let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
-        let weather = self.new_part(cause, latest).unwrap_or(weather);
-        if weather != Claim::Named && reading.claim != Claim::None {
-            reading.claim = weather;
-        }
+        reading.claim = reading.claim.min(self.new_part(cause, latest).unwrap_or(weather));
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
             reading.patience += LEVELS_FOLLOW;
@@ -132,12 +129,14 @@ impl DriftAlarms {
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
             let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
-            reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+            if size <= least || !is_shown {
+                reading.claim = Claim::Counts;
+            }
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
-        if is_intermittent && reading.claim == Claim::Named && reading.undoubted <= settings.critical_factor {
+        if is_intermittent && reading.undoubted <= settings.critical_factor {
             // Its text says more than a mean of faulty and sound throws.
-            reading.claim = Claim::Counts;
+            reading.claim = reading.claim.min(Claim::Counts);
         }
         reading
     }
@@ -223,26 +222,20 @@ impl DriftAlarms {
         alarms.severity(cause).filter(|_| is_known && is_of_both)
     }
 
-    /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults: side,
-    /// departure, covariance of one throw, and whether the baseline is complete. `excused`: a sensor explains the
-    /// drift.
-    pub(crate) fn judge_departure(
-        &mut self,
-        (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
-        excused: bool,
-        step: &mut Step,
-    ) {
+    /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults. `excused`: a
+    /// sensor explains the drift.
+    pub(crate) fn judge_departure(&mut self, departure: &Departure, excused: bool, step: &mut Step) {
         let settings = step.settings;
         let is_active = step.alarms.owned_by(Rule::Intermittent);
-        let states = [self.is_suspicious(step.alarms), is_active.is_some()];
-        self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
+        let during = During { suspicion: self.is_suspicious(step.alarms), alarm: is_active.is_some() };
+        self.intermittent.push(departure, during, settings);
         let found = if is_active.is_some() {
             // A fault that became permanent is no longer intermittent: the usual rule takes over its alarm.
             let becomes_permanent = is_active.is_some_and(|cause| self.counts_for(cause));
             let is_over = self.intermittent.is_over() && !becomes_permanent;
             if is_over { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
-            let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
+            let found = self.intermittent.found(&departure.of_one_throw, settings.false_alarms_per_throw(), settings);
             found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
                 let event = step.warning(found.cause, text::intermittent(step.name, &found));
                 RuleResult::Fault(Box::new(event.of_size(found.explanation.level())))

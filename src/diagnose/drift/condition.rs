@@ -34,8 +34,8 @@ const REPAIRABLE_LEVEL: f64 = 1.5;
 pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
 
-/// Evidence of a throw for an alarm about a cause.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// Evidence of a throw for an alarm about a cause, the weakest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub(crate) enum Claim {
     /// No evidence.
     #[default]

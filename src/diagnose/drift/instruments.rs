@@ -25,7 +25,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Window, fit, fit_along, single,
+    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Tested, Window, fit, fit_along,
+    single,
 };
 use crate::{
     diagnose::{
@@ -81,6 +82,16 @@ struct Streaks {
     lingers: bool,
 }
 
+/// What a throw shows of a fault of a sensor or the supply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Seen {
+    AboveLimit,
+    BelowLimit,
+    /// The throw may show the fault.
+    Alike,
+    Nothing,
+}
+
 /// Gauges of a machine, and the alarms about its sensors and supply.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -122,7 +133,7 @@ const DISTINGUISHING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resist
 impl Instruments {
     /// The origin of a drift, by the gauges.
     pub(crate) fn origin(&self, drift: &Drift, settings: &Settings) -> Origin {
-        let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
+        let (Some(attribution), Some(Tested { window, .. })) = (&drift.attribution, &drift.strongest) else {
             return Origin::Machine;
         };
         if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
@@ -314,7 +325,11 @@ impl Instruments {
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left, delay);
+        let seen = match Seen::fault(fault.is_some(), of_drift.is_none() || drift.matters()) {
+            Seen::Nothing if is_alike => Seen::Alike,
+            seen => seen,
+        };
+        self.sensor.follow(seen, left, delay);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
@@ -339,7 +354,7 @@ impl Instruments {
             Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
-        streaks.follow(size > 1.0, true, false, Some(size), delay);
+        streaks.follow(Seen::fault(size > 1.0, true), Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
         if streaks.named >= delay {
@@ -359,19 +374,14 @@ impl Instruments {
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
         let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
         let delay = step.settings.on_delay_throws;
-        self.supply.follow(
-            lost.is_some() || explained.is_some(),
-            matters || explained == Some(true),
-            false,
-            left,
-            delay,
-        );
+        let seen = Seen::fault(lost.is_some() || explained.is_some(), matters || explained == Some(true));
+        self.supply.follow(seen, left, delay);
         // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
-        self.circuit.follow(circuit.is_some(), true, false, left, delay);
+        self.circuit.follow(Seen::fault(circuit.is_some(), true), left, delay);
         let event = |level: Level, text: String| step.warning(Cause::Supply, text).of_size(level);
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
@@ -407,15 +417,26 @@ impl Instruments {
 }
 
 impl Streaks {
-    /// Counts a throw. `holds`: it shows the fault; `matters`: the fault is above its limit; `is_alike`: the throw may
-    /// show the fault; `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
+    /// Counts a throw. `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
     /// alarm. A fault without an alarm explains no later drift.
-    fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>, delay: u32) {
-        streak(&mut self.named, holds && matters);
-        streak(&mut self.unseen, !holds && !is_alike);
+    fn follow(&mut self, seen: Seen, left: Option<f64>, delay: u32) {
+        let holds = matches!(seen, Seen::AboveLimit | Seen::BelowLimit);
+        streak(&mut self.named, seen == Seen::AboveLimit);
+        streak(&mut self.unseen, seen == Seen::Nothing);
         count_over(&mut self.over, if holds { Some(1.0) } else { left });
         let is_recent = self.unseen < LINGERS && self.over < LINGERS;
-        self.lingers = holds && matters && self.named >= delay || self.lingers && is_recent;
+        self.lingers = seen == Seen::AboveLimit && self.named >= delay || self.lingers && is_recent;
+    }
+}
+
+impl Seen {
+    /// What a fault is that `holds`, and whose size `matters`.
+    fn fault(holds: bool, matters: bool) -> Self {
+        match (holds, matters) {
+            (true, true) => Self::AboveLimit,
+            (true, false) => Self::BelowLimit,
+            (false, _) => Self::Nothing,
+        }
     }
 }
 

@@ -81,24 +81,38 @@ pub(crate) struct Departures {
     pub(crate) cause: Cause,
 }
 
+/// The departure of a throw from the median of the previous throws of its direction.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Departure {
+    /// Index of the direction.
+    pub(crate) side: usize,
+    /// Change of ln b0, ln a1, ln a0.
+    pub(crate) change: Vector3<f64>,
+    /// Covariance of one throw.
+    pub(crate) of_one_throw: Matrix3<f64>,
+    /// Whether the baseline of the direction is complete.
+    pub(crate) is_complete: bool,
+}
+
+/// What is active while a throw is made.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct During {
+    /// The suspicion of a drift.
+    pub(super) suspicion: bool,
+    /// The alarm about an intermittent fault.
+    pub(super) alarm: bool,
+}
+
 impl Intermittent {
-    /// Adds a throw of the direction `side` with its `departure` from the median of the previous ones, and the
-    /// covariance of one throw. Until the baseline is `complete`, the throw belongs to the healthy past. While a drift
-    /// is `suspicious`, no throw counts for the tails. While the alarm `is_active`, the healthy rate stays as it is.
-    pub(crate) fn push(
-        &mut self,
-        side: usize,
-        departure: Vector3<f64>,
-        of_one_throw: &Matrix3<f64>,
-        complete: bool,
-        [suspicious, is_active]: [bool; 2],
-        settings: &Settings,
-    ) {
+    /// Adds a throw. Until the baseline is complete, the throw belongs to the healthy past. During a suspicion of a
+    /// drift no throw counts for the tails, and during an alarm the healthy rate stays as it is.
+    pub(super) fn push(&mut self, departure: &Departure, during: During, settings: &Settings) {
+        let Departure { side, change: departure, ref of_one_throw, is_complete } = *departure;
         self.unknown = 0;
         let inverse = sym3::inverse(of_one_throw);
         let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
         let decided = self.undecided.push(square(departure) > FAR_OUT);
-        if let Some(far_out) = decided.filter(|_| !suspicious) {
+        if let Some(far_out) = decided.filter(|_| !during.suspicion) {
             self.tail.0 += f64::from(u8::from(far_out));
             self.tail.1 += 1.0;
         }
@@ -115,10 +129,10 @@ impl Intermittent {
             begun.map(|(first, _)| first).filter(|first| far(Vector3::from(first.map(f64::from)) - departure))
         };
         self.recent.push(ended);
-        if !complete || self.recent.throws() > COUNTED[1] {
+        if !is_complete || self.recent.throws() > COUNTED[1] {
             let is_rising = self.is_rising();
             let oldest = self.recent.pop_oldest().filter(|_| !is_rising);
-            if !is_active {
+            if !during.alarm {
                 let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
                 self.past_large += f64::from(u8::from(is_large));

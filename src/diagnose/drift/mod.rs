@@ -27,11 +27,12 @@ pub(super) use evidence::{Known, MotorEvidence};
 pub(super) use explain::Explanation;
 pub(super) use history::History;
 pub(super) use instruments::Instruments;
-pub(super) use intermittent::{Departures, Intermittent};
+use intermittent::During;
+pub(super) use intermittent::{Departure, Departures, Intermittent};
 pub(super) use latest_throw::LatestThrow;
 pub(super) use origin::{Awaited, Origin, SensorFault};
 pub(super) use threshold::Thresholds;
-pub(super) use window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept};
+pub(super) use window::{RecentThrow, RecentThrows, Stream, Tested, UNKNOWN_SCALE_SD, Window, with_middle_kept};
 
 use self::{
     attribution::Case,
@@ -87,7 +88,7 @@ pub(super) struct Drift {
     /// The attribution, if a drift is detected.
     pub(super) attribution: Option<Attribution>,
     /// The window with the most significant drift.
-    pub(super) strongest: Option<Window>,
+    pub(super) strongest: Option<Tested>,
     /// Origin of the drift, by the gauges.
     pub(super) origin: Origin,
     /// The causes with an active alarm.
@@ -107,17 +108,18 @@ pub(super) struct Drift {
 impl Drift {
     /// T of the strongest window relative to its limit (see [`self::window`]).
     fn excess(&self) -> f64 {
-        self.strongest.map_or(0.0, |window| window.excess)
+        self.strongest.map_or(0.0, |strongest| strongest.excess)
     }
 
     /// The windows that show the present drift; after a step the shorter ones show it better.
     pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
-        self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
+        let strongest = self.strongest.iter().map(|strongest| &strongest.window);
+        self.levels.iter().chain(&self.last_few).flatten().chain(strongest)
     }
 
     /// The drift as a change of friction, if it is above its limit and mostly a change of a1.
     pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
-        let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
+        let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?.window;
         let beside = mean.x.abs().max(mean.z.abs());
         let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y / mean.y > STILL_CHANGED);
         (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange { size: mean.y, lasts })
@@ -163,7 +165,7 @@ impl Drift {
         let claim = match named {
             Some(_) if self.matters() => {
                 // The next throw confirms a step, but not an outlier.
-                let is_confirmed = self.strongest.is_some_and(|window| window.confirmed);
+                let is_confirmed = self.strongest.is_some_and(|strongest| strongest.confirmed);
                 if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
             }
             // The name is not stable yet, so throws with a name count for an alarm without one.

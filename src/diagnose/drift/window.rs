@@ -138,11 +138,17 @@ pub(crate) struct Window {
     pub(crate) temperature_sd: Vector3<f64>,
     /// Covariance of the misfit of the model in rough throws, which repeats; contained in the covariance.
     pub(crate) misfit: Sym3,
+    pub(crate) scale: CommonScale,
+}
+
+/// The test of a window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Tested {
+    pub(crate) window: Window,
     /// T relative to its limit; above 1 a drift is detected.
     pub(crate) excess: f64,
     /// Whether a drift above its limit is confirmed: it is no outlier that fades over the throws after it.
     pub(super) confirmed: bool,
-    pub(crate) scale: CommonScale,
 }
 
 impl Window {
@@ -264,16 +270,7 @@ impl<'a> Stream<'a> {
             misfit = ratios * misfit * ratios.transpose();
         }
         covariance += covariance_of_effect(temperature_sd);
-        Some(Window {
-            throws,
-            mean,
-            covariance,
-            temperature_sd,
-            misfit: misfit.into(),
-            excess: 0.0,
-            confirmed: false,
-            scale,
-        })
+        Some(Window { throws, mean, covariance, temperature_sd, misfit: misfit.into(), scale })
     }
 
     /// The common scale of the last throws with these residuals.
@@ -411,11 +408,11 @@ impl<'a> Stream<'a> {
         scatter: &Scatter,
         thresholds: &Thresholds,
         baselines: [Option<&Baseline>; 2],
-    ) -> Option<Window> {
-        let mut best: Option<Window> = None;
+    ) -> Option<Tested> {
+        let mut best: Option<Tested> = None;
         let (mut shortest, mut reach) = (None, None);
         for (at, &throws) in WINDOWS.iter().enumerate() {
-            let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
+            let Some(window) = self.window(throws, scatter, baselines) else { continue };
             let shortest = *shortest.get_or_insert(window);
             let limit = thresholds.of(at);
             let Some(inverse) = sym3::inverse(&window.tested(limit)) else { continue };
@@ -427,15 +424,15 @@ impl<'a> Stream<'a> {
                 of_innovations =
                     reach.and_then(|reach| self.t_of_innovations(&window, limit, &reach, scatter, baselines));
             }
-            window.excess = t.min(of_innovations.unwrap_or(t)) / limit;
-            if best.is_none_or(|best| window.excess > best.excess) {
-                best = Some(window);
+            let excess = t.min(of_innovations.unwrap_or(t)) / limit;
+            if best.is_none_or(|best| excess > best.excess) {
+                best = Some(Tested { window, excess, confirmed: false });
             }
         }
         let mut best = best?;
         best.confirmed = best.excess > 1.0
-            && self.t_without_outliers(&best, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
-            && !self.fades(&best, scatter, baselines);
+            && self.t_without_outliers(&best.window, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
+            && !self.fades(&best.window, scatter, baselines);
         Some(best)
     }
 

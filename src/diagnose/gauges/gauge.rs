@@ -1,9 +1,11 @@
 //! The gauges, and their values in a throw.
 
+use strum::VariantArray;
+
 use crate::{diagnose::statistics::rounded, estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 /// A quantity of a throw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, VariantArray)]
 pub(crate) enum Gauge {
     Travel,
     BackEmf,
@@ -31,14 +33,40 @@ pub(crate) enum Gauge {
     Air,
 }
 
-/// The gauges of a throw, in the order of [`Gauge`], as [`values`] gives them; `None` for unknown ones.
+/// The gauges of a throw, in the order of [`Gauge`]; `None` for unknown ones.
 pub(super) type Values = [Option<f32>; Gauge::COUNT];
 
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
 
 impl Gauge {
-    pub(super) const COUNT: usize = 14;
+    pub(super) const COUNT: usize = Self::VARIANTS.len();
+
+    /// The gauge in a throw, as a logarithm unless it is a difference.
+    fn value(self, features: &Features, celsius: Option<f64>) -> Option<f64> {
+        let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
+        let quantity = match self {
+            Self::Travel => features.travel_mm,
+            Self::BackEmf => features.back_emf_v_s_per_rad,
+            Self::Resistance => features.resistance_ohm.map(|ohm| ohm / warm),
+            Self::Duration => features.duration_s,
+            // The voltage of a failed sensor counts as unknown.
+            Self::Volts => features.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts)),
+            Self::Inrush => features.peak_current_a,
+            Self::Running => features.running_current_a,
+            Self::Charge => features.charge_as,
+            Self::NoLoadSpeed => features.no_load_speed_rad_per_s,
+            Self::StartGain => features.start_gain,
+            Self::StartDelay => return features.start_delay_s.map(|delay_s| 1e3 * delay_s),
+            Self::Rest => return features.quiet_current_a,
+            Self::Middle => {
+                let ends = features.start_position_mm.zip(features.end_position_mm);
+                return ends.map(|(start, end)| f64::midpoint(start, end));
+            }
+            Self::Air => return celsius,
+        };
+        quantity.map(f64::ln)
+    }
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     pub(crate) fn floor(self) -> f64 {
@@ -72,27 +100,8 @@ pub(super) fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle
-/// \[mm\] and the temperature \[°C\].
+/// The gauges of a throw.
 pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
-    let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
-    let ln = |value: Option<f64>| value.map(f64::ln);
-    let shown = [
-        ln(features.travel_mm),
-        ln(features.back_emf_v_s_per_rad),
-        ln(features.resistance_ohm.map(|ohm| ohm / warm)),
-        ln(features.duration_s),
-        // The voltage of a failed sensor counts as unknown.
-        ln(features.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))),
-        ln(features.peak_current_a),
-        ln(features.running_current_a),
-        ln(features.charge_as),
-        ln(features.no_load_speed_rad_per_s),
-        features.start_delay_s.map(|delay_s| 1e3 * delay_s),
-        ln(features.start_gain),
-        features.quiet_current_a,
-        features.start_position_mm.zip(features.end_position_mm).map(|(start, end)| f64::midpoint(start, end)),
-        celsius,
-    ];
-    shown.map(|value| value.map(rounded).filter(|value| value.is_finite()))
+    let value = |at: usize| Gauge::VARIANTS[at].value(features, celsius).map(rounded).filter(|value| value.is_finite());
+    std::array::from_fn(value)
 }

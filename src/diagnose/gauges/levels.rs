@@ -37,6 +37,8 @@ struct Shown {
     values: [f32; Gauge::COUNT],
 }
 
+const _: () = assert!(Gauge::COUNT < u16::BITS as usize, "a bit for each gauge, and one for the direction");
+
 impl Shown {
     fn new(side: usize, values: Values) -> Self {
         let bits = (0..Gauge::COUNT).filter(|at| values[*at].is_some()).fold(side, |bits, at| bits | (2 << at));

@@ -242,13 +242,13 @@ impl MachineMonitor {
         let may_be_sensor = |drift: &&Drift| matches!(drift.origin, Origin::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
-        let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |window| window.mean.x)));
+        let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |alike| alike.window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
         // The supply changes the inrush current, which accelerates the machine.
         let start_explained = is_instrument || step.alarms.is_active(Cause::Supply);
         self.start.judge(&self.instruments.gauges, start_explained, step).apply(Rule::Start, step);
         match departure {
-            Some(departure) => self.drift.judge_departure(departure, is_instrument, step),
+            Some(departure) => self.drift.judge_departure(&departure, is_instrument, step),
             None => self.drift.on_unknown_departure(step),
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);

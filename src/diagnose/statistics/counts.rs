@@ -1,6 +1,7 @@
 //! Numbers of consecutive throws: the windows of the detection, and counts.
 
-pub(crate) use crate::estimate::LONGEST_WINDOW;
+/// Length of the longest window of the detection \[throws\].
+pub(crate) const LONGEST_WINDOW: u32 = 24;
 
 /// Lengths of the windows of the detection \[throws\].
 pub(crate) const WINDOWS: [usize; 4] = [3, 6, 12, LONGEST_WINDOW as usize];

@@ -12,8 +12,8 @@ use super::{
     Blindness, Cause, HidingTemperature, Settings,
     baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, WetSpell, covariance_of_effect},
     drift::{
-        Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Thresholds, UNKNOWN_SCALE_SD, Window, attribute,
-        visible_pct, with_middle_kept,
+        Departure, Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Tested, Thresholds, UNKNOWN_SCALE_SD,
+        Window, attribute, visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
     statistics::{LONGEST_WINDOW, Scatter, Sym3, WINDOWS, median, to_f32},
@@ -195,9 +195,8 @@ impl Tracks {
         Some(residual.add_scalar(scale))
     }
 
-    /// For a throw: index of its direction, departure from the median of the previous throws of this direction,
-    /// covariance of one throw, and whether the baseline is complete. `None` with too few throws.
-    pub(super) fn departure(&self, throw: &Evaluated) -> Option<(usize, Vector3<f64>, Matrix3<f64>, bool)> {
+    /// The departure of a throw from the previous throws of its direction; `None` with too few throws.
+    pub(super) fn departure(&self, throw: &Evaluated) -> Option<Departure> {
         /// Number of previous throws: few enough that the median follows the weather, and enough that a third of
         /// departures does not change it.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
@@ -210,14 +209,14 @@ impl Tracks {
             compared.take(*BEFORE.end()).map(|throw| baseline.compensated(throw.raw())).collect();
         let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
         (before.len() >= *BEFORE.start()).then(|| {
-            let departure = residual - Vector3::from_fn(|i, _| middle(i));
+            let change = residual - Vector3::from_fn(|i, _| middle(i));
             let of_one_throw = baseline.scatter.of_one_throw();
-            let (departure, of_one_throw) = if track.of_ratios {
-                (with_middle_kept(departure), of_one_throw + Matrix3::repeat(UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD))
+            let (change, of_one_throw) = if track.of_ratios {
+                (with_middle_kept(change), of_one_throw + Matrix3::repeat(UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD))
             } else {
-                (departure, of_one_throw)
+                (change, of_one_throw)
             };
-            (at, departure, of_one_throw, baseline.complete)
+            Departure { side: at, change, of_one_throw, is_complete: baseline.complete }
         })
     }
 
@@ -289,12 +288,12 @@ impl Tracks {
         let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
         let mixed = mixed.map(|mixed| (None, &mixed_tail, &mixed.scatter, &mixed.thresholds));
         // The strongest window, its scatter, and its side; `None` for the mixed stream.
-        let mut best: Option<(Window, &Scatter, Option<usize>)> = None;
+        let mut best: Option<(Tested, &Scatter, Option<usize>)> = None;
         for (side, tail, scatter, thresholds) in own.chain(mixed) {
-            if let Some(window) = tail.strongest(heavy_tails, scatter, thresholds, baselines)
-                && best.is_none_or(|(best, ..)| window.excess > best.excess)
+            if let Some(tested) = tail.strongest(heavy_tails, scatter, thresholds, baselines)
+                && best.is_none_or(|(best, ..)| tested.excess > best.excess)
             {
-                best = Some((window, scatter, side));
+                best = Some((tested, scatter, side));
             }
         }
         let level = |at: usize, longest: usize| {
@@ -309,17 +308,17 @@ impl Tracks {
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         // The known level is a mean of both directions, but the machine may have changed differently in each of them.
         let of_side = || {
-            let (window, _, side) = best?;
+            let (Tested { window, .. }, _, side) = best?;
             Some(0.5 * (window.mean - level(1 - side?, window.throws)?.mean))
         };
         let known_level = known.level.map(|level| level + of_side().unwrap_or_default());
         let known = &Known { level: known_level, baselines, ..known.clone() };
-        let detected = best.as_ref().filter(|(window, ..)| window.excess > 1.0);
+        let detected = best.as_ref().filter(|(tested, ..)| tested.excess > 1.0);
         Drift {
             provisional,
             attribution: detected
-                .map(|(window, scatter, side)| attribute((window, scatter, *side), &last_few, known, settings)),
-            strongest: best.map(|(window, ..)| window),
+                .map(|(tested, scatter, side)| attribute((&tested.window, scatter, *side), &last_few, known, settings)),
+            strongest: best.map(|(tested, ..)| tested),
             origin: Origin::default(),
             alarmed: known.causes.clone(),
             is_half_seen,
