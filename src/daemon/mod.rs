@@ -15,6 +15,7 @@
 //! | `webhook` | sends alarm events to a web address |
 //! | `config` | the configuration |
 //! | `publish`, `answer` | publish alarms and health, and answer queries |
+//! | `shared` | state that the loops share |
 
 mod answer;
 pub(crate) mod clock;

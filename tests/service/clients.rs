@@ -43,8 +43,6 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     for _ in 0..65 {
         queries.push(session.get(KEY).await.unwrap());
     }
-    let first = questions.next().await.unwrap();
-    assert_eq!(first.key_expr().as_str(), KEY);
     let reply = tokio::time::timeout(Duration::from_secs(5), queries[64].recv_async()).await.unwrap().unwrap();
     let error = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert!(error.contains("ask again"), "{error}");
@@ -52,6 +50,8 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     for waiting in &queries[..64] {
         assert!(waiting.is_empty(), "the others wait");
     }
+    let first = questions.next().await.unwrap();
+    assert_eq!(first.key_expr().as_str(), KEY);
 }
 
 /// Replies that fill a hanging link wait until zenoh closes it; replies to others do not wait with them.

@@ -1,4 +1,4 @@
-//! Fetches missing throws from the loggers' backlogs, page by page.
+//! Fetches missing throws from the loggers' backlogs.
 //!
 //! The database has the cursor of each machine: the last throw up to which all throws are stored or written off as
 //! gaps. A logger is queried for the throws after the cursor when its liveliness token appears, when a throw number is
@@ -6,45 +6,38 @@
 //! several times in the first minutes, in which it connects again. The next page is queried when the previous page is
 //! stored. The queries of several pages in a row are the turn of the logger; then other loggers have their turn.
 
-use std::{collections::HashSet, sync::Arc, time::Duration};
+use std::{
+    collections::{HashMap, HashSet, hash_map::Entry},
+    mem,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    time::Duration,
+};
 
 use tokio::{
-    sync::mpsc,
-    task::JoinSet,
+    sync::{Semaphore, SemaphorePermit, mpsc, watch},
     time::{self, Instant},
 };
+use tokio_util::task::JoinMap;
 
 use super::{
     Intake,
-    schedule::{AT_A_TIME, NextPage, Schedule},
+    pages::{LONG_TURN, NextPage, QueryEnd},
 };
 use crate::{
-    bus,
     daemon::{clock, shared::Shared},
-    store::{Cursor, StoreError, seldom},
-    throw::{MachineId, Throw, ThrowRef},
-    wire::{self, BacklogQuery, Kind},
+    store::seldom,
+    throw::MachineId,
+    wire::{self, Kind},
 };
 
-/// Time after which a turn ends and counts as slow: a page of 1 MiB on a link with 500 kB/s.
-const LONG_TURN: Duration = Duration::from_secs(2);
-/// Throws in the largest page.
-const LARGEST_PAGE: usize = 32;
-/// Target size of a page \[bytes\]: a link with 70 kB/s delivers it before the timeout.
-const PAGE_BYTES: u64 = 1 << 20;
-/// Size of a sample \[bytes\]: current and position as float32.
-const SAMPLE_BYTES: u64 = 8;
-/// Largest number of pages of one logger in a turn.
-const TURN: usize = 8;
-/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor,
-/// for example after an import of recordings, starts with its oldest throw, so some pages repeat stored throws. While
-/// throws are missing, pages count only if they do not come later in the order of throws than the page before: then the
-/// whole backlog is read. Otherwise the newest throws can be hidden until the next live throw: without this bound the
-/// whole backlog would be sent again in each round.
-const REPEATED_PAGES: usize = 4;
-/// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
-/// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.
-const WIDER: usize = 4;
+/// Largest number of loggers queried at the same time. A page has at most 4 MiB, and its decoded throws take up to four
+/// times as much, so this bounds the memory to 160 MiB.
+const AT_A_TIME: usize = 8;
+/// Largest number of slow loggers among them, so that the other loggers always make progress.
+const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
 /// If a connected logger replies for this long without the awaited throws, it no longer has them. They are written off
 /// as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -60,20 +53,36 @@ const MISSING_CHECK: Duration = Duration::from_millis(100);
 /// Largest number of machines with missing throws in one database query.
 const MISSING: u32 = 10_000;
 
-/// How a turn of a logger ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum QueryEnd {
-    /// The logger has no newer throw, and none is missing.
-    Complete,
-    /// The turn was long enough; the logger may have more throws.
-    More,
-    /// The logger replied without the throws that are missing after this cursor.
-    Without(Cursor),
-    /// The logger did not reply in time, or its replies could not be stored.
-    Broken,
+/// The places of the loggers that are queried at the same time.
+struct Places {
+    all: Semaphore,
+    slow: Semaphore,
 }
 
-/// The task that queries the loggers.
+impl Default for Places {
+    fn default() -> Self {
+        Self { all: Semaphore::new(AT_A_TIME), slow: Semaphore::new(SLOW_AT_A_TIME) }
+    }
+}
+
+impl Places {
+    /// Waits for a place, in the order of the calls.
+    async fn take(&self, is_slow: bool) -> [Option<SemaphorePermit<'_>>; 2] {
+        // The results are always `Ok`, as nothing closes the semaphores.
+        let slow = if is_slow { self.slow.acquire().await.ok() } else { None };
+        [slow, self.all.acquire().await.ok()]
+    }
+}
+
+/// State that [`Backlog`] shares with the task that queries a logger.
+#[derive(Default)]
+struct Turns {
+    requests: watch::Sender<()>,
+    /// Whether the logger was not connected at the last query.
+    was_away: AtomicBool,
+}
+
+/// The task that starts the queries of the loggers.
 pub(crate) struct Backlog {
     shared: Arc<Shared>,
     intake: Arc<Intake>,
@@ -81,39 +90,31 @@ pub(crate) struct Backlog {
     seen: HashSet<MachineId>,
     /// Keys of live messages that were dropped.
     dropped: mpsc::Receiver<String>,
+    places: Arc<Places>,
+    turns: HashMap<MachineId, Arc<Turns>>,
+    /// The tasks that query these loggers, see [`Intake::query_in_turns`].
+    queries: JoinMap<MachineId, watch::Receiver<()>>,
 }
 
 impl Backlog {
     pub(in crate::daemon) fn new(shared: Arc<Shared>, intake: Arc<Intake>, dropped: mpsc::Receiver<String>) -> Self {
-        Self { shared, intake, seen: HashSet::new(), dropped }
+        let (seen, places, turns, queries) = (HashSet::new(), Arc::default(), HashMap::new(), JoinMap::new());
+        Self { shared, intake, seen, dropped, places, turns, queries }
     }
 
     pub(crate) async fn run(mut self) {
-        let mut schedule = Schedule::default();
-        let mut queries = JoinSet::new();
         let (mut round, mut until_next_round) = (Instant::now(), PAUSE);
         let mut check = time::interval(MISSING_CHECK);
         check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
         let mut loggers = self.shared.loggers.clone();
         loop {
-            while queries.len() < AT_A_TIME
-                && let Some((machine, mut page)) = schedule.next()
-            {
-                let intake = Arc::clone(&self.intake);
-                queries.spawn(async move {
-                    let start = Instant::now();
-                    let ended = intake.query(&machine, &mut page).await;
-                    (machine, ended, page, start.elapsed() >= LONG_TURN)
-                });
-            }
-            let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
             tokio::select! {
-                () = self.shared.stops.receive.cancelled() => return queries.shutdown().await,
+                () = self.shared.stops.receive.cancelled() => return self.queries.shutdown().await,
                 Ok(()) = loggers.changed() => {
                     let alive = loggers.borrow_and_update().alive.clone();
-                    alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
-                    self.seen = alive;
+                    let seen = mem::replace(&mut self.seen, alive.clone());
+                    alive.difference(&seen).for_each(|machine| self.request(machine));
                 }
                 Some(key) = self.dropped.recv() => {
                     seldom!(warn, key, "the queue of received messages is full: messages DROPPED");
@@ -121,56 +122,60 @@ impl Backlog {
                     if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
                         && (self.seen.contains(&machine) || self.intake.knows(&machine))
                     {
-                        schedule.request(&machine);
+                        self.request(&machine);
                     }
                 }
                 () = self.shared.missing.notified() => may_miss = true,
                 _ = check.tick(), if may_miss => {
                     may_miss = false;
-                    self.request_missing(&mut schedule).await;
+                    self.request_missing().await;
                 }
                 () = time::sleep_until(round) => {
-                    self.request_without_token(&mut schedule);
+                    for machine in self.intake.without_token() {
+                        if !self.turns.contains_key(&machine) {
+                            self.request(&machine);
+                        }
+                    }
                     if until_next_round >= ROUND {
-                        self.seen.iter().for_each(|machine| schedule.request(machine));
+                        self.seen.clone().iter().for_each(|machine| self.request(machine));
                     }
                     round += until_next_round;
                     until_next_round = (LATER * until_next_round).min(ROUND);
                 }
-                Some(ended) = queries.join_next() => match ended {
-                    Ok((machine, ended, page, was_slow)) => {
-                        schedule.set_slow(&machine, was_slow);
-                        self.on_query_end(&mut schedule, &machine, ended, page).await;
+                Some((machine, ended)) = self.queries.join_next() => match ended {
+                    Ok(requests) => {
+                        may_miss = true;
+                        let is_requested = matches!(requests.has_changed(), Ok(true));
+                        self.turns.remove(&machine);
+                        if is_requested {
+                            self.request(&machine);
+                        }
                     }
-                    // The task ends here, and with it the daemon.
-                    Err(error) => return tracing::error!(%error, "querying a logger failed"),
+                    // This task ends, and with it the daemon.
+                    Err(error) => return tracing::error!(%machine, %error, "querying a logger failed"),
                 },
-                () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
             }
         }
     }
 
-    /// Schedules queries of the loggers of known machines that never had a token, except those that are scheduled.
-    fn request_without_token(&self, schedule: &mut Schedule) {
-        let loggers = self.shared.loggers.borrow();
-        for machine in self.intake.machines.lock().keys() {
-            if !loggers.had_token(machine) && !schedule.turns.contains_key(machine) {
-                schedule.request(machine);
-            }
-        }
+    /// Requests a query of a logger as soon as possible.
+    fn request(&mut self, machine: &MachineId) {
+        let turns = match self.turns.entry(machine.clone()) {
+            Entry::Occupied(turns) => return turns.get().requests.send_replace(()),
+            Entry::Vacant(new) => Arc::clone(new.insert(Arc::default())),
+        };
+        let (intake, places) = (Arc::clone(&self.intake), Arc::clone(&self.places));
+        self.queries.spawn(machine.clone(), intake.query_in_turns(machine.clone(), turns, places));
     }
 
-    /// Schedules queries of the loggers with missing throws, except those that wait for their next try.
-    async fn request_missing(&self, schedule: &mut Schedule) {
+    /// Requests queries of the loggers with missing throws, except those that wait for their next try.
+    async fn request_missing(&mut self) {
         match self.shared.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
-                    if schedule
-                        .turns
-                        .get(&machine)
-                        .is_none_or(|turn| turn.was_away && self.intake.is_connected(&machine))
-                    {
-                        schedule.request(&machine);
+                    let was_away = self.turns.get(&machine).map(|turns| turns.was_away.load(Relaxed));
+                    if was_away.is_none_or(|was_away| was_away && self.intake.is_connected(&machine)) {
+                        self.request(&machine);
                     }
                 }
             }
@@ -180,190 +185,75 @@ impl Backlog {
             self.shared.status.edit().backlog = awaited;
         }
     }
-
-    async fn on_query_end(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: NextPage) {
-        let Some(turn) = schedule.turns.get_mut(machine) else { return };
-        turn.next_page = Some(page);
-        self.shared.missing.notify_one();
-        let is_connected = self.intake.is_connected(machine);
-        turn.was_away = !is_connected;
-        let pause = match ended {
-            QueryEnd::Complete => return schedule.done(machine),
-            QueryEnd::More => Duration::ZERO,
-            QueryEnd::Without(cursor) if is_connected => {
-                let since = *turn.without_since.get_or_insert_with(Instant::now);
-                if since.elapsed() >= PATIENCE {
-                    match self.shared.store.write_off(machine, &cursor, clock::now()).await {
-                        Ok(()) => return schedule.done(machine),
-                        Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
-                    }
-                }
-                turn.tries = 0;
-                return schedule.rest(machine, PAUSE);
-            }
-            // Queried earlier if its token or one of its throws appears.
-            QueryEnd::Without(_) => LONGEST_PAUSE,
-            QueryEnd::Broken => {
-                let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
-                (turn.without_since, turn.tries) = (None, (turn.tries + 1).min(16));
-                return schedule.rest(machine, pause);
-            }
-        };
-        (turn.without_since, turn.tries) = (None, 0);
-        schedule.rest(machine, pause);
-    }
 }
 
-/// The reply of a logger to the query for a page.
-struct ThrowPage {
-    /// The usable throws, oldest first.
-    throws: Vec<Throw>,
-    /// Whether all replies arrived.
-    is_complete: bool,
-    /// Whether the logger sent no message at all.
-    is_empty: bool,
-}
-
-/// The queries of one logger.
 impl Intake {
-    /// Queries a logger page by page, at most [`TURN`] pages, and updates its next page. Returns how the turn ended.
-    async fn query(&self, machine: &MachineId, next: &mut NextPage) -> QueryEnd {
-        self.pages(machine, next).await.unwrap_or_else(|error| {
-            seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
-            QueryEnd::Broken
-        })
-    }
-
-    async fn pages(&self, machine: &MachineId, next: &mut NextPage) -> Result<QueryEnd, StoreError> {
-        // A client without its router gets an empty page, as from a logger without throws.
-        if self.shared.is_client && !bus::is_connected(&self.shared.session).await {
-            return Ok(QueryEnd::Broken);
-        }
-        let mut cursor = if let Some(after) = next.after.clone() {
-            after
-        } else {
-            let cursor = self.shared.store.reader().cursor(machine).await?;
-            next.awaits = cursor.awaits;
-            cursor
-        };
-        let (mut least, start) = (1, Instant::now());
-        for _ in 0..TURN {
-            let limit = page_limit(&cursor, next.size).max(least);
-            let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
-            let Some((new, after)) = self.store_page(machine, cursor.after.as_ref(), &throws).await? else {
-                // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
-                // because of their size.
-                if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
-                    least = (WIDER * limit).min(wire::MAX_PAGE);
-                    continue;
-                }
-                return Ok(match is_complete {
-                    false => {
-                        next.size = (next.size / 2).max(1);
-                        QueryEnd::Broken
+    /// Queries a logger in turns, until it has no newer throw and none is missing. Returns the requests: one may have come
+    /// after the last query.
+    async fn query_in_turns(
+        self: Arc<Self>,
+        machine: MachineId,
+        turns: Arc<Turns>,
+        places: Arc<Places>,
+    ) -> watch::Receiver<()> {
+        let mut requests = turns.requests.subscribe();
+        let mut next = NextPage::default();
+        // Number of consecutive failed turns, and the time since which the logger replies without the awaited throws.
+        let (mut failures, mut without_since, mut is_slow) = (0, None, false);
+        loop {
+            let place = places.take(is_slow).await;
+            requests.mark_unchanged();
+            let start = Instant::now();
+            // In a box, as thousands of loggers may wait for a place.
+            let ended = Box::pin(self.query(&machine, &mut next)).await;
+            is_slow = start.elapsed() >= LONG_TURN;
+            drop(place);
+            let is_connected = self.is_connected(&machine);
+            turns.was_away.store(!is_connected, Relaxed);
+            self.shared.missing.notify_one();
+            let (failed, since) = (mem::take(&mut failures), without_since.take());
+            let pause = match ended {
+                QueryEnd::Complete => return requests,
+                QueryEnd::More => Duration::ZERO,
+                QueryEnd::Without(cursor) if is_connected => {
+                    let since = *without_since.insert(since.unwrap_or_else(Instant::now));
+                    if since.elapsed() >= PATIENCE {
+                        match self.shared.store.write_off(&machine, &cursor, clock::now()).await {
+                            Ok(()) => return requests,
+                            Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
+                        }
                     }
-                    true if cursor.awaits => QueryEnd::Without(cursor),
-                    true => QueryEnd::Complete,
-                });
+                    PAUSE
+                }
+                // Queried earlier if its token or one of its throws appears.
+                QueryEnd::Without(_) => LONGEST_PAUSE,
+                QueryEnd::Broken => {
+                    failures = (failed + 1).min(16);
+                    (PAUSE * 2_u32.saturating_pow(failed)).min(LONGEST_PAUSE)
+                }
             };
-            self.shared.stored.notify_one();
-            let is_later = next.awaits && after.is_after(&cursor);
-            cursor = after;
-            next.after = Some(cursor.clone());
-            next.repeated = if new > 0 { 0 } else { next.repeated + usize::from(!is_later) };
-            least = 1;
-            if !is_complete {
-                next.size = (next.size / 2).max(1);
-                return Ok(QueryEnd::Broken);
-            }
-            if next.repeated >= REPEATED_PAGES && !is_later {
-                return Ok(QueryEnd::Without(cursor));
-            }
-            next.size = (next.size * 2).min(LARGEST_PAGE);
-            if start.elapsed() >= LONG_TURN {
-                break;
-            }
+            // A request ends the pause.
+            let _ = time::timeout(pause, requests.changed()).await;
         }
-        Ok(QueryEnd::More)
-    }
-
-    /// Stores the throws of a page; returns the number of new ones and the next cursor, or `None` if none was stored. If
-    /// SQLite refuses the page (constraint, type), it is halved down to the throws that SQLite refuses alone. These go
-    /// to quarantine, and the next stored throw makes their numbers a gap. A retry would fail for ever.
-    async fn store_page(
-        &self,
-        machine: &MachineId,
-        mut after: Option<&ThrowRef>,
-        throws: &[Throw],
-    ) -> Result<Option<(u64, Cursor)>, StoreError> {
-        let (at, mut new, mut next) = (clock::now(), 0, None);
-        let mut parts: Vec<&[Throw]> = Some(throws).filter(|throws| !throws.is_empty()).into_iter().collect();
-        while let Some(part) = parts.pop() {
-            match self.shared.store.spool_page(machine, after, part, at).await {
-                Ok(stored) => {
-                    self.shared.status.edit().stored += stored.new;
-                    self.shared.status.edit().duplicates += stored.duplicates;
-                    new += stored.new;
-                    (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
-                }
-                Err(error @ StoreError::Refused(_)) => {
-                    if let [throw] = part {
-                        let refused = super::unstorable(machine, throw, &error, at);
-                        self.quarantine_of_backlog(vec![refused]).await;
-                    } else {
-                        let (first, rest) = part.split_at(part.len() / 2);
-                        parts.extend([rest, first]);
-                    }
-                }
-                Err(error) => return Err(error),
-            }
-        }
-        Ok(next.map(|cursor| (new, cursor)))
-    }
-
-    /// Queries a page of throws after the cursor.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> ThrowPage {
-        let query = BacklogQuery { after: cursor.after.clone(), limit };
-        let Shared { session, config, .. } = &*self.shared;
-        let key = wire::machine_key(machine, Kind::Throw);
-        let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes).await;
-        if let Some(error) = &answer.error {
-            seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
-        }
-        let received = answer.messages.len() as u64;
-        self.shared.status.edit().received += received;
-        let mut throws: Vec<_> =
-            self.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
-        let read = throws.len();
-        keep_order(&mut throws, cursor.after.as_ref());
-        let ignored = answer.ignored + (read - throws.len()) as u64;
-        self.shared.status.edit().duplicates += (read - throws.len()) as u64;
-        self.shared.status.edit().ignored += ignored;
-        if ignored > 0 {
-            seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
-        }
-        ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0 }
     }
 }
 
-/// Number of throws in the next page: at most `size`, at most [`PAGE_BYTES`] of samples, at most the missing throws,
-/// and at least one.
-fn page_limit(cursor: &Cursor, size: usize) -> usize {
-    let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
-    let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
-    let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
-    size.min(fits).min(missing).max(1)
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Removes throws whose number is not above that of the throw before them in the same boot.
-fn keep_order(throws: &mut Vec<Throw>, after: Option<&ThrowRef>) {
-    let mut last = after.cloned();
-    throws.retain(|throw| {
-        let follows =
-            last.as_ref().is_none_or(|last| last.boot_id != throw.id.boot_id || last.throw_no < throw.id.throw_no);
-        if follows {
-            last = Some(throw.id.clone());
+    #[tokio::test]
+    async fn slow_loggers_leave_places_to_the_others() {
+        let places = Places::default();
+        let take = async |is_slow| time::timeout(Duration::ZERO, places.take(is_slow)).await.ok();
+        let mut slow = Vec::new();
+        while let Some(place) = take(true).await {
+            slow.push(place);
         }
-        follows
-    });
+        assert_eq!(slow.len(), SLOW_AT_A_TIME);
+        let fast = take(false).await;
+        assert!(fast.is_some());
+        slow.pop();
+        assert!(take(true).await.is_some());
+    }
 }

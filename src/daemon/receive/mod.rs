@@ -2,8 +2,8 @@
 //! is retried until it succeeds or the daemon must end.
 
 pub(super) mod backlog;
+mod pages;
 pub(super) mod presence;
-pub(super) mod schedule;
 
 use std::{
     collections::{HashMap, HashSet},
@@ -141,6 +141,12 @@ impl Intake {
         (key, bytes, beginning).hash(&mut hasher);
         let hash = hasher.finish();
         (hash, before.insert(hash))
+    }
+
+    /// The known machines whose loggers never had a token.
+    fn without_token(&self) -> Vec<MachineId> {
+        let loggers = self.shared.loggers.borrow();
+        self.machines.lock().keys().filter(|machine| !loggers.had_token(machine)).cloned().collect()
     }
 
     /// Whether a throw of a machine was ever received.
