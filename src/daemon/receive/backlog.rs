@@ -331,7 +331,7 @@ impl Intake {
             seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
         }
         let received = answer.messages.len() as u64;
-        self.shared.status.edit().received += received;
+        self.shared.status.edit().received_from_backlogs += received;
         let mut throws: Vec<_> =
             self.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
         let read = throws.len();

@@ -177,12 +177,12 @@ impl Intake {
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
         let stored = self.shared.store.quarantine(refused).await;
-        let mut report = self.shared.status.edit();
+        let mut status = self.shared.status.edit();
         if let Err(error) = &stored {
             seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
-            report.lost += count;
+            status.lost += count;
         } else {
-            report.quarantined += count;
+            status.quarantined += count;
         }
         stored.is_ok()
     }
