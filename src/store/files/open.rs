@@ -279,7 +279,7 @@ impl OpenFailure {
     /// The error of opening the database at the path of `settings`.
     fn into_error(self, Settings { path, .. }: &Settings) -> StoreError {
         match self {
-            Self::Broken(why) => StoreError::open(path)(sqlx::Error::Protocol(why)),
+            Self::Broken(damage) => StoreError::Damaged { path: path.clone(), damage },
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(path)(source),
             Self::Schema(error) => error,
