@@ -10,8 +10,8 @@ use pointsd::{
 use sqlx::Connection;
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, settings,
-    spooled, throw,
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, received,
+    settings, spooled, throw,
 };
 
 /// Stores and judges the throws `first` to `last`, received one minute after another.
@@ -64,7 +64,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 #[tokio::test]
 async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
-    let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+    let flood: Vec<_> = (1..=1000).map(|no| received("loud", "b1", no, 0)).collect();
     store.spool_all(&flood).await.unwrap();
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
     store.keep_bounds(Some(at(0))).await.unwrap();
@@ -104,7 +104,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
     judged(&store, 1, 150).await;
     store.keep_bounds(Some(at(0))).await.unwrap();
-    let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    let burst: Vec<_> = (151..=400).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&burst).await.unwrap();
     store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
@@ -133,7 +133,7 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         let with_bounds = |Settings { path, .. }| Settings { ballast_mib: 1, low_disk_mib: 0, path, ..bounds.clone() };
         let (_folder, store) = fresh_with(with_bounds).await;
         judged(&store, 1, 40).await;
-        let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+        let flood: Vec<_> = (1..=1000).map(|no| received("loud", "b1", no, 0)).collect();
         for answer in store.spool_all(&flood).await.unwrap() {
             let Spooled::New(row) = answer else { panic!() };
             judge(&store, judgement(row, "loud")).await.unwrap();
@@ -274,7 +274,7 @@ async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alo
 /// A database with 1,500 throws after a clean stop.
 async fn stopped() -> tempfile::TempDir {
     let (folder, store) = fresh().await;
-    let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    let batch: Vec<_> = (1..=1500).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&batch).await.unwrap();
     store.close().await.unwrap();
     folder
@@ -530,7 +530,7 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     judged(&store, 1, 5).await;
     assert!(!store.is_copying());
     let holder = reading(&store).await;
-    let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    let throws: Vec<_> = (6..600).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&throws).await.unwrap();
     // The writer copies after its answer; the next write waits for the copy.
     store.outbox_sent(&[]).await.unwrap();

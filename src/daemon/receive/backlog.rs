@@ -15,7 +15,7 @@ use tokio::{
 };
 
 use super::{
-    Intake,
+    Intake, Origin,
     schedule::{AT_A_TIME, NextPage, Schedule},
 };
 use crate::{
@@ -306,9 +306,9 @@ impl Intake {
                     new += stored.new;
                     (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
                 }
-                Err(error @ StoreError::Refused(_)) => {
+                Err(StoreError::Refused(problem)) => {
                     if let [throw] = part {
-                        let refused = super::unstorable(machine, throw, &error, at);
+                        let refused = super::unstorable(machine, throw, &problem, at);
                         self.quarantine_of_backlog(vec![refused]).await;
                     } else {
                         let (first, rest) = part.split_at(part.len() / 2);
@@ -333,7 +333,7 @@ impl Intake {
         let received = answer.messages.len() as u64;
         self.shared.status.edit().received_from_backlogs += received;
         let mut throws: Vec<_> =
-            self.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
+            self.read(answer.messages, Origin::Backlog).await.into_iter().map(|received| received.throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;

@@ -28,6 +28,17 @@ pub enum Spooled {
     Duplicate,
 }
 
+/// A throw with its machine and the time of reception.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReceivedThrow {
+    /// The machine.
+    pub machine: MachineId,
+    /// The throw.
+    pub throw: Throw,
+    /// Time of reception.
+    pub received_at: Timestamp,
+}
+
 /// A throw to store.
 pub(crate) struct Spool {
     machine: MachineId,
@@ -43,7 +54,7 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    pub(crate) fn new(machine: MachineId, throw: Throw, received_at: Timestamp) -> Self {
+    pub(crate) fn new(ReceivedThrow { machine, throw, received_at }: ReceivedThrow) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         let has_position = throw.trace.has_position();
         let lower_half = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
