@@ -168,6 +168,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
     let found = if daemons.is_empty() {
         "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
     } else {
+        let daemons: Vec<String> = daemons.iter().map(ToString::to_string).collect();
         format!(
             "the daemons that answer serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
             daemons.join(", ")

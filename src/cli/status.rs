@@ -116,7 +116,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     let result = if are_well { Exit::Ok } else { Exit::Negative };
     let mut windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
-    let monitors = operator::monitors(&daemons);
+    let monitors = operator::answered(&daemons);
     let mut states: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
     for row in &health {
         states.entry(&row.machine).or_default().push(row);
@@ -165,7 +165,7 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
 
 /// The error if the daemons that answered (`monitors`) know no machine of a site. It also says which other daemons may
 /// serve the site: those that did not answer, and those that a daemon cannot reach, by its alarm.
-fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[&String], alarms: &[Alarm]) -> String {
+fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[&MachineId], alarms: &[Alarm]) -> String {
     let names: Vec<String> = monitors.iter().map(ToString::to_string).collect();
     let mut sentences = vec![match names.join(", ").as_str() {
         "" => format!("no daemon answered, so no machine of site {site} is known"),
@@ -336,7 +336,7 @@ mod tests {
     fn the_error_about_an_unknown_site_names_the_daemons_that_may_serve_it() {
         let north = MachineId::new("north", "box").unwrap();
         assert_eq!(
-            unknown_site(&"south".parse().unwrap(), &[north], &[&"south/box".to_owned()], &[]),
+            unknown_site(&"south".parse().unwrap(), &[north], &[&MachineId::new("south", "box").unwrap()], &[]),
             "no machine of site south is known to north/box; without --site all are listed. The daemon south/box may \
              serve it and does not answer"
         );
