@@ -8,7 +8,7 @@ use super::codec::{self, Channel, UnreadableTrace};
 use crate::{
     diagnose::MachineState,
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
-    wire::Health,
+    wire::{BaselineProgress, Health},
 };
 
 /// Row number of a stored throw. Rows are numbered in the order of reception; numbers are not reused.
@@ -282,7 +282,7 @@ impl FromRow<'_, SqliteRow> for Health {
             drifts: json(row, "drifts")?.unwrap_or_default(),
             caveats: json(row, "caveats")?.unwrap_or_default(),
             detail: row.try_get("detail")?,
-            baseline: so_far.zip(needed),
+            baseline: so_far.zip(needed).map(|(so_far, needed)| BaselineProgress { so_far, needed }),
             throws_since_baseline: unsigned(row, "throws_since_baseline")?,
         })
     }

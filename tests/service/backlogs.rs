@@ -270,7 +270,7 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
     for health in late {
         let detail = health.detail.as_deref().unwrap_or_default();
         assert!(detail.contains("does not count") && health.coefficients.is_some(), "{health:?}");
-        assert_eq!(health.baseline.map(|(throws, _)| throws), Some(0), "{health:?}");
+        assert_eq!(health.baseline.map(|baseline| baseline.so_far), Some(0), "{health:?}");
     }
-    assert_eq!((current[0].detail.as_deref(), current[0].baseline.map(|(throws, _)| throws)), (None, Some(1)));
+    assert_eq!((current[0].detail.as_deref(), current[0].baseline.map(|baseline| baseline.so_far)), (None, Some(1)));
 }

@@ -9,7 +9,7 @@ use pointsd::{
     estimate::{Estimate, Features, Fit, Grade, Identification},
     store::{Judgement, MonitorRecord, Opened, Outcome, ReceivedThrow, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
-    wire::Health,
+    wire::{BaselineProgress, Health},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tempfile::TempDir;
@@ -103,7 +103,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             duration_s: Some(4.3),
             peak_current_a: Some(13.0),
             state: Some(MachineState::Healthy),
-            baseline: Some((50, 50)),
+            baseline: Some(BaselineProgress { so_far: 50, needed: 50 }),
             throws_since_baseline: 1,
             ..Health::rejected(machine(name), throw, at(0), "good", None)
         },
