@@ -192,8 +192,8 @@ async fn complete(logger: &mut Logger) -> Outcome {
 pub(super) fn failure(error: LoggerError) -> Failure {
     let exit = match &error {
         LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
-        LoggerError::Bus(_) | LoggerError::Zenoh(_) => Exit::Unavailable,
-        LoggerError::Spawn(_) | LoggerError::Thread => Exit::Software,
+        LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
+        LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
     };
     Failure::new(exit, error)
 }

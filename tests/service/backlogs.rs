@@ -138,7 +138,7 @@ async fn a_logger_without_a_throw_is_named() {
     let refuse = |query: zenoh::query::Query| query.reply_err("no backlog").wait().unwrap();
     session.declare_queryable(KEY).callback(refuse).background().await.unwrap();
     let _token = session.liveliness().declare_token(ALIVE).await.unwrap();
-    daemon.until_log("a logger answers the query for its backlog with an error");
+    daemon.until_log("the query for the backlog of a logger failed");
     daemon.until_status("its name", |status| status["without_throw"] == serde_json::json!(["north/21B"])).await;
     let (_, text) = daemon.operate(&["status"]);
     assert!(text.contains("connected, but no throw yet: north/21B") && text.contains("1 logger,"), "{text}");

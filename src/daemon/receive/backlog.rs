@@ -328,7 +328,7 @@ impl Intake {
         let key = wire::machine_key(machine, Kind::Throw);
         let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes).await;
         if let Some(error) = &answer.error {
-            seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
+            seldom!(warn, %machine, ?error, "the query for the backlog of a logger failed; asking again later");
         }
         let received = answer.messages.len() as u64;
         self.shared.status.edit().received_from_backlogs += received;
