@@ -29,7 +29,7 @@ pub(crate) struct ReplyPage {
     pub ignored: u64,
     /// Whether all replies of the logger arrived; otherwise it may have more throws.
     pub is_complete: bool,
-    /// The last error reply: from the logger, or from zenoh at the time limit.
+    /// The last error reply, from the logger or from zenoh at the time limit; or why the query was not sent.
     pub error: Option<String>,
 }
 
@@ -71,8 +71,13 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max
         let get = session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None);
         get.timeout(PAGE_TIMEOUT).callback(on_reply).wait()
     });
-    let is_sent = matches!(sent.await, Ok(Ok(())));
-    let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
-    let (page, _) = std::mem::take(&mut *collected.lock());
+    let failed = match sent.await {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(error.to_string()),
+        Err(error) => Some(error.to_string()),
+    };
+    let has_ended = failed.is_none() && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
+    let (mut page, _) = std::mem::take(&mut *collected.lock());
+    page.error = page.error.or(failed);
     ReplyPage { is_complete: has_ended && page.error.is_none(), ..page }
 }

@@ -22,7 +22,7 @@ impl BusError {
         self.action != OPEN || TEMPORARY.iter().any(|part| text.contains(part))
     }
 
-    pub(super) fn new(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
+    pub(crate) fn new(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
         move |source| Self { action, source }
     }

@@ -39,7 +39,8 @@ struct Queues {
 #[derive(Debug, Default)]
 struct Slot {
     reserved: usize,
-    messages: VecDeque<Message>,
+    /// The messages, with the bytes reserved for each.
+    messages: VecDeque<(usize, Message)>,
 }
 
 impl Default for Queues {
@@ -69,8 +70,8 @@ impl FairQueue {
 
     /// Queues a message of this key and size; false if the capacity or the share of the key is used up.
     pub(super) fn push(&self, key: &str, memory: usize, message: impl FnOnce() -> Message) -> bool {
-        let slot = self.slot(key);
-        if !self.queues.lock().reserve(slot, memory.max(LEAST_COST)) {
+        let (slot, cost) = (self.slot(key), memory.max(LEAST_COST));
+        if !self.queues.lock().reserve(slot, cost) {
             return false;
         }
         // The payload is copied while the lock is free.
@@ -79,7 +80,7 @@ impl FairQueue {
         if queues.slots[slot].messages.is_empty() {
             queues.turns.push_back(slot);
         }
-        queues.slots[slot].messages.push_back(message);
+        queues.slots[slot].messages.push_back((cost, message));
         true
     }
 
@@ -88,8 +89,7 @@ impl FairQueue {
         let mut queues = self.queues.lock();
         let at = queues.turns.pop_front()?;
         let slot = &mut queues.slots[at];
-        let message = slot.messages.pop_front()?;
-        let cost = message.memory().max(LEAST_COST);
+        let (cost, message) = slot.messages.pop_front()?;
         slot.reserved -= cost;
         if !slot.messages.is_empty() {
             queues.turns.push_back(at);

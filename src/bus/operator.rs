@@ -181,24 +181,25 @@ pub(crate) async fn is_running(session: &Session, monitor: &MachineId) -> Result
     Ok(!alive(session, &monitor_alive_key(monitor)).await?.is_empty())
 }
 
-/// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
+/// The names of the running daemons, from their liveliness tokens.
 ///
 /// # Errors
 /// When zenoh refuses the query.
-pub(crate) async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
+pub(crate) async fn monitors(session: &Session) -> Result<Vec<MachineId>, OperatorError> {
     let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
-    Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).map(|name| name.to_string()).collect())
+    Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).collect())
 }
 
 /// Checks that the daemon `expected` runs behind this session.
 pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> Result<(), OperatorError> {
-    let (found, expected) = (monitors(session).await?, expected.to_string());
-    if found.contains(&expected) {
+    let found = monitors(session).await?;
+    if found.contains(expected) {
         Ok(())
     } else if found.is_empty() {
         Err(OperatorError::NoDaemon)
     } else {
-        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected })
+        let found: Vec<String> = found.iter().map(ToString::to_string).collect();
+        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected: expected.to_string() })
     }
 }
 

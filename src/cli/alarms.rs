@@ -110,7 +110,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (health, _) = operator::values(&health);
                 let is_selected = arguments.cause.is_some() || arguments.severity.is_some();
                 let none = if is_selected { "no alarms with this cause and severity" } else { "no alarms" };
-                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, arguments.all, none)?;
+                print_open(&alarms, &operator::answered(&daemons), &health, &windows, arguments.all, none)?;
             } else {
                 print_events(&alarms)?;
             }

@@ -58,7 +58,8 @@ impl Location {
 
 /// The failure of reading a database: either it cannot be opened, or the file or the statement is not usable.
 pub(super) fn cannot_open(error: StoreError) -> Failure {
-    let exit = if matches!(error, StoreError::Open { .. }) { Exit::NoInput } else { Exit::Data };
+    let exit =
+        if matches!(error, StoreError::Open { .. } | StoreError::Damaged { .. }) { Exit::NoInput } else { Exit::Data };
     Failure::new(exit, error)
 }
 

@@ -29,19 +29,24 @@ pub(super) enum Exit {
     Config = 78,
 }
 
-/// A failed command: exit code and error text.
+/// The premature end of a command.
 #[derive(Debug)]
-pub(super) struct Failure {
-    /// Exit code of the process.
-    pub(super) exit: Exit,
-    /// The error: what happened, and what to do.
-    pub(super) error: anyhow::Error,
+pub(super) enum Failure {
+    /// The reader of standard output closed the pipe. This is no error, and not printed.
+    ClosedPipe,
+    /// The command failed.
+    Error {
+        /// Exit code of the process.
+        exit: Exit,
+        /// The error: what happened, and what to do.
+        error: anyhow::Error,
+    },
 }
 
 impl Failure {
     /// A failure with its exit code.
     pub(super) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
-        Self { exit, error: error.into() }
+        Self::Error { exit, error: error.into() }
     }
 }
 
@@ -60,15 +65,16 @@ impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
     }
 }
 
-/// Prints a failure as one line on stderr, and returns the exit code of the process. A failure with [`Exit::Ok`] means
-/// that the reader of standard output closed the pipe; it is not printed.
+/// Prints an error as one line on stderr, and returns the exit code of the process.
 pub(super) fn finish(outcome: Outcome) -> ExitCode {
-    let exit = outcome.unwrap_or_else(|failure| {
-        if failure.exit != Exit::Ok {
-            terminal::complain(format_args!("error: {}", sentence(&failure.error)));
+    let exit = match outcome {
+        Ok(exit) => exit,
+        Err(Failure::ClosedPipe) => Exit::Ok,
+        Err(Failure::Error { exit, error }) => {
+            terminal::complain(format_args!("error: {}", sentence(&error)));
+            exit
         }
-        failure.exit
-    });
+    };
     ExitCode::from(exit as u8)
 }
 

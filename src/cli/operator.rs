@@ -137,14 +137,14 @@ pub(super) fn monitor_name(key: &str) -> String {
 }
 
 /// Names of the daemons that answered.
-pub(super) fn monitors(answers: &Answers) -> Vec<MachineId> {
+pub(super) fn answered(answers: &Answers) -> Vec<MachineId> {
     answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
 }
 
 /// The daemons that were `present` before a query and did not answer it; each is named on stderr. The query itself ends
 /// without an error if a daemon hangs: zenoh closes its link while the query waits.
-pub(super) fn silent<'a>(present: &'a [String], answers: &Answers) -> Vec<&'a String> {
-    let answered: Vec<String> = monitors(answers).iter().map(ToString::to_string).collect();
+pub(super) fn silent<'a>(present: &'a [MachineId], answers: &Answers) -> Vec<&'a MachineId> {
+    let answered = answered(answers);
     let silent = present.iter().filter(|daemon| !answered.contains(daemon));
     silent.inspect(|daemon| terminal::complain(format_args!("no answer of the daemon {daemon}"))).collect()
 }

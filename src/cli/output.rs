@@ -41,16 +41,18 @@ pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
 /// -1`, does not change the result of the check.
 pub(super) fn after(printed: Result<(), Failure>, result: Exit) -> Outcome {
     match printed {
-        Err(Failure { exit: Exit::Ok, .. }) => Ok(result),
+        Err(Failure::ClosedPipe) => Ok(result),
         printed => printed.map(|()| result),
     }
 }
 
-/// The result of a write to standard output. A closed pipe becomes a failure with [`Exit::Ok`], which is not printed.
+/// The result of a write to standard output.
 pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     result.map_err(|error| {
-        let exit = if error.kind() == io::ErrorKind::BrokenPipe { Exit::Ok } else { Exit::Io };
-        Failure::new(exit, anyhow::Error::new(error).context("cannot write to standard output"))
+        if error.kind() == io::ErrorKind::BrokenPipe {
+            return Failure::ClosedPipe;
+        }
+        Failure::new(Exit::Io, anyhow::Error::new(error).context("cannot write to standard output"))
     })
 }
 
@@ -178,13 +180,16 @@ mod tests {
         let failed = |kind: io::ErrorKind| written::<()>(Err(kind.into()));
         assert_eq!(after(Ok(()), Exit::Negative).unwrap(), Exit::Negative);
         assert_eq!(after(failed(io::ErrorKind::BrokenPipe), Exit::Negative).unwrap(), Exit::Negative);
-        assert_eq!(after(failed(io::ErrorKind::StorageFull), Exit::Negative).unwrap_err().exit, Exit::Io);
+        let failure = after(failed(io::ErrorKind::StorageFull), Exit::Negative).unwrap_err();
+        assert!(matches!(failure, Failure::Error { exit: Exit::Io, .. }), "{failure:?}");
     }
 
     #[test]
     fn a_file_of_another_format_is_refused() {
-        let check =
-            |name: &str| of_format(Path::new(name), ["svg", "html"]).map_err(|refused| refused.error.to_string());
+        let check = |name: &str| match of_format(Path::new(name), ["svg", "html"]) {
+            Err(Failure::Error { error, .. }) => Err(error.to_string()),
+            _ => Ok(()),
+        };
         assert!(["a.svg", "a.HTML", "a", "-", "/dev/stdout"].iter().all(|name| check(name).is_ok()));
         assert_eq!(check("b/a.png").unwrap_err(), "--out b/a.png: cannot write png, only svg or html");
     }

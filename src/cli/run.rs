@@ -121,6 +121,8 @@ async fn reload(daemon: &Daemon, file: Option<&Path>) {
                 tracing::warn!("changes in {} take effect at the next start", waiting.join(", "));
             }
         }
-        Err(failure) => tracing::error!("configuration not changed: {:#}", failure.error),
+        Err(Failure::Error { error, .. }) => tracing::error!("configuration not changed: {error:#}"),
+        // Reading a configuration writes nothing to standard output.
+        Err(Failure::ClosedPipe) => {}
     }
 }

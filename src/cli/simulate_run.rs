@@ -168,6 +168,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
     let found = if daemons.is_empty() {
         "no daemon answers: start pointsd, or correct connect.endpoints".to_owned()
     } else {
+        let daemons: Vec<String> = daemons.iter().map(ToString::to_string).collect();
         format!(
             "the daemons that answer serve other machines ({}): correct logger.site, or subscribe.key of a daemon",
             daemons.join(", ")
@@ -191,8 +192,8 @@ async fn complete(logger: &mut Logger) -> Outcome {
 pub(super) fn failure(error: LoggerError) -> Failure {
     let exit = match &error {
         LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
-        LoggerError::Bus(_) | LoggerError::Zenoh(_) => Exit::Unavailable,
-        LoggerError::Spawn(_) | LoggerError::Thread => Exit::Software,
+        LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
+        LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
     };
     Failure::new(exit, error)
 }

@@ -79,10 +79,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 return shown.and_then(|(result, printed)| output::after(printed, result));
             }
             match shown.and_then(|(_, printed)| printed) {
-                // The reader closed the pipe.
-                Err(failure) if failure.exit == Exit::Ok => return Err(failure),
+                Err(Failure::ClosedPipe) => return Err(Failure::ClosedPipe),
                 // Not the end: a daemon may be restarting, for example.
-                Err(failure) => terminal::complain(format_args!("{:#}", failure.error)),
+                Err(Failure::Error { error, .. }) => terminal::complain(format_args!("{error:#}")),
                 Ok(()) => {}
             }
             tokio::select! {
@@ -95,6 +94,35 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 /// Prints the answers of the daemons once. Returns the exit code for these answers, and the result of printing them.
 async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
+    let fleet = gather(client).await?;
+    if let Some(site) = arguments.site.as_ref().filter(|site| !fleet.has_site(site)) {
+        let problem = unknown_site(site, &operator::answered(&fleet.daemons), &fleet.silent, &fleet.alarms);
+        return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
+    }
+    Ok((fleet.verdict(), fleet.print(arguments)))
+}
+
+/// The answers of all daemons.
+struct Fleet {
+    daemons: bus::Answers,
+    of_machines: bus::Answers,
+    events: bus::Answers,
+    /// The readable reports of `daemons`, with their keys.
+    reports: Vec<(String, StatusReport)>,
+    /// The readable messages of `of_machines`.
+    health: Vec<Health>,
+    /// The readable messages of `events`.
+    alarms: Vec<Alarm>,
+    /// Running daemons that did not answer.
+    silent: Vec<MachineId>,
+    /// Sentences about machines that several daemons serve.
+    twice: Vec<String>,
+    /// Number of daemons without an answer, and of unreadable messages.
+    problems: usize,
+}
+
+/// Queries all daemons. Problems of single daemons are printed on stderr.
+async fn gather(client: &Client) -> Result<Fleet, Failure> {
     let session = &client.session;
     let present = bus::monitors(session).await.map_err(operator::failure)?;
     let daemons = client.ask(operator::EVERY_STATUS).await?;
@@ -104,68 +132,83 @@ async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<()
         return Err(operator::failure(OperatorError::NoDaemon));
     }
     let (reports, daemon_problems) = operator::read::<StatusReport>(&daemons);
+    let reports = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
     let (health, health_problems) = operator::values::<Health>(&of_machines);
     let (alarms, alarm_problems) = operator::values::<Alarm>(&events);
     let twice = served_twice(session, &health).await?;
-    // The health messages count too: a daemon updates the counts in its report only every few seconds.
-    let is_well = |report: &StatusReport| report.problems().is_empty() && report.fleet_counts.is_well();
-    let silent = operator::silent(&present, &daemons);
-    let are_well = daemon_problems + health_problems + alarm_problems + silent.len() + twice.len() == 0
-        && reports.iter().all(|(_, report)| is_well(report))
-        && !alarms.iter().any(|alarm| alarm.state.is_active())
-        && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
-    let result = if are_well { Exit::Ok } else { Exit::Negative };
-    let mut windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
-    let monitors = operator::monitors(&daemons);
-    let mut states: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
-    for row in &health {
-        states.entry(&row.machine).or_default().push(row);
+    let silent: Vec<MachineId> = operator::silent(&present, &daemons).into_iter().cloned().collect();
+    let problems = daemon_problems + health_problems + alarm_problems + silent.len();
+    Ok(Fleet { daemons, of_machines, events, reports, health, alarms, silent, twice, problems })
+}
+
+impl Fleet {
+    /// The exit code: whether the daemons and their machines are well.
+    fn verdict(&self) -> Exit {
+        // The health messages count too: a daemon updates the counts in its report only every few seconds.
+        let is_well = |report: &StatusReport| report.problems().is_empty() && report.fleet_counts.is_well();
+        let are_well = self.problems + self.twice.len() == 0
+            && self.reports.iter().all(|(_, report)| is_well(report))
+            && !self.alarms.iter().any(|alarm| alarm.state.is_active())
+            && self.health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
+        if are_well { Exit::Ok } else { Exit::Negative }
     }
-    let is_filtered = arguments.state.is_some() || arguments.site.is_some();
-    let is_of_site = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| machine.site == *site);
-    let is_selected = |machine: &MachineId| {
-        let is_in = |state| states.get(machine).is_some_and(|rows| state_of(rows) == state);
-        is_of_site(machine) && arguments.state.is_none_or(is_in)
-    };
-    if let Some(site) = &arguments.site {
-        let mut known = states.keys().copied();
-        let mut others = windows.iter().map(|window| &window.machine).chain(alarms.iter().map(|alarm| &alarm.machine));
-        if !known.any(is_of_site) && !others.any(is_of_site) {
-            let problem = unknown_site(site, &monitors, &silent, &alarms);
-            return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
+
+    /// Whether a machine of the site has health, an alarm or an open window.
+    fn has_site(&self, site: &Name) -> bool {
+        let of_health = self.health.iter().map(|health| &health.machine);
+        let of_alarms = self.alarms.iter().map(|alarm| &alarm.machine);
+        of_health.chain(of_alarms).chain(self.windows().map(|window| &window.machine)).any(|id| id.site == *site)
+    }
+
+    fn windows(&self) -> impl Iterator<Item = &Window> {
+        self.reports.iter().flat_map(|(_, report)| &report.windows)
+    }
+
+    /// The health of each machine.
+    fn machines(&self) -> BTreeMap<&MachineId, Vec<&Health>> {
+        let mut machines: BTreeMap<_, Vec<&Health>> = BTreeMap::new();
+        for row in &self.health {
+            machines.entry(&row.machine).or_default().push(row);
         }
+        machines
     }
-    if arguments.json {
-        // The values as the daemons sent them, with fields that only a newer version knows.
-        let values = |answers: &bus::Answers| -> Vec<Value> {
-            let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice(payload));
-            values.filter_map(Result::ok).collect()
+
+    fn print(&self, arguments: &Arguments) -> Result<(), Failure> {
+        let machines = self.machines();
+        let is_filtered = arguments.state.is_some() || arguments.site.is_some();
+        let is_of_site = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| machine.site == *site);
+        let is_selected = |machine: &MachineId| {
+            let is_in = |state| machines.get(machine).is_some_and(|rows| state_of(rows) == state);
+            is_of_site(machine) && arguments.state.is_none_or(is_in)
         };
-        let selected = |answers: &bus::Answers| {
+        if arguments.json {
             let is_kept =
                 |value: &Value| MachineId::deserialize(value).map_or(!is_filtered, |machine| is_selected(&machine));
-            values(answers).into_iter().filter(is_kept).collect::<Vec<_>>()
-        };
-        let [health, alarms] = [&of_machines, &events].map(selected);
-        return Ok((result, output::line(json!({"daemons": values(&daemons), "health": health, "alarms": alarms}))));
-    }
-    windows.retain(|window| is_selected(&window.machine));
-    let alarms: Vec<Alarm> = alarms.into_iter().filter(|alarm| is_selected(&alarm.machine)).collect();
-    let machines: BTreeMap<_, _> = states.into_iter().filter(|(machine, _)| is_of_site(machine)).collect();
-    let print = || {
-        reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
-        let caveats = print_machines(&machines, &windows, arguments)?;
-        twice.iter().try_for_each(output::line)?;
+            let selected = |answers: &bus::Answers| values(answers).into_iter().filter(is_kept).collect::<Vec<_>>();
+            let [health, alarms] = [&self.of_machines, &self.events].map(selected);
+            return output::line(json!({"daemons": values(&self.daemons), "health": health, "alarms": alarms}));
+        }
+        let windows: Vec<Window> = self.windows().filter(|window| is_selected(&window.machine)).cloned().collect();
+        let alarms: Vec<Alarm> = self.alarms.iter().filter(|alarm| is_selected(&alarm.machine)).cloned().collect();
+        let of_site: BTreeMap<_, _> =
+            machines.iter().filter(|(machine, _)| is_of_site(machine)).map(|(id, rows)| (*id, rows.clone())).collect();
+        self.reports.iter().try_for_each(|(key, report)| print_daemon(key, report))?;
+        let caveats = print_machines(&of_site, &windows, arguments)?;
+        self.twice.iter().try_for_each(output::line)?;
         let none = if is_filtered { "no alarms of these machines" } else { "no alarms" };
-        alarms::print_open(&alarms, &monitors, &health, &windows, false, none)?;
+        alarms::print_open(&alarms, &operator::answered(&self.daemons), &self.health, &windows, false, none)?;
         caveats.iter().try_for_each(output::line)
-    };
-    Ok((result, print()))
+    }
+}
+
+/// The readable values as the daemons sent them, with fields that only a newer version knows.
+fn values(answers: &bus::Answers) -> Vec<Value> {
+    answers.messages.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect()
 }
 
 /// The error if the daemons that answered (`monitors`) know no machine of a site. It also says which other daemons may
 /// serve the site: those that did not answer, and those that a daemon cannot reach, by its alarm.
-fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[&String], alarms: &[Alarm]) -> String {
+fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[MachineId], alarms: &[Alarm]) -> String {
     let names: Vec<String> = monitors.iter().map(ToString::to_string).collect();
     let mut sentences = vec![match names.join(", ").as_str() {
         "" => format!("no daemon answered, so no machine of site {site} is known"),
@@ -336,7 +379,7 @@ mod tests {
     fn the_error_about_an_unknown_site_names_the_daemons_that_may_serve_it() {
         let north = MachineId::new("north", "box").unwrap();
         assert_eq!(
-            unknown_site(&"south".parse().unwrap(), &[north], &[&"south/box".to_owned()], &[]),
+            unknown_site(&"south".parse().unwrap(), &[north], &[MachineId::new("south", "box").unwrap()], &[]),
             "no machine of site south is known to north/box; without --site all are listed. The daemon south/box may \
              serve it and does not answer"
         );

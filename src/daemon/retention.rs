@@ -35,9 +35,9 @@ pub(super) async fn run(store: Store, last_received: Option<Timestamp>) {
     loop {
         pace.tick().await;
         let now = clock::now();
-        let is_steady = clocks.are_steady(now, clock::monotonic());
-        let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
-        match store.keep_bounds(now, clock_trusted).await {
+        clocks.advance(now, clock::monotonic());
+        let is_trusted = clocks.is_trusted(Path::new(CLOCK_IS_SET).exists());
+        match store.keep_bounds(is_trusted.then_some(now)).await {
             Ok(done) if done.is_empty() => {}
             Ok(done) => tracing::info!(?done, "dropped the oldest rows to stay within the bounds of [store]"),
             Err(StoreError::Closed) => return,
@@ -62,8 +62,8 @@ impl Clocks {
         Self { wall, monotonic, since: monotonic, continue_time }
     }
 
-    /// Whether the clocks have agreed for at least [`STEADY`].
-    fn are_steady(&mut self, wall: Timestamp, monotonic: Instant) -> bool {
+    /// Notes the times of the clocks now.
+    fn advance(&mut self, wall: Timestamp, monotonic: Instant) {
         let passed = SignedDuration::try_from(monotonic.duration_since(self.monotonic)).unwrap_or(SignedDuration::MAX);
         let jump = wall.duration_since(self.wall).saturating_sub(passed);
         if jump.abs() > JUMP {
@@ -71,7 +71,11 @@ impl Clocks {
             self.continue_time &= jump <= CONTINUES;
         }
         (self.wall, self.monotonic) = (wall, monotonic);
-        monotonic.duration_since(self.since) >= STEADY
+    }
+
+    /// Whether the wall clock is trusted. `is_set`: a time server has set it.
+    fn is_trusted(&self, is_set: bool) -> bool {
+        self.monotonic.duration_since(self.since) >= STEADY && (self.continue_time || is_set)
     }
 }
 
@@ -81,12 +85,16 @@ mod tests {
 
     const ROUND: Duration = Duration::from_secs(10);
 
-    /// Whether the clocks are steady, after each round of a day. `wall(round)` is the time of the wall clock \[s\].
+    /// Whether a clock that a time server has set is trusted, after each round of a day. `wall(round)` is the time of the wall clock \[s\].
     fn a_day(wall: impl Fn(i64) -> i64) -> Vec<bool> {
         let start = clock::monotonic();
         let at = |seconds| Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds);
         let mut clocks = Clocks::new(at(wall(0)), start, None);
-        (0..=8641u32).map(|round| clocks.are_steady(at(wall(round.into())), start + round * ROUND)).collect()
+        let mut is_trusted = |round: u32| {
+            clocks.advance(at(wall(round.into())), start + round * ROUND);
+            clocks.is_trusted(true)
+        };
+        (0..=8641).map(&mut is_trusted).collect()
     }
 
     #[test]
@@ -111,7 +119,7 @@ mod tests {
 
         for (jump, believed) in [(-3650, true), (1, true), (32, false), (3650, false)] {
             let mut clocks = Clocks::new(now, start, Some(now));
-            clocks.are_steady(now + days(jump), start);
+            clocks.advance(now + days(jump), start);
             assert_eq!(clocks.continue_time, believed, "after a jump of {jump} days");
         }
     }

@@ -14,8 +14,10 @@ use zenoh::{
 };
 
 use super::error::LoggerError;
-use crate::{throw::ThrowRef, wire::BacklogQuery};
+use crate::{bus::BusError, throw::ThrowRef, wire::BacklogQuery};
 
+/// Name of the thread that answers the queries.
+const THREAD: &str = "backlog";
 /// Capacity of the queue of queries, for all machines together; a daemon queries one page of a machine at a time.
 const QUEUE: usize = 256;
 
@@ -46,13 +48,14 @@ pub(super) struct AnswerThread(mpsc::SyncSender<BacklogRequest>);
 
 impl AnswerThread {
     /// Starts the thread. It ends when the handle and all backlogs are dropped.
-    pub(super) fn start() -> std::io::Result<Self> {
+    pub(super) fn start() -> Result<Self, LoggerError> {
         let (sender, requests) = mpsc::sync_channel::<BacklogRequest>(QUEUE);
-        thread::Builder::new().name("backlog".into()).spawn(move || {
+        let spawned = thread::Builder::new().name(THREAD.into()).spawn(move || {
             for BacklogRequest { query, kept } in requests {
                 answer(&query, &kept);
             }
-        })?;
+        });
+        spawned.map_err(|source| LoggerError::Spawn { thread: THREAD, source })?;
         Ok(Self(sender))
     }
 
@@ -73,7 +76,8 @@ impl AnswerThread {
                 // sends at most eight queries at a time, so the queue does not fill.
                 let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
             })
-            .wait()?;
+            .wait()
+            .map_err(BusError::new("declare the backlog of a logger"))?;
         Ok(Backlog { kept, _queryable: queryable })
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::{
     bus::BusError,
-    throw::{InvalidTrace, OutOfRange},
+    throw::{InvalidTrace, MachineId, OutOfRange},
 };
 
 /// An error that ends the publishing of throws.
@@ -11,18 +11,23 @@ pub enum LoggerError {
     /// A parameter of the simulated fleet is out of its range.
     #[error("the simulated fleet: {0}")]
     Simulation(#[from] OutOfRange),
-    /// Zenoh refused a session, a token or a query.
+    /// Zenoh refused an action.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Zenoh refused a publisher, a queryable or a publication.
-    #[error("zenoh: {0}")]
-    Zenoh(#[from] zenoh::Error),
+    /// No daemon subscribes to the throws of a machine.
+    #[error("no daemon subscribes to the throws of {0}")]
+    NoSubscriber(MachineId),
     /// A sample of a prepared trace is out of range.
     #[error("the prepared trace: {0}")]
     Trace(#[from] InvalidTrace),
     /// The operating system did not start a thread.
-    #[error("cannot start the publishing thread: {0}")]
-    Spawn(#[from] std::io::Error),
+    #[error("cannot start the thread {thread}: {source}")]
+    Spawn {
+        /// Name of the thread.
+        thread: &'static str,
+        /// Error of the system.
+        source: std::io::Error,
+    },
     /// The publishing thread ended without a result.
     #[error("the publishing thread died")]
     Thread,

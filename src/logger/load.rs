@@ -20,8 +20,12 @@ use zenoh::{
     sample::Sample,
 };
 
-use super::{error::LoggerError, publish::publisher};
+use super::{
+    error::LoggerError,
+    publish::{has_subscriber, publisher},
+};
 use crate::{
+    bus::BusError,
     daemon::clock,
     simulate::FleetSettings,
     throw::{MachineId, Throw, ThrowRef, Trace},
@@ -129,7 +133,8 @@ impl LoadTest {
                 .put(&keys[at], message)
                 .encoding(ContentType::APPLICATION_CBOR)
                 .congestion_control(CongestionControl::Block)
-                .wait()?;
+                .wait()
+                .map_err(BusError::new("publish a throw"))?;
         }
         let end = clock::monotonic();
         let judged_meanwhile = healths.lock().latencies.len() as u64;
@@ -155,15 +160,16 @@ impl LoadTest {
         if let Some(first) = self.machines.first() {
             let publisher = publisher(session, first)?;
             let start = clock::monotonic();
-            while !publisher.matching_status().wait()?.matching() {
+            while !has_subscriber(&publisher)? {
                 if start.elapsed() >= patience {
-                    return Err(LoggerError::Zenoh(format!("no daemon subscribes to the throws of {first}").into()));
+                    return Err(LoggerError::NoSubscriber(first.clone()));
                 }
                 thread::sleep(Duration::from_millis(10));
             }
         }
         let keys = self.machines.iter().map(|machine| KeyExpr::try_from(wire::machine_key(machine, Kind::Throw)));
-        Ok(keys.collect::<Result<_, _>>()?)
+        let keys: Result<_, _> = keys.collect();
+        Ok(keys.map_err(BusError::new("use the key of a machine"))?)
     }
 }
 
@@ -191,9 +197,10 @@ fn subscribe(
             alarms.lock().on_message(&(machine, throw.throw_no), now);
         }
     };
+    let subscribed = || BusError::new("subscribe to the answers of the daemons");
     Ok([
-        session.declare_subscriber(wire::every_key(Kind::Health)).callback(on_health).wait()?,
-        session.declare_subscriber(wire::every_key(Kind::Alarm)).callback(on_alarm).wait()?,
+        session.declare_subscriber(wire::every_key(Kind::Health)).callback(on_health).wait().map_err(subscribed())?,
+        session.declare_subscriber(wire::every_key(Kind::Alarm)).callback(on_alarm).wait().map_err(subscribed())?,
     ])
 }
 

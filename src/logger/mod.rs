@@ -36,6 +36,8 @@ use crate::{
 use backlog::AnswerThread;
 use publish::{Publishing, Source};
 
+/// Name of the publishing thread.
+const THREAD: &str = "logger";
 /// Longest wait until the daemons have judged the last throws.
 const JUDGED_TIMEOUT: Duration = Duration::from_mins(1);
 /// Time between two queries for the last judged throw.
@@ -93,13 +95,14 @@ impl Logger {
         }
         let (sender, done) = oneshot::channel();
         let runtime = Handle::current();
-        thread::Builder::new().name("logger".into()).spawn(move || {
+        let spawned = thread::Builder::new().name(THREAD.into()).spawn(move || {
             // Sending fails if the logger was dropped; then nobody needs the result.
             let _ = sender.send(publishing.run(&mut sources));
             // The backlogs stay until the logger is dropped, as a daemon may still read them.
             runtime.block_on(publishing.stop.cancelled());
             drop((sources, tokens));
-        })?;
+        });
+        spawned.map_err(|source| LoggerError::Spawn { thread: THREAD, source })?;
         Ok(Self { session, machines, boot_id, published, stop, done })
     }
 

@@ -20,6 +20,7 @@ use zenoh::{
 
 use super::{backlog::Backlog, error::LoggerError, settings::LoggerSettings};
 use crate::{
+    bus::BusError,
     daemon::clock,
     simulate::SimulatedMachine,
     throw::{MachineId, ThrowRef},
@@ -45,12 +46,18 @@ pub(super) struct Source {
 }
 
 /// Declares the publisher of a machine's throws.
-pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'static>, LoggerError> {
+pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'static>, BusError> {
     let publisher = session
         .declare_publisher(wire::machine_key(id, Kind::Throw))
         .encoding(ContentType::APPLICATION_CBOR)
         .congestion_control(CongestionControl::Block);
-    Ok(publisher.wait()?)
+    publisher.wait().map_err(BusError::new("declare a publisher of throws"))
+}
+
+/// Whether a daemon subscribes to the throws of a publisher.
+pub(super) fn has_subscriber(publisher: &Publisher<'_>) -> Result<bool, BusError> {
+    let status = publisher.matching_status().wait();
+    status.map(|status| status.matching()).map_err(BusError::new("ask for the subscribers of throws"))
 }
 
 impl Publishing {
@@ -75,7 +82,7 @@ impl Publishing {
                 }
                 // The backlog comes first: a daemon may ask for the throw as soon as it is published.
                 source.backlog.keep(throw, message.clone());
-                source.publisher.put(message).wait()?;
+                source.publisher.put(message).wait().map_err(BusError::new("publish a throw"))?;
                 self.published.fetch_add(1, Relaxed);
             }
         }
@@ -84,7 +91,7 @@ impl Publishing {
 
     fn wait_for_monitor(&self, sources: &[Source]) -> Result<(), LoggerError> {
         for source in sources {
-            while !source.publisher.matching_status().wait()?.matching() && !self.stop.is_cancelled() {
+            while !has_subscriber(&source.publisher)? && !self.stop.is_cancelled() {
                 thread::sleep(POLL_INTERVAL);
             }
         }

@@ -23,7 +23,7 @@ use super::{
         cursor::Cursor,
         judgement::{Judgement, Outcome},
         quarantine::{Losses, Quarantine, QuarantinedMessage, Statement},
-        spool::{Spool, Spooled, Spools},
+        spool::{ReceivedThrow, Spool, Spooled, Spools},
     },
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
@@ -99,7 +99,8 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        let mut spooled = self.spool_all(&[(machine.clone(), throw.clone(), received_at)]).await?;
+        let mut spooled =
+            self.spool_all(&[ReceivedThrow { machine: machine.clone(), throw: throw.clone(), received_at }]).await?;
         spooled.pop().ok_or(StoreError::Closed)
     }
 
@@ -107,12 +108,12 @@ impl Store {
     ///
     /// # Errors
     /// When the throws could not be stored; the same call may be repeated.
-    pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Result<Vec<Spooled>, StoreError> {
+    pub async fn spool_all(&self, throws: &[ReceivedThrow]) -> Result<Vec<Spooled>, StoreError> {
         let spools = compress(throws.to_vec()).await?;
         let spooled = self.writer.write(Spools(spools)).await?;
-        for ((_, throw, _), spooled) in throws.iter().zip(&spooled) {
+        for (received, spooled) in throws.iter().zip(&spooled) {
             if let Spooled::New(row) = spooled {
-                self.reader.recent.keep(*row, throw);
+                self.reader.recent.keep(*row, &received.throw);
             }
         }
         Ok(spooled)
@@ -129,8 +130,9 @@ impl Store {
         throws: &[Throw],
         at: Timestamp,
     ) -> Result<PageStored, StoreError> {
-        let throws = throws.iter().map(|throw| (machine.clone(), throw.clone(), at)).collect();
-        let throws = compress(throws).await?;
+        let received =
+            |throw: &Throw| ReceivedThrow { machine: machine.clone(), throw: throw.clone(), received_at: at };
+        let throws = compress(throws.iter().map(received).collect()).await?;
         self.writer.write(BacklogPage { machine: machine.clone(), after: after.cloned(), throws, at }).await
     }
 
@@ -217,8 +219,8 @@ impl Store {
 }
 
 /// Compresses throws, on a blocking thread. A throw on which the compression panics is refused, as it would panic again.
-async fn compress(throws: Vec<(MachineId, Throw, Timestamp)>) -> Result<Vec<Spool>, StoreError> {
-    let compress = move || throws.into_iter().map(|(machine, throw, at)| Spool::new(machine, throw, at)).collect();
+async fn compress(throws: Vec<ReceivedThrow>) -> Result<Vec<Spool>, StoreError> {
+    let compress = move || throws.into_iter().map(Spool::new).collect();
     task::spawn_blocking(compress).await.map_err(|error| {
         let failed = || StoreError::Refused("its compression failed: please report it".to_owned());
         if error.is_panic() { failed() } else { StoreError::Closed }

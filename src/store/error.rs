@@ -1,6 +1,9 @@
 //! Errors of the database.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use super::files::path::unwritable;
 
@@ -28,9 +31,9 @@ pub enum StoreError {
     Full,
     /// A write failed, also on a new connection. It may be stored or not. Repeat the call: every write is idempotent.
     #[error("writing to the database failed: {0}")]
-    Write(String),
+    Write(#[source] Arc<sqlx::Error>),
     /// SQLite refused the statement (constraint, type). Nothing was stored, and a repetition fails too.
-    #[error("writing to the database failed: {0}")]
+    #[error("the database rejects the write: {0}")]
     Refused(String),
     /// An operator's SQL statement is wrong, or would write.
     #[error("the SQL statement is wrong: {0}")]
@@ -46,6 +49,14 @@ pub enum StoreError {
         "closing the database takes too long: does its disk hang? Nothing acknowledged is lost; the next start checks it"
     )]
     CloseTimeout,
+    /// A copy of the database, or the file that replaces a broken database, has damage.
+    #[error("{} is damaged: {damage}; check its disk", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The damage that SQLite reported.
+        damage: String,
+    },
     /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and creates a new one")]
     Broken,

@@ -51,4 +51,4 @@ pub use writer::backlog_page::PageStored;
 pub use writer::cursor::Cursor;
 pub use writer::judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use writer::quarantine::QuarantinedMessage;
-pub use writer::spool::Spooled;
+pub use writer::spool::{ReceivedThrow, Spooled};

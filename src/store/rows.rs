@@ -8,7 +8,7 @@ use super::codec::{self, Channel, UnreadableTrace};
 use crate::{
     diagnose::MachineState,
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
-    wire::Health,
+    wire::{BaselineProgress, Health},
 };
 
 /// Row number of a stored throw. Rows are numbered in the order of reception; numbers are not reused.
@@ -74,10 +74,20 @@ pub struct StoredThrow {
     pub renumbered: bool,
 }
 
-/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats an earlier
-/// one, and whether it is judged at another position than the position of its boot.
+/// A pending throw. The statement makes an array, so the order of the fields counts.
 #[derive(Debug, serde::Deserialize)]
-pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
+pub(super) struct PendingRow {
+    pub(super) row: i64,
+    site: String,
+    machine: String,
+    boot_id: String,
+    throw_no: i64,
+    received_at_us: i64,
+    /// Whether the trace repeats an earlier one: 0 or 1.
+    repeats: i64,
+    /// Whether the throw is judged at another position than the position of its boot: 0 or 1.
+    moved: i64,
+}
 
 /// Suffix of the separate `boot_id` for throws whose number was already stored. A logger may use this suffix too.
 pub(super) const RENUMBERED: &str = "~again";
@@ -200,7 +210,7 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
 impl StoredThrow {
     /// A throw from memory, with the columns that were computed when it was stored.
     pub(super) fn from_memory(row: PendingRow, throw: Throw) -> sqlx::Result<Self> {
-        let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats, moved) = row;
+        let PendingRow { row, site, machine, boot_id, throw_no, received_at_us, repeats, moved } = row;
         let id = ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
         Ok(Self {
             row: ThrowRow(row),
@@ -272,7 +282,7 @@ impl FromRow<'_, SqliteRow> for Health {
             drifts: json(row, "drifts")?.unwrap_or_default(),
             caveats: json(row, "caveats")?.unwrap_or_default(),
             detail: row.try_get("detail")?,
-            baseline: so_far.zip(needed),
+            baseline: so_far.zip(needed).map(|(so_far, needed)| BaselineProgress { so_far, needed }),
             throws_since_baseline: unsigned(row, "throws_since_baseline")?,
         })
     }

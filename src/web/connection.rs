@@ -40,11 +40,27 @@ const RESPONSE_LIMIT: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example without free descriptors.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// A step of a connection after its start.
+/// A step of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
+    Request,
     Handler,
     Response,
+}
+
+impl Step {
+    fn limit(self) -> Duration {
+        match self {
+            Self::Request => REQUEST_LIMIT,
+            Self::Handler => HANDLER_LIMIT,
+            Self::Response => RESPONSE_LIMIT,
+        }
+    }
+
+    /// Whether the connection waits for its client, and so may be closed for another one.
+    fn is_evictable(self) -> bool {
+        self != Self::Handler
+    }
 }
 
 /// Sets the next step of a connection. It is an extension of each request, for its handler.
@@ -135,7 +151,7 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
 
 /// Serves a connection until its end, a time limit, or its eviction.
 async fn serve_connection(stream: TcpStream, router: Router, waiting: Waiting, _permit: Option<OwnedSemaphorePermit>) {
-    let (step, mut next_step) = watch::channel(Step::Handler);
+    let (step, mut next_step) = watch::channel(Step::Request);
     let progress = Progress { step, large: Arc::default() };
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
@@ -143,7 +159,7 @@ async fn serve_connection(stream: TcpStream, router: Router, waiting: Waiting, _
         router.call(request)
     });
     let connection = http1::Builder::new().max_buf_size(READ_BYTES).serve_connection(TokioIo::new(stream), service);
-    let (mut connection, mut deadline) = (pin!(connection), pin!(time::sleep(REQUEST_LIMIT)));
+    let (mut connection, mut deadline) = (pin!(connection), pin!(time::sleep(Step::Request.limit())));
     let mut evicted = Some(waiting.add());
     loop {
         tokio::select! {
@@ -151,13 +167,9 @@ async fn serve_connection(stream: TcpStream, router: Router, waiting: Waiting, _
             () = &mut deadline => return,
             () = eviction(&mut evicted) => return,
             Ok(()) = next_step.changed() => {
-                // A connection is not evicted while its handler runs.
-                let (limit, next) = match *next_step.borrow_and_update() {
-                    Step::Handler => (HANDLER_LIMIT, None),
-                    Step::Response => (RESPONSE_LIMIT, Some(waiting.add())),
-                };
-                evicted = next;
-                deadline.as_mut().reset(Instant::now() + limit);
+                let step = *next_step.borrow_and_update();
+                evicted = step.is_evictable().then(|| waiting.add());
+                deadline.as_mut().reset(Instant::now() + step.limit());
             }
         }
     }

@@ -26,7 +26,7 @@ use crate::{
     diagnose::{Cause, MachineState, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, StateCounts, WORST_FIRST, Window},
     throw::{MachineId, Name, counted, utc},
-    wire,
+    wire::{self, BaselineProgress},
 };
 
 /// Number of machines on one page.
@@ -315,7 +315,7 @@ fn table_row(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     if !other.is_empty() {
         notes.push(other.join(", "));
     }
-    if let Some((so_far, needed)) = row.baseline.filter(|(so_far, needed)| so_far < needed) {
+    if let Some(BaselineProgress { so_far, needed }) = row.baseline.filter(|baseline| !baseline.is_complete()) {
         notes.push(format!("baseline {so_far} of {needed}"));
     }
     if let Some(quality) = row.quality.as_deref().filter(|quality| wire::is_rejection(quality)) {

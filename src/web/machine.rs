@@ -21,9 +21,10 @@ use super::{
 use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity, is_possible_date},
+    estimate::Grade,
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
-    wire::{Alarm, Health},
+    wire::{Alarm, BaselineProgress, Health},
 };
 
 /// Largest number of throws in the table.
@@ -240,7 +241,7 @@ async fn read(
 /// Reason why the charts of the coefficients are empty.
 fn no_trends(both: &Directions, baselines: &[BaselineRecord]) -> &'static str {
     let mut rows = both.iter().flat_map(|(_, rows)| rows).peekable();
-    if rows.peek().is_some() && rows.all(|row| row.quality == "current_only" && row.coefficients.is_none()) {
+    if rows.peek().is_some() && rows.all(|row| row.grade() == Some(Grade::CurrentOnly) && row.coefficients.is_none()) {
         "These throws have no toe position, and so no coefficients. Their duration and currents, below, are compared with \
          those of the first throws."
     } else if baselines.iter().any(|baseline| baseline.ratios_only) {
@@ -297,7 +298,7 @@ async fn throws_of_baseline(
 ) -> Result<Vec<Health>, StoreError> {
     let of_direction = baselines.iter().filter(|baseline| baseline.direction == direction);
     let Some(baseline) = of_direction.max_by_key(|baseline| baseline.taken_at) else { return Ok(Vec::new()) };
-    let so_far = last_in(latest, direction).and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
+    let so_far = last_in(latest, direction).and_then(|last| last.baseline).map_or(0, |baseline| baseline.so_far);
     if so_far < baseline.throws as u64 {
         return Ok(Vec::new());
     }
@@ -325,8 +326,8 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
             (state::signed(change[at], 1), own)
         };
         let baseline = match last.and_then(|last| last.baseline) {
-            Some((so_far, needed)) if so_far < needed => format!("{so_far} of {needed} throws"),
-            Some(_) => "complete".to_owned(),
+            Some(baseline) if baseline.is_complete() => "complete".to_owned(),
+            Some(BaselineProgress { so_far, needed }) => format!("{so_far} of {needed} throws"),
             None => "none yet".to_owned(),
         };
         LastThrow {
@@ -346,10 +347,12 @@ fn without(row: &Health) -> String {
         let ratios = format!("friction per motor {friction} %, stiffness per motor {stiffness} %");
         return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
     }
-    match row.quality.as_str() {
+    match row.grade() {
         _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
-        "rough" => format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row)),
-        "current_only" => "current only: there is no position".to_owned(),
+        Some(Grade::Rough) => {
+            format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row))
+        }
+        Some(Grade::CurrentOnly) => "current only: there is no position".to_owned(),
         _ => quality(row),
     }
 }

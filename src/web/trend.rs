@@ -148,7 +148,7 @@ fn since_baseline(rows: &[Health], value: impl Fn(&Health) -> Option<f64>) -> Ve
         let (at, value) = (x(row.started_at), value(row));
         if value.is_some() {
             // The last throw before a new baseline has both counts at 0.
-            let is_last = row.baseline.is_some_and(|(so_far, _)| so_far == 0);
+            let is_last = row.baseline.is_some_and(|baseline| !baseline.has_begun());
             let throws = if is_last { u64::MAX } else { row.throws_since_baseline };
             if before.replace(throws).is_some_and(|before| throws < before) {
                 points.push((at, f64::NAN));
@@ -284,7 +284,10 @@ fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::throw::{MachineId, ThrowRef};
+    use crate::{
+        throw::{MachineId, ThrowRef},
+        wire::BaselineProgress,
+    };
 
     #[test]
     fn a_long_trace_keeps_its_extremes_in_order() {
@@ -305,7 +308,7 @@ mod tests {
     fn a_new_baseline_interrupts_the_curve() {
         let machine = MachineId::new("north", "21B").unwrap();
         let row = |at: i64, throws_since_baseline, so_far| Health {
-            baseline: Some((so_far, 50)),
+            baseline: Some(BaselineProgress { so_far, needed: 50 }),
             throws_since_baseline,
             change_pct: Some([1.0; 3]),
             ..Health::rejected(

@@ -70,12 +70,40 @@ pub struct Health {
     /// Why the throw is rejected or rough, as a sentence. Not published.
     #[serde(skip)]
     pub detail: Option<String>,
-    /// Number of throws in the baseline of this direction, and number that it needs. Not published.
+    /// Progress of the baseline of this direction. Not published.
     #[serde(skip)]
-    pub baseline: Option<(u64, u64)>,
+    pub baseline: Option<BaselineProgress>,
     /// Number of evaluated throws of this direction since the baseline was complete. Not published.
     #[serde(skip)]
     pub throws_since_baseline: u64,
+}
+
+/// Number of throws in a baseline; an array in JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(into = "(u64, u64)")]
+pub struct BaselineProgress {
+    /// Number of throws.
+    pub so_far: u64,
+    /// Number that the complete baseline has.
+    pub needed: u64,
+}
+
+impl From<BaselineProgress> for (u64, u64) {
+    fn from(BaselineProgress { so_far, needed }: BaselineProgress) -> Self {
+        (so_far, needed)
+    }
+}
+
+impl BaselineProgress {
+    /// Whether the baseline has a throw.
+    pub fn has_begun(self) -> bool {
+        self.so_far > 0
+    }
+
+    /// Whether the baseline has all its throws.
+    pub fn is_complete(self) -> bool {
+        self.so_far >= self.needed
+    }
 }
 
 impl Health {
@@ -123,14 +151,14 @@ impl Health {
 
     /// Changes of the coefficients from the present baseline \[%\]; `None` if a new baseline began after the throw.
     pub fn present_change_pct(&self) -> Option<[f64; 3]> {
-        self.change_pct.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
+        self.change_pct.filter(|_| self.baseline.is_none_or(BaselineProgress::has_begun))
     }
 
     /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], for a throw without `change_pct`; `None`
     /// if a new baseline began after the throw.
     pub fn present_ratio_changes_pct(&self) -> Option<[f64; 2]> {
         let changes = self.a1_per_b0_pct.zip(self.a0_per_b0_pct).map(|(friction, stiffness)| [friction, stiffness]);
-        changes.filter(|_| self.baseline.is_none_or(|(so_far, _)| so_far > 0))
+        changes.filter(|_| self.baseline.is_none_or(BaselineProgress::has_begun))
     }
 
     /// Whether the throw has an estimate.
@@ -138,9 +166,14 @@ impl Health {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
+    /// The grade of the estimate; `None` if it was rejected.
+    pub fn grade(&self) -> Option<Grade> {
+        self.quality.parse().ok()
+    }
+
     /// Whether the estimate was rejected.
     pub fn is_rejected(&self) -> bool {
-        is_rejection(&self.quality)
+        self.grade().is_none()
     }
 }
 

@@ -18,7 +18,7 @@ pub const QUARANTINED_BYTES: usize = 1024;
 pub use alarm::{Alarm, alarm_id, kind_of, without_subject};
 pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{CommandTarget, Reply, decode_command};
-pub use health::{Health, is_rejection};
+pub use health::{BaselineProgress, Health, is_rejection};
 pub use key::{
     EVERY_MONITOR_ALIVE, Kind, Scope, every_key, machine_key, machine_patterns, monitor_alive_key, monitor_status_key,
     parse_key, parse_monitor_key,

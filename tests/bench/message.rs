@@ -7,8 +7,8 @@ use jiff::Timestamp;
 use pointsd::{
     diagnose::{self, MachineMonitor, Observation},
     estimate::{self, Identifier},
-    store::{self, Store},
-    throw::{MachineId, Throw},
+    store::{self, ReceivedThrow, Store},
+    throw::Throw,
     wire::{Encoding, decode_throw, encode_throw},
 };
 use sqlx::{Connection as _, SqliteConnection};
@@ -68,11 +68,11 @@ pub(crate) fn storing(criterion: &mut Criterion) {
     let throws = throws(GROUP);
     let mut throw_no = 0;
     // Each group has one throw of each of `GROUP` machines.
-    let mut group_of = || -> Vec<(MachineId, Throw, Timestamp)> {
+    let mut group_of = || -> Vec<ReceivedThrow> {
         throw_no += 1;
         let renamed = (1..).zip(throws.iter().cloned()).map(|(number, mut throw)| {
             throw.id.throw_no = throw_no;
-            (machine(number), throw, Timestamp::UNIX_EPOCH)
+            ReceivedThrow { machine: machine(number), throw, received_at: Timestamp::UNIX_EPOCH }
         });
         renamed.collect()
     };

@@ -95,7 +95,7 @@ async fn a_killed_daemon_continues_where_it_stopped() {
     let rows = rig.history().await;
     assert_eq!(rows.len(), 12);
     // The baseline continues, so the monitor was restored.
-    assert_eq!(rows[11].baseline.unwrap().0, 6);
+    assert_eq!(rows[11].baseline.unwrap().so_far, 6);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

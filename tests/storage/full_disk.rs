@@ -62,7 +62,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     disk.free();
     spooled(&store, "21B", "b1", last + 1).await;
     assert_eq!(store.disk_level(), DiskLevel::Ample);
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     assert!(disk.folder().join("points.db-ballast").exists(), "the ballast is back");
     assert_eq!(store.statistics().await.unwrap().missing_throws, 0);
     store.close().await.unwrap();
@@ -78,7 +78,7 @@ async fn below_the_watermark_traces_go_and_estimates_stay() {
         let row = spooled(&store, "21B", "b1", throw_no).await;
         judge(&store, judgement(row, "21B")).await.unwrap();
         if throw_no % 50 == 0 {
-            store.keep_bounds(at(0), true).await.unwrap();
+            store.keep_bounds(Some(at(0))).await.unwrap();
         }
     }
     let statistics = store.statistics().await.unwrap();

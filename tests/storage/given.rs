@@ -7,9 +7,9 @@ use nalgebra::Matrix3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Present, Severity},
     estimate::{Estimate, Features, Fit, Grade, Identification},
-    store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, StoreError, ThrowRow},
+    store::{Judgement, MonitorRecord, Opened, Outcome, ReceivedThrow, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
-    wire::Health,
+    wire::{BaselineProgress, Health},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tempfile::TempDir;
@@ -41,6 +41,11 @@ pub(crate) fn machine(name: &str) -> MachineId {
 /// The start time of the tests plus `seconds`.
 pub(crate) fn at(seconds: i64) -> Timestamp {
     "2026-03-01T06:00:00.25Z".parse::<Timestamp>().unwrap() + SignedDuration::from_secs(seconds)
+}
+
+/// A throw of a machine that is received `seconds` after the start of the tests.
+pub(crate) fn received(name: &str, boot_id: &str, throw_no: u64, seconds: i64) -> ReceivedThrow {
+    ReceivedThrow { machine: machine(name), throw: throw(boot_id, throw_no), received_at: at(seconds) }
 }
 
 /// A throw with different samples for each number.
@@ -98,7 +103,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             duration_s: Some(4.3),
             peak_current_a: Some(13.0),
             state: Some(MachineState::Healthy),
-            baseline: Some((50, 50)),
+            baseline: Some(BaselineProgress { so_far: 50, needed: 50 }),
             throws_since_baseline: 1,
             ..Health::rejected(machine(name), throw, at(0), "good", None)
         },

@@ -10,8 +10,8 @@ use pointsd::{
 use sqlx::Connection;
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, settings,
-    spooled, throw,
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, received,
+    settings, spooled, throw,
 };
 
 /// Stores and judges the throws `first` to `last`, received one minute after another.
@@ -33,7 +33,7 @@ async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
     // The pending throw counts for both limits.
-    let done = store.keep_bounds(at(0), true).await.unwrap();
+    let done = store.keep_bounds(Some(at(0))).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 101), (Dropped::Throws, 51)]));
     let statistics = store.statistics().await.unwrap();
     assert_eq!(statistics.pending, 1);
@@ -52,7 +52,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     store.record(alarm(1, AlarmState::Normal)).await.unwrap();
     judged(&store, 1, 400).await;
     assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
-    let done = store.keep_bounds(at(0), true).await.unwrap();
+    let done = store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     assert!(done.len() == 1 && (1..400).contains(&done[&Dropped::Traces]), "{done:?}");
@@ -64,10 +64,10 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 #[tokio::test]
 async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
-    let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+    let flood: Vec<_> = (1..=1000).map(|no| received("loud", "b1", no, 0)).collect();
     store.spool_all(&flood).await.unwrap();
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     let dropped = statistics.counters()["dropped_pending_throws"];
@@ -88,10 +88,10 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     let count = "INSERT INTO counter (name, value) VALUES ('dropped_notifications', 3), ('dropped_messages', 2) \
                  ON CONFLICT DO UPDATE SET value = value + excluded.value";
     change(store.path(), [count]).await;
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     assert_eq!(store.trouble(None), None, "dropped before the start");
     change(store.path(), [count]).await;
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let (_, said) = store.trouble(None).unwrap();
     assert!(said.contains("it dropped 3 alarm events before the webhook accepted them"), "{said}");
     assert!(said.contains("it dropped 2 alarm events before publishing"), "{said}");
@@ -103,10 +103,10 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
 async fn a_burst_of_pending_throws_costs_no_history() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
     judged(&store, 1, 150).await;
-    store.keep_bounds(at(0), true).await.unwrap();
-    let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    store.keep_bounds(Some(at(0))).await.unwrap();
+    let burst: Vec<_> = (151..=400).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&burst).await.unwrap();
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.pending, statistics.counters()["dropped_pending_throws"]), (100, 150));
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
@@ -117,7 +117,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
 async fn a_disk_that_others_fill_does_not_end_the_retention() {
     let (_folder, store) = fresh_with(|settings| Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings }).await;
     judged(&store, 1, 200).await;
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.traces, statistics.throws), (0, 150));
 }
@@ -133,13 +133,13 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         let with_bounds = |Settings { path, .. }| Settings { ballast_mib: 1, low_disk_mib: 0, path, ..bounds.clone() };
         let (_folder, store) = fresh_with(with_bounds).await;
         judged(&store, 1, 40).await;
-        let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+        let flood: Vec<_> = (1..=1000).map(|no| received("loud", "b1", no, 0)).collect();
         for answer in store.spool_all(&flood).await.unwrap() {
             let Spooled::New(row) = answer else { panic!() };
             judge(&store, judgement(row, "loud")).await.unwrap();
         }
         for _ in 0..20 {
-            store.keep_bounds(at(0), true).await.unwrap();
+            store.keep_bounds(Some(at(0))).await.unwrap();
         }
         let count = "SELECT count(*) FROM trace JOIN throw USING (throw_row) JOIN machine USING (machine_row) WHERE machine = '21B'";
         assert_eq!(query::<(i64,)>(&store, count).await, [(40,)], "{bounds:?}");
@@ -161,9 +161,9 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     let (_folder, store) = fresh().await;
     judged(&store, 1, 20).await;
     let in_eleven_years: Timestamp = at(0) + SignedDuration::from_hours(24 * 365 * 11);
-    assert!(store.keep_bounds(in_eleven_years, false).await.unwrap().is_empty());
-    assert!(store.keep_bounds(at(0) - SignedDuration::from_hours(24), true).await.unwrap().is_empty());
-    let done = store.keep_bounds(in_eleven_years, true).await.unwrap();
+    assert!(store.keep_bounds(None).await.unwrap().is_empty());
+    assert!(store.keep_bounds(Some(at(0) - SignedDuration::from_hours(24))).await.unwrap().is_empty());
+    let done = store.keep_bounds(Some(in_eleven_years)).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
@@ -178,7 +178,7 @@ async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     }
     let mut left = Vec::new();
     for now in [day(29), day(35), day(45), day(79), day(81)] {
-        store.keep_bounds(now, true).await.unwrap();
+        store.keep_bounds(Some(now)).await.unwrap();
         left.push(query::<(i64,)>(&store, "SELECT count(*) FROM trace").await[0].0);
     }
     assert_eq!(left, [7, 5, 3, 3, 0]);
@@ -274,7 +274,7 @@ async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alo
 /// A database with 1,500 throws after a clean stop.
 async fn stopped() -> tempfile::TempDir {
     let (folder, store) = fresh().await;
-    let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    let batch: Vec<_> = (1..=1500).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&batch).await.unwrap();
     store.close().await.unwrap();
     folder
@@ -530,7 +530,7 @@ async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
     judged(&store, 1, 5).await;
     assert!(!store.is_copying());
     let holder = reading(&store).await;
-    let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    let throws: Vec<_> = (6..600).map(|no| received("21B", "b1", no, 0)).collect();
     store.spool_all(&throws).await.unwrap();
     // The writer copies after its answer; the next write waits for the copy.
     store.outbox_sent(&[]).await.unwrap();
@@ -555,7 +555,7 @@ const OLD_ALARMS: [&str; 3] = [
 async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay() {
     let (_folder, store) = fresh_with(|settings| Settings { max_alarms: 100, ..settings }).await;
     change(store.path(), OLD_ALARMS).await;
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let left = "SELECT count(*), min(alarm_row), (SELECT count(*) FROM alarm_event) FROM alarm";
     assert_eq!(query::<(i64, i64, i64)>(&store, left).await, [(101, 1, 202)]);
     let oldest_closed = "SELECT min(alarm_row) FROM alarm WHERE state = 'normal'";
@@ -576,7 +576,7 @@ async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
     for boot in 0..1_100 {
         given::judged(&store, "loud", &format!("b{boot}"), 1).await;
     }
-    store.keep_bounds(at(0), true).await.unwrap();
+    store.keep_bounds(Some(at(0))).await.unwrap();
     let loud = "SELECT count(*) FROM boot JOIN machine USING (machine_row) WHERE machine = 'loud'";
     // The boots with throws, and the boot at which the backlog cursor of the machine is.
     assert_eq!(query::<(i64,)>(&store, loud).await, [(1_001,)]);

@@ -4,11 +4,11 @@ use std::time::Duration;
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{DiskLevel, Spooled, Store, StoreError, ThrowRow},
+    store::{DiskLevel, ReceivedThrow, Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
 
-use crate::given::{alarm, at, change, fresh, gaps, machine, open, pending, query, spooled, throw};
+use crate::given::{alarm, at, change, fresh, gaps, machine, open, pending, query, received, spooled, throw};
 
 #[tokio::test]
 async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
@@ -126,8 +126,8 @@ async fn throws_before_the_first_received_one_are_a_gap_of_their_own_kind() {
 #[tokio::test]
 async fn a_batch_is_answered_in_its_order() {
     let (_folder, store) = fresh().await;
-    let mut batch: Vec<_> = (1..=150).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
-    batch.push((machine("21B"), throw("b1", 3), at(0)));
+    let mut batch: Vec<_> = (1..=150).map(|no| received("21B", "b1", no, 0)).collect();
+    batch.push(received("21B", "b1", 3, 0));
     let answers = store.spool_all(&batch).await.unwrap();
     let stored: Vec<_> = (1..=150).map(|row| Spooled::New(ThrowRow(row))).collect();
     assert_eq!(answers[..150], stored);
@@ -137,15 +137,15 @@ async fn a_batch_is_answered_in_its_order() {
 /// The first throws of a large fleet arrive together. The stored rows are the same as if each throw had arrived alone.
 #[tokio::test]
 async fn new_machines_in_a_batch_are_stored_like_single_ones() {
-    let mut batch: Vec<_> = (1..=60).map(|n| (machine(&n.to_string()), throw("b1", 1), at(n))).collect();
-    let also = |n: u32, boot_id: &str, throw_no| (machine(&n.to_string()), throw(boot_id, throw_no), at(100));
+    let mut batch: Vec<_> = (1..=60).map(|n| received(&n.to_string(), "b1", 1, n)).collect();
+    let also = |n: u32, boot_id: &str, throw_no| received(&n.to_string(), boot_id, throw_no, 100);
     // Another boot, a repeated throw, the next throw; missing throws before the first, numbers from 0, a late number 0.
     batch.extend([also(5, "b2", 1), also(7, "b1", 1), also(9, "b1", 2)]);
     batch.extend([also(70, "b1", 4), also(71, "b1", 0), also(72, "b1", 1), also(72, "b1", 0), also(70, "b0", 1)]);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let [together, alone] = [open(folders[0].path()).await.store, open(folders[1].path()).await.store];
     let answers = together.spool_all(&batch).await.unwrap();
-    for ((machine, throw, received_at), answer) in batch.iter().zip(answers) {
+    for (ReceivedThrow { machine, throw, received_at }, answer) in batch.iter().zip(answers) {
         let single = alone.spool(machine, throw, *received_at).await.unwrap();
         assert_eq!(matches!(answer, Spooled::New(_)), matches!(single, Spooled::New(_)), "{machine} {:?}", throw.id);
     }

@@ -10,6 +10,7 @@ use crate::{
     daemon::Judged,
     diagnose::{AlarmEvent, AlarmState, Severity},
     throw::MachineId,
+    wire::BaselineProgress,
 };
 
 const BOLD: &str = "\x1b[1m";
@@ -27,8 +28,8 @@ pub(super) struct Screen {
 struct Line {
     bar: ProgressBar,
     throws: u64,
-    /// For each direction: number of throws in the baseline, and number that it needs.
-    baseline: [(u64, u64); 2],
+    /// Progress of the baseline of each direction.
+    baselines: [BaselineProgress; 2],
     learned: bool,
 }
 
@@ -40,7 +41,7 @@ impl Screen {
         let line = |_| {
             let bar = output::progress(throws, template);
             let bar = if terminal { bars.add(bar) } else { ProgressBar::hidden() };
-            Line { bar, throws: 0, baseline: [(0, 1); 2], learned: false }
+            Line { bar, throws: 0, baselines: [BaselineProgress { so_far: 0, needed: 1 }; 2], learned: false }
         };
         let machines = (0..machines).map(line).collect();
         Self { bars, machines, terminal }
@@ -53,10 +54,10 @@ impl Screen {
         line.bar.set_prefix(judged.health.machine.machine.to_string());
         line.bar.set_position(line.throws);
         if let (Some(direction), Some(baseline)) = (judged.health.direction, judged.health.baseline) {
-            line.baseline[direction.side()] = baseline;
+            line.baselines[direction.side()] = baseline;
         }
-        let so_far: u64 = line.baseline.iter().map(|(so_far, _)| so_far).sum();
-        let needed: u64 = line.baseline.iter().map(|(_, needed)| needed).sum();
+        let so_far: u64 = line.baselines.iter().map(|baseline| baseline.so_far).sum();
+        let needed: u64 = line.baselines.iter().map(|baseline| baseline.needed).sum();
         if !line.learned {
             line.bar.set_message(format!("baseline {so_far} of {needed}"));
         }

@@ -4,7 +4,7 @@ use crate::{
     diagnose::{BaselineRecord, Observation, Present, Verdict},
     estimate::{Features, Identification},
     store::StoredThrow,
-    wire::Health,
+    wire::{BaselineProgress, Health},
 };
 
 /// `quality` of a throw whose stored trace cannot be read.
@@ -65,7 +65,9 @@ pub(crate) fn health(
         drift: drifts.first().copied(),
         drifts: drifts.clone(),
         caveats: caveats.clone(),
-        baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
+        baseline: verdict
+            .baseline
+            .map(|(so_far, needed)| BaselineProgress { so_far: so_far as u64, needed: needed as u64 }),
         throws_since_baseline,
         ..Health::rejected(stored.machine.clone(), stored.id.clone(), stored.started_at, quality, detail)
     };

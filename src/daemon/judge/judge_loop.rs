@@ -343,11 +343,11 @@ impl JudgeLoop {
         self.refused.retain(|machine, (_, last)| {
             !self.judge.monitors.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
-        let mut report = self.shared.status.edit();
-        report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
-        report.loggers_ahead = self.judge.monitors.clocks.ahead();
-        report.loggers_behind = self.judge.monitors.clocks.behind();
-        (report.fleet_counts, report.without_throw) = (fleet_counts, without_throw);
+        let mut status = self.shared.status.edit();
+        status.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
+        status.loggers_ahead = self.judge.monitors.clocks.ahead();
+        status.loggers_behind = self.judge.monitors.clocks.behind();
+        (status.fleet_counts, status.without_throw) = (fleet_counts, without_throw);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is

@@ -25,6 +25,17 @@ const SAME: SignedDuration = SignedDuration::from_hours(1);
 #[derive(Debug, Default)]
 pub(crate) struct LoggerClocks(VecDeque<Logger>);
 
+/// The clock of this computer, compared with the date of a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum OwnClock {
+    /// The throw is dated at most a day ahead, or most of the other loggers do not date ahead.
+    Plausible,
+    /// The throw is dated more than a day ahead, as are the throws of at least half of the other loggers.
+    Behind,
+    /// The throw is dated more than a day ahead, and no other logger is known.
+    Unconfirmed,
+}
+
 #[derive(Debug)]
 struct Logger {
     machine: MachineId,
@@ -39,10 +50,8 @@ struct Logger {
 }
 
 impl LoggerClocks {
-    /// Notes the date and the reception of a throw. Returns false if the throw is dated more than a day ahead, and at
-    /// least half of the other loggers date ahead too: the clock of this computer is then behind. `None` if the throw
-    /// is dated ahead and no other logger is known.
-    pub(crate) fn note(&mut self, machine: &MachineId, started_at: Timestamp, received_at: Timestamp) -> Option<bool> {
+    /// Notes the date and the reception of a throw, and compares the clock of this computer with them.
+    pub(crate) fn note(&mut self, machine: &MachineId, started_at: Timestamp, received_at: Timestamp) -> OwnClock {
         let before = self.0.iter().position(|logger| logger.machine == *machine).and_then(|at| self.0.remove(at));
         let (others, others_ahead) = (self.0.len(), self.0.iter().filter(|logger| logger.is_ahead).count());
         let age = received_at.duration_since(started_at);
@@ -61,7 +70,15 @@ impl LoggerClocks {
             None => new,
         });
         self.0.truncate(LOGGERS);
-        if is_ahead { (others > 0).then_some(2 * others_ahead < others) } else { Some(true) }
+        if !is_ahead {
+            OwnClock::Plausible
+        } else if others == 0 {
+            OwnClock::Unconfirmed
+        } else if 2 * others_ahead < others {
+            OwnClock::Plausible
+        } else {
+            OwnClock::Behind
+        }
     }
 
     /// Number of loggers that date their throws a day or more after this computer; 0 if they are not the majority.

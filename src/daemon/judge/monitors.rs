@@ -10,7 +10,7 @@ use jiff::Timestamp;
 
 use super::{
     health::{OUTDATED, TWO_LOGGERS, health, observation, repeated},
-    logger_clocks::LoggerClocks,
+    logger_clocks::{LoggerClocks, OwnClock},
 };
 use crate::{
     daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
@@ -232,8 +232,12 @@ impl Monitors {
             let mut loggers = self.of_machines.iter().filter(|(_, monitor)| !monitor.has_no_logger());
             !loggers.any(|(machine, _)| has_other(machine))
         };
-        let confirmed = self.clocks.note(&stored.machine, stored.started_at, stored.received_at);
-        confirmed.unwrap_or_else(is_alone).then_some(stored.received_at)
+        let is_trusted = match self.clocks.note(&stored.machine, stored.started_at, stored.received_at) {
+            OwnClock::Plausible => true,
+            OwnClock::Behind => false,
+            OwnClock::Unconfirmed => is_alone(),
+        };
+        is_trusted.then_some(stored.received_at)
     }
 
     /// Advances the time of every monitor, and updates it with the liveliness tokens. Returns the machines to store,

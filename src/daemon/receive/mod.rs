@@ -20,7 +20,7 @@ use tokio::{task, time};
 use super::{clock, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
     bus::{Inbox, Message},
-    store::{QuarantinedMessage, Spooled, StoreError, seldom},
+    store::{QuarantinedMessage, ReceivedThrow, Spooled, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
@@ -47,8 +47,14 @@ const REFUSED_BEFORE: usize = 10_000;
 /// wait until missing throws are written off (5 s), and shorter than most cuts of a link.
 const LIVE: Duration = Duration::from_mins(1);
 
-/// A decoded throw with its machine and the time of reception.
-pub(super) type Received = (MachineId, Throw, Timestamp);
+/// The way by which a message arrived.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// The logger published it.
+    Live,
+    /// A reply to a query for a backlog.
+    Backlog,
+}
 
 /// Decodes live messages and pages of backlogs, and quarantines invalid messages and throws of machines that are not
 /// allowed.
@@ -67,8 +73,8 @@ impl Intake {
         Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
     }
 
-    /// Decodes messages in order, and quarantines those that are no valid throw. `live` is false for pages of backlogs.
-    pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
+    /// Decodes messages in order, and quarantines those that are no valid throw.
+    pub(super) async fn read(&self, messages: Vec<Message>, origin: Origin) -> Vec<ReceivedThrow> {
         let (limit, count) = (self.shared.config.subscribe.max_payload_bytes, messages.len() as u64);
         // Decoding a large message takes milliseconds, too long for an async worker.
         let decoded = task::spawn_blocking(move || {
@@ -86,21 +92,22 @@ impl Intake {
         };
         let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
         for outcome in decoded {
-            match outcome.and_then(|received| self.admit(received, live)) {
+            match outcome.and_then(|received| self.admit(received, origin)) {
                 Ok(received) => throws.push(received),
                 Err(why) => refused.push(why),
             }
         }
-        if live {
-            for refused in &refused {
-                if let Ok((machine, _)) = wire::parse_key(&refused.key) {
-                    let is_known = self.knows(&machine);
-                    self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
+        match origin {
+            Origin::Live => {
+                for refused in &refused {
+                    if let Ok((machine, _)) = wire::parse_key(&refused.key) {
+                        let is_known = self.knows(&machine);
+                        self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
+                    }
                 }
+                self.quarantine(refused).await;
             }
-            self.quarantine(refused).await;
-        } else {
-            self.quarantine_of_backlog(refused).await;
+            Origin::Backlog => self.quarantine_of_backlog(refused).await,
         }
         throws
     }
@@ -110,9 +117,9 @@ impl Intake {
         let all = refused.len();
         let mut hashes = Vec::new();
         refused.retain(|refused| {
-            let (hash, is_first) = self.remember_refusal(refused);
-            hashes.extend(is_first.then_some(hash));
-            is_first
+            let hash = self.remember_refusal(refused);
+            hashes.extend(hash);
+            hash.is_some()
         });
         self.shared.status.edit().duplicates += (all - refused.len()) as u64;
         if !self.quarantine(refused).await {
@@ -131,8 +138,8 @@ impl Intake {
         loggers.alive.contains(machine) || (!loggers.gone.contains(machine) && is_live())
     }
 
-    /// The hash of a message from a backlog, and whether the message is quarantined for the first time.
-    fn remember_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> (u64, bool) {
+    /// Remembers the hash of a message from a backlog; `None` if it is remembered already.
+    fn remember_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> Option<u64> {
         let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
             before.clear();
@@ -140,7 +147,7 @@ impl Intake {
         let mut hasher = DefaultHasher::new();
         (key, bytes, beginning).hash(&mut hasher);
         let hash = hasher.finish();
-        (hash, before.insert(hash))
+        before.insert(hash).then_some(hash)
     }
 
     /// The known machines whose loggers never had a token.
@@ -156,24 +163,25 @@ impl Intake {
 
     /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
     /// quarantine.
-    fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, QuarantinedMessage> {
+    fn admit(&self, received: ReceivedThrow, origin: Origin) -> Result<ReceivedThrow, QuarantinedMessage> {
+        let ReceivedThrow { machine, throw, received_at } = &received;
         let mut known = self.machines.lock();
         let max_machines = self.shared.config.subscribe.max_machines;
         // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
-        let reason = if let Some(reason) = self.shared.config.monitor.reserves(&machine) {
+        let reason = if let Some(reason) = self.shared.config.monitor.reserves(machine) {
             reason
-        } else if known.len() >= max_machines && !known.contains_key(&machine) {
+        } else if known.len() >= max_machines && !known.contains_key(machine) {
             self.shared.status.machines_refused.add(1);
             format!("more than {max_machines} machines: raise subscribe.max_machines")
         } else {
             let last = known.entry(machine.clone()).or_default();
-            *last = live.then(time::Instant::now).or(*last);
-            if live {
-                self.shared.status.count_valid(&machine);
+            if origin == Origin::Live {
+                *last = Some(time::Instant::now());
+                self.shared.status.count_valid(machine);
             }
-            return Ok((machine, throw, received_at));
+            return Ok(received);
         };
-        Err(QuarantinedMessage::throw(&machine, &throw, reason, received_at))
+        Err(QuarantinedMessage::throw(machine, throw, reason, *received_at))
     }
 
     /// Stores messages in quarantine; returns whether they are stored.
@@ -183,12 +191,12 @@ impl Intake {
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
         let stored = self.shared.store.quarantine(refused).await;
-        let mut report = self.shared.status.edit();
+        let mut status = self.shared.status.edit();
         if let Err(error) = &stored {
             seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
-            report.lost += count;
+            status.lost += count;
         } else {
-            report.quarantined += count;
+            status.quarantined += count;
         }
         stored.is_ok()
     }
@@ -201,7 +209,7 @@ pub(super) struct ReceiveLoop {
     intake: Arc<Intake>,
     /// Number of received messages that are not decoded yet.
     undecoded: u64,
-    unstored: Vec<Received>,
+    unstored: Vec<ReceivedThrow>,
     /// Whether the last write failed. The log then has one line about it, and not one for each retry.
     storing_fails: bool,
 }
@@ -245,7 +253,7 @@ impl ReceiveLoop {
             }
             let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
             self.undecoded = count as u64;
-            self.unstored = self.intake.read(std::mem::take(&mut batch), true).await;
+            self.unstored = self.intake.read(std::mem::take(&mut batch), Origin::Live).await;
             self.undecoded = 0;
             self.spool().await;
             self.shared.missing.notify_one();
@@ -298,7 +306,7 @@ impl ReceiveLoop {
     /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
     /// upper bound.
     async fn log_lost(&mut self) {
-        for (machine, throw, _) in &self.unstored {
+        for ReceivedThrow { machine, throw, .. } in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
         self.shared.status.edit().lost += self.undecoded + self.unstored.len() as u64;
@@ -320,15 +328,15 @@ impl ReceiveLoop {
         }
         // A throw stays in `unstored` until it is stored, as `give_up` can end this loop at each `await`.
         let mut at = 0;
-        while let Some((machine, throw, received_at)) = self.unstored.get(at) {
+        while let Some(ReceivedThrow { machine, throw, received_at }) = self.unstored.get(at) {
             self.shared.status.heartbeats.beat(TaskName::Receive);
             let is_done = match self.shared.store.spool(machine, throw, *received_at).await {
                 Ok(spooled) => {
                     self.count(spooled);
                     true
                 }
-                Err(error @ StoreError::Refused(_)) => {
-                    let refused = unstorable(machine, throw, &error, *received_at);
+                Err(StoreError::Refused(problem)) => {
+                    let refused = unstorable(machine, throw, &problem, *received_at);
                     let is_kept = self.shared.store.quarantine(vec![refused]).await.is_ok();
                     self.shared.status.edit().quarantined += u64::from(is_kept);
                     is_kept
@@ -345,8 +353,8 @@ impl ReceiveLoop {
 }
 
 /// A throw that SQLite refuses to store.
-fn unstorable(machine: &MachineId, throw: &Throw, error: &StoreError, at: Timestamp) -> QuarantinedMessage {
-    QuarantinedMessage::throw(machine, throw, format!("the database rejects it: {error}"), at)
+fn unstorable(machine: &MachineId, throw: &Throw, problem: &str, at: Timestamp) -> QuarantinedMessage {
+    QuarantinedMessage::throw(machine, throw, format!("the database rejects it: {problem}"), at)
 }
 
 /// Decodes a message. A message that makes the decoder panic goes to quarantine like any invalid message, and the rest
@@ -354,8 +362,8 @@ fn unstorable(machine: &MachineId, throw: &Throw, error: &StoreError, at: Timest
 fn guarded(
     message: Message,
     received_at: Timestamp,
-    decode: impl Fn(&Message) -> Result<Received, String>,
-) -> Result<Received, QuarantinedMessage> {
+    decode: impl Fn(&Message) -> Result<ReceivedThrow, String>,
+) -> Result<ReceivedThrow, QuarantinedMessage> {
     let with_id = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
     let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(with_id)));
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
@@ -369,7 +377,7 @@ fn encoding(message: &Message) -> Encoding {
     Encoding::of(&message.content_type, &message.payload)
 }
 
-fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Received, String> {
+fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<ReceivedThrow, String> {
     let Message { key, payload, bytes, .. } = message;
     if message.is_delete {
         return Err("a delete, which is no throw: a logger only puts".to_owned());
@@ -379,7 +387,7 @@ fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Rec
     }
     let (machine, _) = wire::parse_key(key).map_err(|error| error.to_string())?;
     let throw = wire::decode_throw(encoding(message), payload).map_err(|error| error.to_string())?;
-    Ok((machine, throw, received_at))
+    Ok(ReceivedThrow { machine, throw, received_at })
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::Intake;
+use super::{Intake, Origin};
 use crate::{
     bus,
     daemon::{clock, shared::Shared},
@@ -158,9 +158,9 @@ impl Intake {
                     new += stored.new;
                     (after, next) = (part.last().map(|throw| &throw.id), Some(stored.cursor));
                 }
-                Err(error @ StoreError::Refused(_)) => {
+                Err(StoreError::Refused(problem)) => {
                     if let [throw] = part {
-                        let refused = super::unstorable(machine, throw, &error, at);
+                        let refused = super::unstorable(machine, throw, &problem, at);
                         self.quarantine_of_backlog(vec![refused]).await;
                     } else {
                         let (first, rest) = part.split_at(part.len() / 2);
@@ -180,12 +180,12 @@ impl Intake {
         let key = wire::machine_key(machine, Kind::Throw);
         let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes).await;
         if let Some(error) = &answer.error {
-            seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
+            seldom!(warn, %machine, ?error, "the query for the backlog of a logger failed; asking again later");
         }
         let received = answer.messages.len() as u64;
-        self.shared.status.edit().received += received;
+        self.shared.status.edit().received_from_backlogs += received;
         let mut throws: Vec<_> =
-            self.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
+            self.read(answer.messages, Origin::Backlog).await.into_iter().map(|received| received.throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;

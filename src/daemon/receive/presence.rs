@@ -6,7 +6,7 @@ use tokio::sync::watch;
 use zenoh::Session;
 
 use crate::{
-    bus::{self, BusError},
+    bus::{self, BusError, Token},
     daemon::supervision::status::Status,
     store::seldom,
     throw::MachineId,
@@ -39,19 +39,21 @@ pub(crate) async fn watch(
     status: Arc<Status>,
     loggers: watch::Sender<Loggers>,
 ) -> Result<(), BusError> {
-    let on_change = move |key: &str, is_alive: bool| {
+    let on_change = move |key: &str, change: Token| {
         let Ok((machine, Kind::Alive)) = wire::parse_key(key) else { return };
         loggers.send_modify(|Loggers { alive, gone }| {
-            if !is_alive {
-                if alive.remove(&machine) {
+            match change {
+                Token::Appeared if alive.len() < MOST && alive.insert(machine.clone()) => {
+                    seldom!(info, %machine, "logger connected");
+                    gone.remove(&machine);
+                }
+                Token::Gone if alive.remove(&machine) => {
                     seldom!(warn, %machine, "logger disconnected");
                     if gone.len() < MOST {
                         gone.insert(machine);
                     }
                 }
-            } else if alive.len() < MOST && alive.insert(machine.clone()) {
-                seldom!(info, %machine, "logger connected");
-                gone.remove(&machine);
+                Token::Appeared | Token::Gone => {}
             }
             status.edit().loggers = alive.len();
         });

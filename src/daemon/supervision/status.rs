@@ -30,21 +30,60 @@ pub(crate) const NAMED: usize = 20;
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    /// The fields of the report that the loops write; [`StatusSources::report`] adds the others. Here `received` counts
-    /// only the messages from backlogs. `fleet_counts` is renewed every few seconds and after every command.
-    report: Mutex<StatusReport>,
+    loops: Mutex<LoopStatus>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
-    /// Invalid messages of known machines, and of at most [`UNKNOWN`] others.
-    invalid: Mutex<[HashMap<MachineId, InvalidMessages>; 2]>,
+    invalid: Mutex<InvalidByMachine>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
-    /// Messages dropped from the queue, and messages lost, at the last call of [`StatusSources::store_losses`].
-    losses: [RecentCount; 2],
-    /// Those that are added to the counters of the database.
-    stored_losses: Mutex<[u64; 2]>,
+    /// Messages dropped from the queue, at the last call of [`StatusSources::store_losses`].
+    dropped: RecentCount,
+    /// Messages lost, at the same call.
+    lost: RecentCount,
+    stored_losses: Mutex<StoredLosses>,
     pub(crate) machines_refused: RecentCount,
     pub(crate) alarm_events_lost: RecentCount,
+}
+
+/// The part of a [`StatusReport`] that the loops write, under the same names. [`StatusSources::report`] adds the rest.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct LoopStatus {
+    pub connected: bool,
+    pub loggers: usize,
+    pub without_throw: Vec<String>,
+    pub refused: Vec<String>,
+    pub not_served: Vec<String>,
+    pub loggers_ahead: usize,
+    pub loggers_behind: usize,
+    /// Messages received from backlogs. The inbox counts the others.
+    pub received_from_backlogs: u64,
+    pub ignored: u64,
+    pub backlog: u64,
+    pub stored: u64,
+    pub duplicates: u64,
+    pub quarantined: u64,
+    pub lost: u64,
+    pub judged: u64,
+    pub not_evaluated: u64,
+    pub alarm_events: u64,
+    pub webhook_fails: bool,
+    pub webhook_refused: u64,
+    /// Renewed every few seconds and after every command.
+    pub fleet_counts: FleetCounts,
+}
+
+/// Numbers of messages that are added to the counters of the database.
+#[derive(Debug, Default)]
+struct StoredLosses {
+    dropped: u64,
+    lost: u64,
+}
+
+/// Invalid messages of known machines, and of at most [`UNKNOWN`] others.
+#[derive(Debug, Default)]
+struct InvalidByMachine {
+    known: HashMap<MachineId, InvalidMessages>,
+    unknown: HashMap<MachineId, InvalidMessages>,
 }
 
 /// Invalid messages of a machine since its last valid throw.
@@ -170,9 +209,9 @@ pub struct StatusReport {
 }
 
 impl Status {
-    /// The report, for changes by a loop. It is locked until the returned guard is dropped.
-    pub(crate) fn edit(&self) -> MutexGuard<'_, StatusReport> {
-        self.report.lock()
+    /// The part that the loops write. It is locked until the returned guard is dropped.
+    pub(crate) fn edit(&self) -> MutexGuard<'_, LoopStatus> {
+        self.loops.lock()
     }
 
     /// Counts a rejected throw under the code of its reason.
@@ -184,7 +223,7 @@ impl Status {
     /// Counts a message of a machine that is no valid throw. Only [`UNKNOWN`] unknown machines are counted, as any sender
     /// can invent names: another one takes the place of the machine whose last message is the oldest.
     pub(crate) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str, now: Instant) {
-        let [known, unknown] = &mut *self.invalid.lock();
+        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
         let invalid = if is_known { known } else { unknown };
         if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {
             let oldest =
@@ -202,15 +241,17 @@ impl Status {
 
     /// Resets the count of invalid messages of a machine, after a valid throw.
     pub(crate) fn count_valid(&self, machine: &MachineId) {
-        self.invalid.lock().iter_mut().for_each(|invalid| drop(invalid.remove(machine)));
+        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
+        known.remove(machine);
+        unknown.remove(machine);
     }
 
     /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
     /// they were taken last, with the number of messages and the last reason.
     pub(crate) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
-        let mut invalid = self.invalid.lock();
-        let taken =
-            invalid.iter_mut().flat_map(|invalid| invalid.extract_if(|_, messages| messages.count >= INVALID_IN_A_ROW));
+        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
+        let is_due = |_: &MachineId, messages: &mut InvalidMessages| messages.count >= INVALID_IN_A_ROW;
+        let taken = known.extract_if(is_due).chain(unknown.extract_if(is_due));
         taken.map(|(machine, messages)| (machine, (messages.count, messages.last_reason))).collect()
     }
 
@@ -228,14 +269,13 @@ impl Status {
                 .to_owned()
         });
         // Numbers of dropped and lost messages grow fast, so their text changes at each power of two.
-        let [dropped_messages, lost_messages] = self
-            .losses
-            .each_ref()
-            .map(|losses| losses.shown().and_then(u64::checked_ilog2).map(|power| counted(1 << power, "message")));
-        let lost_messages = lost_messages.map(|at_least| {
+        let at_least = |count: &RecentCount| {
+            count.shown().and_then(u64::checked_ilog2).map(|power| counted(1 << power, "message"))
+        };
+        let lost_messages = at_least(&self.lost).map(|at_least| {
             format!("at least {at_least} could not be stored since the start. Look in the log, and check the disk")
         });
-        let dropped_messages = dropped_messages.map(|at_least| {
+        let dropped_messages = at_least(&self.dropped).map(|at_least| {
             let text = format!(
                 "at least {at_least} dropped since the start, as more arrived than could be stored. The throws are fetched \
                  from the backlogs of the loggers where possible. Look in the log who sends so many"
@@ -278,7 +318,7 @@ impl StatusSources {
     pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
         let copying = self.store.is_copying();
-        let report = status.edit().clone();
+        let loops = status.edit().clone();
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             uptime_s: status.heartbeats.uptime().as_secs(),
@@ -286,28 +326,52 @@ impl StatusSources {
             disk: self.store.disk_level(),
             copying,
             wal_bytes: self.store.wal_bytes(),
-            received: self.inbox.received.load(Relaxed) + report.received,
+            connected: loops.connected,
+            loggers: loops.loggers,
+            without_throw: loops.without_throw,
+            refused: loops.refused,
+            not_served: loops.not_served,
+            loggers_ahead: loops.loggers_ahead,
+            loggers_behind: loops.loggers_behind,
+            received: self.inbox.received.load(Relaxed) + loops.received_from_backlogs,
             dropped: self.inbox.dropped.load(Relaxed),
+            ignored: loops.ignored,
+            backlog: loops.backlog,
+            stored: loops.stored,
+            duplicates: loops.duplicates,
+            quarantined: loops.quarantined,
+            lost: loops.lost,
             machines_refused: status.machines_refused.count(),
+            judged: loops.judged,
+            not_evaluated: loops.not_evaluated,
+            alarm_events: loops.alarm_events,
             alarm_events_lost: status.alarm_events_lost.count(),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
+            webhook_fails: loops.webhook_fails,
+            webhook_refused: loops.webhook_refused,
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
-            ..report
+            fleet_counts: loops.fleet_counts,
+            windows: Vec::new(),
         }
     }
 
     /// Adds the messages that were dropped or lost since the last call to the counters of the database. A probe changes
     /// a row in any case.
     pub(crate) async fn store_losses(&self, is_probe: bool) -> Result<(), StoreError> {
-        let Status { losses, stored_losses, .. } = &*self.status;
-        let now = [self.inbox.dropped.load(Relaxed), self.status.edit().lost];
-        for (losses, now) in losses.iter().zip(now).filter(|(losses, now)| *now > losses.count()) {
-            losses.add(now - losses.count());
+        let status = &self.status;
+        let (dropped, lost) = (self.inbox.dropped.load(Relaxed), status.edit().lost);
+        for (counter, now) in [(&status.dropped, dropped), (&status.lost, lost)] {
+            if now > counter.count() {
+                counter.add(now - counter.count());
+            }
         }
-        let [dropped, lost] = *stored_losses.lock();
-        self.store.count_losses(now[0].saturating_sub(dropped), now[1].saturating_sub(lost), is_probe).await?;
-        *stored_losses.lock() = now;
+        let new = {
+            let stored = status.stored_losses.lock();
+            StoredLosses { dropped: dropped.saturating_sub(stored.dropped), lost: lost.saturating_sub(stored.lost) }
+        };
+        self.store.count_losses(new.dropped, new.lost, is_probe).await?;
+        *status.stored_losses.lock() = StoredLosses { dropped, lost };
         Ok(())
     }
 
@@ -424,6 +488,7 @@ mod tests {
         }
         let found = status.invalid_in_a_row();
         assert!(found.len() == 1 && found[0].0.machine.as_str() == "new", "{found:?}");
-        assert_eq!(status.invalid.lock().each_ref().map(HashMap::len), [2 * UNKNOWN, UNKNOWN - 1]);
+        let invalid = status.invalid.lock();
+        assert_eq!((invalid.known.len(), invalid.unknown.len()), (2 * UNKNOWN, UNKNOWN - 1));
     }
 }

@@ -57,7 +57,8 @@ pub(crate) async fn watch(sources: StatusSources) {
     let mut check = time::interval(period);
     let mut routine = time::interval(STATUS_EVERY);
     routine.tick().await;
-    let mut trouble = String::new();
+    // Level of the disk, and silent tasks.
+    let mut before = None;
     let mut probe = std::pin::pin!(probe_writer(sources.clone()));
     loop {
         tokio::select! {
@@ -72,14 +73,15 @@ pub(crate) async fn watch(sources: StatusSources) {
         } else {
             notify(&[NotifyState::Status(&line)]);
         }
-        let now = format!("{:?} {:?}", report.disk, report.silent);
-        if now != trouble {
-            if report.disk != DiskLevel::Ample || !report.silent.is_empty() {
+        let is_trouble = report.disk != DiskLevel::Ample || !report.silent.is_empty();
+        let now = Some((report.disk, report.silent));
+        if now != before {
+            if is_trouble {
                 tracing::error!("{line}");
-            } else if !trouble.is_empty() {
+            } else if before.is_some() {
                 tracing::info!("{line}");
             }
-            trouble = now;
+            before = now;
         }
     }
 }

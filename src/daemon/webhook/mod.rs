@@ -39,17 +39,29 @@ const EARLY: usize = 8;
 /// An alarm event to send, with its row; `None` before it is committed.
 type Pending = (Option<i64>, Alarm);
 
+/// A period of `webhook.period_s`.
+struct Period {
+    start: Instant,
+    /// Number of messages sent in it.
+    sent: u32,
+}
+
+impl Period {
+    fn begin() -> Self {
+        Self { start: clock::monotonic(), sent: 0 }
+    }
+}
+
 /// The sending loop.
 pub(super) struct Notifier {
     shared: Arc<Shared>,
     server: WebhookServer,
-    /// Start of the present period of `webhook.period_s`, and number of messages sent in it.
-    sent: (Instant, u32),
+    period: Period,
     /// The last row that need not be sent any more. The database may still have it: on a full or failing disk it cannot be
     /// removed.
     last: i64,
-    /// Whether the last removal failed.
-    is_kept: bool,
+    /// Whether the last removal of sent notifications failed.
+    removal_failed: bool,
     /// The last events that were sent before they were committed.
     early: VecDeque<Alarm>,
 }
@@ -62,21 +74,21 @@ impl Notifier {
     pub(super) async fn new(shared: Arc<Shared>) -> Result<Option<Self>, StartError> {
         let server = WebhookServer::new(&shared.config.webhook).map_err(StartError::Webhook)?;
         shared.store.set_webhook(server.is_some()).await?;
-        let sent = (clock::monotonic(), 0);
-        Ok(server.map(|server| Self { shared, server, sent, last: 0, is_kept: false, early: VecDeque::new() }))
+        let period = Period::begin();
+        Ok(server.map(|server| Self { shared, server, period, last: 0, removal_failed: false, early: VecDeque::new() }))
     }
 
     /// Runs until the future is dropped.
     pub(super) async fn run(mut self) {
-        let period = Duration::from_secs_f64(self.shared.config.webhook.period_s);
+        let length = Duration::from_secs_f64(self.shared.config.webhook.period_s);
         loop {
-            if self.sent.0.elapsed() >= period {
-                self.sent = (clock::monotonic(), 0);
+            if self.period.start.elapsed() >= length {
+                self.period = Period::begin();
             }
-            let is_flood = self.sent.1 >= self.shared.config.webhook.max_messages;
+            let is_flood = self.period.sent >= self.shared.config.webhook.max_messages;
             let mut pending = self.pending(BATCH).await;
             if pending.is_empty() {
-                if self.is_kept {
+                if self.removal_failed {
                     self.remove().await;
                 }
                 // With a time limit, to repeat a read or a removal that failed.
@@ -84,12 +96,12 @@ impl Notifier {
                 continue;
             }
             if is_flood {
-                self.wait(time::sleep_until((self.sent.0 + period).into())).await;
+                self.wait(time::sleep_until((self.period.start + length).into())).await;
                 pending = self.pending(ALL).await;
             } else {
                 pending.truncate(1);
             }
-            self.sent.1 += 1;
+            self.period.sent += 1;
             self.deliver(pending).await;
         }
     }
@@ -172,7 +184,7 @@ impl Notifier {
         let older = self.early.len().saturating_sub(EARLY);
         self.early.drain(..older);
         // While removals fail, no alarm waits for the next attempt.
-        if !self.is_kept {
+        if !self.removal_failed {
             self.remove().await;
         }
     }
@@ -180,7 +192,7 @@ impl Notifier {
     /// Removes the notifications that need not be sent any more.
     async fn remove(&mut self) {
         let removed = self.wait(self.shared.store.notified(self.last)).await;
-        self.is_kept = removed.is_err();
+        self.removal_failed = removed.is_err();
         if let Err(error) = removed {
             seldom!(warn, %error, "removing sent notifications failed; they may be sent again");
         }

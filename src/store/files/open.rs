@@ -22,7 +22,7 @@ use tokio::time::Instant;
 use super::{
     DatabaseFiles,
     disk::Disk,
-    salvage::{PARTS, Salvaged, salvage},
+    salvage::{Extent, Salvaged, salvage},
 };
 use crate::store::{
     error::{StoreError, is_corrupt, is_full, is_interrupted},
@@ -162,10 +162,10 @@ async fn recover(
     let size = std::fs::metadata(&to).map_or(0, |file| file.len());
     let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
     let mut salvaged = Salvaged::default();
-    for tables in PARTS.into_iter().skip(usize::from(!with_traces)) {
+    for extent in Extent::LARGEST_FIRST.into_iter().skip(usize::from(!with_traces)) {
         files.remove_unfinished()?;
         let copy = Settings { path: files.salvage_path(), ..settings.clone() };
-        match copy_readable(&copy, disk, &to, tables).await {
+        match copy_readable(&copy, disk, &to, extent).await {
             Ok(copied) => {
                 files.adopt(&copy.path)?;
                 salvaged = copied;
@@ -173,10 +173,10 @@ async fn recover(
             }
             Err(failure) => {
                 let error = failure.into_error(&copy);
-                tracing::error!(%error, tables, "copying rows from the broken database failed");
+                tracing::error!(%error, ?extent, "copying rows from the broken database failed");
                 let is_full = matches!(error, StoreError::Full);
                 disk.note_failure(is_full);
-                if is_full && tables == PARTS[PARTS.len() - 1] {
+                if is_full && extent == Extent::Diagnosis {
                     // No new database is created, so the next start copies the rows of the broken file.
                     files.remove_unfinished()?;
                     return Err(error);
@@ -195,10 +195,10 @@ async fn recover(
 }
 
 /// Copies the readable rows into a new database, and closes it, so that it is one file without a log.
-async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, OpenFailure> {
+async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, extent: Extent) -> Result<Salvaged, OpenFailure> {
     let (mut connection, _) = prepare(copy, disk, true).await?;
     let copied = async {
-        let salvaged = salvage(&mut connection, broken, &copy.path, tables).await?;
+        let salvaged = salvage(&mut connection, broken, &copy.path, extent).await?;
         sqlx::query(sql::SET_CLEAN).bind(true).execute(&mut connection).await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
         Ok(salvaged)
@@ -279,7 +279,7 @@ impl OpenFailure {
     /// The error of opening the database at the path of `settings`.
     fn into_error(self, Settings { path, .. }: &Settings) -> StoreError {
         match self {
-            Self::Broken(why) => StoreError::open(path)(sqlx::Error::Protocol(why)),
+            Self::Broken(damage) => StoreError::Damaged { path: path.clone(), damage },
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::open(path)(source),
             Self::Schema(error) => error,

@@ -23,49 +23,87 @@ const MOST_FAILURES: u32 = 50_000;
 /// Number of keys that are tried before the whole table counts as lost.
 const PROBES: i64 = 64;
 
-/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage
-/// rows often contain a NUL byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
-struct Table(&'static str, &'static str, &'static str);
+/// A table to copy.
+struct Table {
+    name: &'static str,
+    key: &'static str,
+    /// Condition for valid rows, as SQLite also returns rows of garbage. The texts of garbage rows often contain a NUL
+    /// byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
+    sound: &'static str,
+}
 
 /// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
 /// them.
-const TABLES: [Table; 15] = [
-    Table(
-        "machine",
-        "machine_row",
-        "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
-    ),
-    Table("monitor", "machine_row", "json_valid(snapshot)"),
-    Table(
-        "alarm",
-        "alarm_row",
-        "(alarm_id || cause || state) NOT GLOB '*[^A-Za-z0-9_.-]*' AND octet_length(alarm_id) = length(alarm_id)",
-    ),
-    Table("alarm_event", "alarm_row", "json_valid(payload) AND (severity || state) NOT GLOB '*[^a-z_]*'"),
-    Table("baseline", "baseline_row", "direction IS NOT NULL"),
-    Table("outbox", "outbox_row", "key NOT GLOB '*[^A-Za-z0-9_/-]*' AND json_valid(CAST(payload AS TEXT))"),
-    Table("notification", "notification_row", "json_valid(payload)"),
-    Table("command", "command_row", "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'"),
-    Table("boot", "boot_row", "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)"),
-    Table("gap", "gap_row", "kind IS NOT NULL"),
-    Table("backlog", "machine_row", "since_us IS NOT NULL"),
-    Table(
-        "quarantine",
-        "quarantine_row",
-        "(key || reason) NOT GLOB '*[^ -~]*' AND octet_length(key || reason) = length(key || reason)",
-    ),
-    Table("throw", "throw_row", "samples > 0"),
-    Table("estimate", "throw_row", "quality NOT GLOB '*[^a-z_]*' AND octet_length(quality) = length(quality)"),
-    Table(
-        "trace",
-        "throw_row",
-        "current_codec IN ('pco-f32', 'pco-f64', 'raw-f64') AND position_codec IN ('pco-f32', 'pco-f64', 'raw-f64')",
-    ),
+static TABLES: [Table; 15] = [
+    Table {
+        name: "machine",
+        key: "machine_row",
+        sound: "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
+    },
+    Table { name: "monitor", key: "machine_row", sound: "json_valid(snapshot)" },
+    Table {
+        name: "alarm",
+        key: "alarm_row",
+        sound: "(alarm_id || cause || state) NOT GLOB '*[^A-Za-z0-9_.-]*' AND octet_length(alarm_id) = length(alarm_id)",
+    },
+    Table {
+        name: "alarm_event",
+        key: "alarm_row",
+        sound: "json_valid(payload) AND (severity || state) NOT GLOB '*[^a-z_]*'",
+    },
+    Table { name: "baseline", key: "baseline_row", sound: "direction IS NOT NULL" },
+    Table {
+        name: "outbox",
+        key: "outbox_row",
+        sound: "key NOT GLOB '*[^A-Za-z0-9_/-]*' AND json_valid(CAST(payload AS TEXT))",
+    },
+    Table { name: "notification", key: "notification_row", sound: "json_valid(payload)" },
+    Table { name: "command", key: "command_row", sound: "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'" },
+    Table {
+        name: "boot",
+        key: "boot_row",
+        sound: "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)",
+    },
+    Table { name: "gap", key: "gap_row", sound: "kind IS NOT NULL" },
+    Table { name: "backlog", key: "machine_row", sound: "since_us IS NOT NULL" },
+    Table {
+        name: "quarantine",
+        key: "quarantine_row",
+        sound: "(key || reason) NOT GLOB '*[^ -~]*' AND octet_length(key || reason) = length(key || reason)",
+    },
+    Table { name: "throw", key: "throw_row", sound: "samples > 0" },
+    Table {
+        name: "estimate",
+        key: "throw_row",
+        sound: "quality NOT GLOB '*[^a-z_]*' AND octet_length(quality) = length(quality)",
+    },
+    Table {
+        name: "trace",
+        key: "throw_row",
+        sound: "current_codec IN ('pco-f32', 'pco-f64', 'raw-f64') AND position_codec IN ('pco-f32', 'pco-f64', 'raw-f64')",
+    },
 ];
 
-/// Number of tables that are copied at the first try, and at the next tries if there is no space: all of [`TABLES`];
-/// all but the traces; the first eight, which the diagnosis needs.
-pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
+/// The tables that are copied. If there is no space for them, a smaller extent is tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Extent {
+    All,
+    WithoutTraces,
+    /// The tables that the diagnosis needs.
+    Diagnosis,
+}
+
+impl Extent {
+    pub(super) const LARGEST_FIRST: [Self; 3] = [Self::All, Self::WithoutTraces, Self::Diagnosis];
+
+    fn tables(self) -> &'static [Table] {
+        match self {
+            Self::All => &TABLES,
+            Self::WithoutTraces => &TABLES[..TABLES.len() - 1],
+            Self::Diagnosis => &TABLES[..8],
+        }
+    }
+}
 
 /// Statements that also read machines and boots from the index of their names: a lost row would lose all its throws. A
 /// boot gets a position in the order of the rows, ?1 apart from the next.
@@ -148,7 +186,7 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the first `tables` tables of the file `broken` into the new database `new`, which
+/// Copies the readable rows of the tables in `extent` of the file `broken` into the new database `new`, which
 /// `connection` has open.
 ///
 /// # Errors
@@ -157,10 +195,10 @@ pub(super) async fn salvage(
     connection: &mut SqliteConnection,
     broken: &Path,
     new: &Path,
-    tables: usize,
+    extent: Extent,
 ) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
-        return copy_tables(connection, tables).await;
+        return copy_tables(connection, extent).await;
     }
     let grafted = beside(new, GRAFTED);
     match graft(connection, broken, &grafted, &beside(new, LAYOUT)).await {
@@ -173,19 +211,19 @@ pub(super) async fn salvage(
             return Ok(Salvaged::default());
         }
     }
-    let salvaged = copy_tables(connection, tables).await?;
+    let salvaged = copy_tables(connection, extent).await?;
     std::fs::remove_file(grafted)?;
     Ok(salvaged)
 }
 
 /// Copies the readable rows of the attached database.
-async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::Result<Salvaged> {
+async fn copy_tables(connection: &mut SqliteConnection, extent: Extent) -> sqlx::Result<Salvaged> {
     let mut salvaged = Salvaged::default();
     sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
-    for &Table(table, key, sound) in &TABLES[..tables] {
-        if let Some(columns) = columns(connection, table).await? {
-            let lost = Copy { table, key, sound, columns }.all(connection).await?;
-            salvaged.lost.insert(table, lost);
+    for table in extent.tables() {
+        if let Some(columns) = columns(connection, table.name).await? {
+            let lost = TableCopy { table, columns }.all(connection).await?;
+            salvaged.lost.insert(table.name, lost);
         }
     }
     for copy in FROM_INDEX {
@@ -200,10 +238,10 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
     }
     sqlx::query("PRAGMA foreign_keys = ON").execute(&mut *connection).await?;
     sqlx::query("DETACH broken").execute(&mut *connection).await?;
-    for Table(table, ..) in TABLES {
-        let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+    for Table { name, .. } in &TABLES {
+        let count = AssertSqlSafe(format!("SELECT count(*) FROM {name}"));
         let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;
-        salvaged.rows.insert(table, rows.cast_unsigned());
+        salvaged.rows.insert(name, rows.cast_unsigned());
     }
     Ok(salvaged)
 }
@@ -248,14 +286,12 @@ async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result
 }
 
 /// The copy of one table.
-struct Copy {
-    table: &'static str,
-    key: &'static str,
-    sound: &'static str,
+struct TableCopy {
+    table: &'static Table,
     columns: (String, String),
 }
 
-impl Copy {
+impl TableCopy {
     /// Copies the whole table; returns the number of lost keys.
     async fn all(&self, connection: &mut SqliteConnection) -> sqlx::Result<u64> {
         let (first, last) = self.bounds(connection).await;
@@ -296,15 +332,15 @@ impl Copy {
 
     /// The lowest key of the table that is not below this one.
     async fn next_key(&self, connection: &mut SqliteConnection, from: i64) -> sqlx::Result<Option<i64>> {
-        let Self { table, key, .. } = self;
-        let next = format!("SELECT {key} FROM broken.{table} WHERE {key} >= ?1 ORDER BY {key} LIMIT 1");
+        let Table { name, key, .. } = self.table;
+        let next = format!("SELECT {key} FROM broken.{name} WHERE {key} >= ?1 ORDER BY {key} LIMIT 1");
         sqlx::query_scalar(AssertSqlSafe(next)).bind(from).fetch_optional(connection).await
     }
 
     /// Whether none of the tried keys is readable, which means that the root page of the table is broken.
     async fn has_no_root(&self, connection: &mut SqliteConnection, first: i64, last: i64) -> bool {
-        let Self { table, key, .. } = self;
-        let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
+        let Table { name, key, .. } = self.table;
+        let probe = format!("SELECT count(*) FROM broken.{name} WHERE {key} = ?1");
         for step in 0..PROBES {
             let at = first.saturating_add(last.saturating_sub(first) / PROBES * step);
             let found = sqlx::query(AssertSqlSafe(probe.clone())).bind(at).fetch_optional(&mut *connection).await;
@@ -317,13 +353,13 @@ impl Copy {
 
     /// Lowest and highest key, as far as they can be read.
     async fn bounds(&self, connection: &mut SqliteConnection) -> (i64, i64) {
-        let Self { table, key, .. } = self;
+        let Table { name, key, .. } = self.table;
         let mut ask = async |question: String| {
             let answer = sqlx::query_scalar(AssertSqlSafe(question)).fetch_optional(&mut *connection).await;
             answer.ok().flatten().flatten()
         };
-        let first: Option<i64> = ask(format!("SELECT min({key}) FROM broken.{table}")).await;
-        let last = match ask(format!("SELECT max({key}) FROM broken.{table}")).await {
+        let first: Option<i64> = ask(format!("SELECT min({key}) FROM broken.{name}")).await;
+        let last = match ask(format!("SELECT max({key}) FROM broken.{name}")).await {
             Some(last) => Some(last),
             None if *key == "throw_row" => {
                 ask("SELECT seq FROM broken.sqlite_sequence WHERE name = 'throw'".to_owned()).await
@@ -335,9 +371,9 @@ impl Copy {
 
     /// Copies the valid rows of a range of keys and returns the number of invalid ones; `None` if a row cannot be read.
     async fn range(&self, connection: &mut SqliteConnection, low: i64, high: i64) -> sqlx::Result<Option<u64>> {
-        let Self { table, key, sound, columns: (to, from) } = self;
-        let rows = format!("FROM broken.{table} WHERE {key} BETWEEN ?1 AND ?2");
-        let copy = format!("INSERT OR IGNORE INTO main.{table} ({to}) SELECT {from} {rows} AND ({sound})");
+        let Self { table: Table { name, key, sound }, columns: (to, from) } = self;
+        let rows = format!("FROM broken.{name} WHERE {key} BETWEEN ?1 AND ?2");
+        let copy = format!("INSERT OR IGNORE INTO main.{name} ({to}) SELECT {from} {rows} AND ({sound})");
         let unsound = format!("SELECT count(*) {rows} AND ({sound}) IS NOT TRUE");
         let copied = sqlx::query(AssertSqlSafe(copy)).bind(low).bind(high).execute(&mut *connection).await;
         let counted = match copied {

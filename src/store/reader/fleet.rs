@@ -18,7 +18,7 @@ use crate::{
         statements as sql,
     },
     throw::{MachineId, Name, utc},
-    wire::Alarm,
+    wire::{Alarm, BaselineProgress},
 };
 
 /// Filters and page of a fleet query.
@@ -94,8 +94,8 @@ pub(crate) struct FleetRow {
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Number of throws in the baseline of the last throw's direction (or of normal to reverse), and number needed.
-    pub baseline: Option<(u64, u64)>,
+    /// Progress of the baseline of the last throw's direction (or of normal to reverse).
+    pub baseline: Option<BaselineProgress>,
     /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
     pub spark: Vec<[f64; 3]>,
 }
@@ -209,7 +209,9 @@ impl FromRow<'_, SqliteRow> for FleetRow {
             causes_over: causes("causes_over")?,
             started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
             quality: row.try_get("quality")?,
-            baseline: count("baseline_throws")?.zip(count("baseline_needed")?),
+            baseline: count("baseline_throws")?
+                .zip(count("baseline_needed")?)
+                .map(|(so_far, needed)| BaselineProgress { so_far, needed }),
             spark,
         })
     }

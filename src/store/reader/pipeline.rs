@@ -47,9 +47,9 @@ impl Reader {
         let mut is_full = rows.len() >= limit as usize;
         let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
         for row in rows {
-            let stored = match self.recent.take(ThrowRow(row.0)) {
+            let stored = match self.recent.take(ThrowRow(row.row)) {
                 Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
-                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop() {
+                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.row)).await?.pop() {
                     Some(stored) => stored,
                     // Retention has just deleted the throw.
                     None => continue,

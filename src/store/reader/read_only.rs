@@ -204,7 +204,7 @@ impl Backup {
         copy.close().await.map_err(StoreError::read)?;
         match damage {
             None => Ok(()),
-            Some(damage) => Err(StoreError::read(sqlx::Error::Protocol(format!("the copy is broken: {damage}")))),
+            Some(damage) => Err(StoreError::Damaged { path: self.partial.clone(), damage }),
         }
     }
 }

@@ -63,7 +63,10 @@ impl WritingConnection {
         match self.transaction(&mut jobs, true).await {
             Ok(()) => answer(jobs, || Ok(())),
             Err(error) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
-            Err(error) => answer(jobs, || Err(store_error(&error))),
+            Err(error) => {
+                let error = Arc::new(error);
+                answer(jobs, || Err(store_error(Arc::clone(&error))));
+            }
         }
     }
 
@@ -73,7 +76,7 @@ impl WritingConnection {
             let mut alone = [job];
             let outcome = self.transaction(&mut alone, true).await;
             let [job] = alone;
-            job.answer(outcome.map_err(|error| store_error(&error)));
+            job.answer(outcome.map_err(store_error));
         }
     }
 
@@ -219,11 +222,11 @@ impl WritingConnection {
         self.files.remove_unfinished()?;
         let copy = self.files.copy_path();
         tracing::warn!(why, "copying the database to a new file: writes wait");
-        self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
+        self.copy_to(&copy).await.map_err(store_error)?;
         let to = self.files.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;
-        self.connected().await.map_err(|error| store_error(&error))?;
+        self.connected().await.map_err(store_error)?;
         self.reader.reopen(self.files.path());
         tracing::warn!(to = %to.display(), why, "the database moved to a new file");
         Ok(())
@@ -252,12 +255,12 @@ impl WritingConnection {
             self.disconnect().await;
             return Err(StoreError::Broken);
         }
-        let connection = self.connected().await.map_err(|error| store_error(&error))?;
-        sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| store_error(&error))?;
+        let connection = self.connected().await.map_err(store_error)?;
+        sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(store_error)?;
         // Pages that cannot be copied because of a reader stay in the log, which is as durable.
         let copied = self.checkpoint().await;
         self.disconnect().await;
-        copied.map(drop).map_err(|error| store_error(&error))
+        copied.map(drop).map_err(store_error)
     }
 }
 
@@ -275,12 +278,13 @@ fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError
 }
 
 /// Converts an error for the caller.
-fn store_error(error: &sqlx::Error) -> StoreError {
-    if is_full(error) {
+fn store_error(error: impl Into<Arc<sqlx::Error>>) -> StoreError {
+    let error = error.into();
+    if is_full(&error) {
         StoreError::Full
-    } else if is_refused(error) {
+    } else if is_refused(&error) {
         StoreError::Refused(error.to_string())
     } else {
-        StoreError::Write(error.to_string())
+        StoreError::Write(error)
     }
 }

@@ -44,45 +44,59 @@ const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_T
 /// Rows that can be dropped.
 struct DroppableRows {
     what: Dropped,
-    /// Selects the machines with the most rows or bytes, which lose rows first; `None` without a choice of machines.
-    largest: Option<&'static str>,
-    /// Selects the oldest ?1 rows; with `largest` those of the machine ?2.
-    oldest: &'static str,
-    /// Further parameters of `oldest`.
-    arguments: Vec<i64>,
+    choice: Choice,
     /// Statements that drop the rows of the JSON list ?1.
     drop: &'static [&'static str],
 }
 
+/// Statements that choose the rows to drop.
+enum Choice {
+    /// The machines with the most rows or bytes lose rows first.
+    OfLargest {
+        /// Selects these machines.
+        machines: &'static str,
+        /// Selects the oldest ?1 rows of the machine ?2.
+        oldest: &'static str,
+    },
+    /// The oldest rows are dropped, of any machine.
+    OfAll {
+        /// Selects the oldest ?1 rows.
+        oldest: &'static str,
+        /// Further parameters of `oldest`.
+        arguments: Vec<i64>,
+    },
+}
+
 impl DroppableRows {
-    /// Rows of the machines that `largest` selects.
-    fn of_largest(what: Dropped, largest: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
-        Self { what, largest: Some(largest), oldest, arguments: Vec::new(), drop }
+    /// Rows of the machines that `machines` selects.
+    fn of_largest(what: Dropped, machines: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
+        Self { what, choice: Choice::OfLargest { machines, oldest }, drop }
     }
 
-    fn traces(largest: &'static str) -> Self {
-        Self::of_largest(Dropped::Traces, largest, sql::OLDEST_TRACES, &[sql::DROP_TRACES, sql::TRACES_FROM])
+    fn traces(machines: &'static str) -> Self {
+        Self::of_largest(Dropped::Traces, machines, sql::OLDEST_TRACES, &[sql::DROP_TRACES, sql::TRACES_FROM])
     }
 
     /// Traces that were received before a time \[µs\].
     fn aged_traces(before_us: i64, now_us: i64) -> Self {
         /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
         const FIRST_US: i64 = 1_577_836_800_000_000;
-        let (arguments, drop) = (vec![before_us, FIRST_US, now_us], &[sql::DROP_TRACES]);
-        Self { what: Dropped::Traces, largest: None, oldest: sql::AGED_TRACES, arguments, drop }
+        let arguments = vec![before_us, FIRST_US, now_us];
+        let choice = Choice::OfAll { oldest: sql::AGED_TRACES, arguments };
+        Self { what: Dropped::Traces, choice, drop: &[sql::DROP_TRACES] }
     }
 
-    fn throws(largest: &'static str) -> Self {
-        Self::of_largest(Dropped::Throws, largest, sql::OLDEST_THROWS, DROP_THROWS)
+    fn throws(machines: &'static str) -> Self {
+        Self::of_largest(Dropped::Throws, machines, sql::OLDEST_THROWS, DROP_THROWS)
     }
 
     /// A machine that sends more throws than can be judged loses its oldest pending ones.
-    fn pending(largest: &'static str) -> Self {
-        Self::of_largest(Dropped::PendingThrows, largest, sql::OLDEST_PENDING, DROP_THROWS)
+    fn pending(machines: &'static str) -> Self {
+        Self::of_largest(Dropped::PendingThrows, machines, sql::OLDEST_PENDING, DROP_THROWS)
     }
 
     fn of_all(what: Dropped, oldest: &'static str, drop: &'static [&'static str]) -> Self {
-        Self { what, largest: None, oldest, arguments: Vec::new(), drop }
+        Self { what, choice: Choice::OfAll { oldest, arguments: Vec::new() }, drop }
     }
 
     fn alarms() -> Self {
@@ -107,20 +121,21 @@ impl DroppableRows {
     /// Up to `rows` row numbers.
     async fn choose(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
         let limit = rows.cast_signed();
-        let Some(largest) = self.largest else {
-            let mut oldest = sqlx::query_scalar(self.oldest).bind(limit);
-            for argument in &self.arguments {
-                oldest = oldest.bind(argument);
+        match &self.choice {
+            Choice::OfAll { oldest, arguments } => {
+                let oldest = sqlx::query_scalar(*oldest).bind(limit);
+                arguments.iter().fold(oldest, |oldest, argument| oldest.bind(argument)).fetch_all(connection).await
             }
-            return oldest.fetch_all(connection).await;
-        };
-        let machines: Vec<Usage> = sqlx::query_as(largest).bind(limit).fetch_all(&mut *connection).await?;
-        let mut chosen = Vec::new();
-        for (machine_row, rows) in shares(machines, rows) {
-            let oldest = sqlx::query_scalar::<_, i64>(self.oldest).bind(rows.cast_signed()).bind(machine_row);
-            chosen.extend(oldest.fetch_all(&mut *connection).await?);
+            Choice::OfLargest { machines, oldest } => {
+                let machines: Vec<Usage> = sqlx::query_as(*machines).bind(limit).fetch_all(&mut *connection).await?;
+                let mut chosen = Vec::new();
+                for (machine_row, rows) in shares(machines, rows) {
+                    let oldest = sqlx::query_scalar::<_, i64>(*oldest).bind(rows.cast_signed()).bind(machine_row);
+                    chosen.extend(oldest.fetch_all(&mut *connection).await?);
+                }
+                Ok(chosen)
+            }
         }
-        Ok(chosen)
     }
 }
 
@@ -184,16 +199,17 @@ impl Write for Retention {
 
 impl Store {
     /// Brings the database within its bounds and restores the ballast; returns the numbers of dropped rows. Called
-    /// every second; the number of rows dropped by a call is limited. `clock_trusted`: whether `now` is correct.
+    /// every second; the number of rows dropped by a call is limited. `trusted_now` is `None` while the clock may be
+    /// wrong: then no row is too old.
     ///
     /// # Errors
     /// When the database cannot be read or written.
-    pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
+    pub async fn keep_bounds(&self, trusted_now: Option<Timestamp>) -> Result<BTreeMap<Dropped, u64>, StoreError> {
         let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {
             let mut round = BTreeMap::new();
             // If a bound cannot be met, the next one is tried.
-            for drop in self.excess(now, clock_trusted).await? {
+            for drop in self.excess(trusted_now).await? {
                 round = self.writer.write(drop).await?;
                 if !round.is_empty() {
                     break;
@@ -215,7 +231,7 @@ impl Store {
     }
 
     /// The next rows to drop, the least valuable first; empty if the database is within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Retention>, StoreError> {
+    async fn excess(&self, trusted_now: Option<Timestamp>) -> Result<Vec<Retention>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
@@ -260,7 +276,7 @@ impl Store {
                 due.push(Retention::Rows(kinds, rows));
             }
         }
-        if clock_trusted {
+        if let Some(now) = trusted_now {
             let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
             let kinds = vec![DroppableRows::aged_traces(before.as_microsecond(), now.as_microsecond())];
             due.push(Retention::Rows(kinds, BATCH));

@@ -28,6 +28,17 @@ pub enum Spooled {
     Duplicate,
 }
 
+/// A throw with its machine and the time of reception.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReceivedThrow {
+    /// The machine.
+    pub machine: MachineId,
+    /// The throw.
+    pub throw: Throw,
+    /// Time of reception.
+    pub received_at: Timestamp,
+}
+
 /// A throw to store.
 pub(crate) struct Spool {
     machine: MachineId,
@@ -43,7 +54,7 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    pub(crate) fn new(machine: MachineId, throw: Throw, received_at: Timestamp) -> Self {
+    pub(crate) fn new(ReceivedThrow { machine, throw, received_at }: ReceivedThrow) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         let has_position = throw.trace.has_position();
         let lower_half = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
@@ -86,7 +97,8 @@ impl Spool {
         } else {
             // The separate boot gets a position before that of the real boot: backlog queries take the boot with the
             // highest position as the last one.
-            let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
+            let position = boot.position.saturating_sub(SPACING / 2);
+            let new = NewBoot { boot_id: &boot_id, position, highest_no: 0, tail_open: false };
             add_boot(connection, boot.machine_row, new, self.received_at_us).await?
         };
         let same: Option<i64> = sqlx::query_scalar(sql::SAME_CONTENT)
@@ -219,6 +231,16 @@ async fn in_sequence<'a>(connection: &mut SqliteConnection, throws: &'a [Spool])
     Ok(found)
 }
 
+/// A throw that is the next one of its boot. The statement makes an array, so the order of the fields counts.
+#[derive(serde::Deserialize)]
+struct NextThrow {
+    /// Position among the throws of the query.
+    at: usize,
+    machine_row: i64,
+    boot_row: i64,
+    position: i64,
+}
+
 /// The throws of [`in_sequence`] whose boots are known.
 async fn next_of_known_boots<'a>(
     connection: &mut SqliteConnection,
@@ -230,10 +252,10 @@ async fn next_of_known_boots<'a>(
         find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
         find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
     }
-    let found: Vec<(usize, i64, i64, i64)> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
+    let found: Vec<NextThrow> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
     let mut machines = HashSet::new();
-    let first = found.into_iter().filter(|&(_, machine_row, ..)| machines.insert(machine_row));
-    let place = |(at, machine_row, boot_row, position): (usize, _, _, _)| Placed {
+    let first = found.into_iter().filter(|next| machines.insert(next.machine_row));
+    let place = |NextThrow { at, machine_row, boot_row, position }| Placed {
         throw: &throws[at],
         machine_row,
         boot_row,
@@ -324,7 +346,7 @@ impl Spool {
         let before = sqlx::query_as(sql::BOOT_BEFORE).bind(machine_row).bind(position);
         let before: Option<Boot> = before.fetch_optional(&mut *connection).await?;
         let (first_no, at_us) = (self.throw_no(), self.received_at_us);
-        let new = (self.throw.id.boot_id.as_str(), position, first_no, !is_last);
+        let new = NewBoot { boot_id: &self.throw.id.boot_id, position, highest_no: first_no, tail_open: !is_last };
         let boot = add_boot(connection, machine_row, new, at_us).await?;
         let from_zero = sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(machine_row);
         let from_zero: bool = from_zero.fetch_one(&mut *connection).await?;
@@ -392,11 +414,19 @@ async fn new_position(
     Ok((last.map_or(0, |last| last.position).saturating_add(SPACING), true))
 }
 
-/// Adds a boot: `boot_id`, position, highest number, and whether later throws of it may be in the backlog.
+/// A boot to add.
+struct NewBoot<'a> {
+    boot_id: &'a str,
+    position: i64,
+    highest_no: i64,
+    /// Whether later throws of it may be in the backlog.
+    tail_open: bool,
+}
+
 async fn add_boot(
     connection: &mut SqliteConnection,
     machine_row: i64,
-    (boot_id, position, highest_no, tail_open): (&str, i64, i64, bool),
+    NewBoot { boot_id, position, highest_no, tail_open }: NewBoot<'_>,
     at_us: i64,
 ) -> sqlx::Result<Boot> {
     let boot_row = sqlx::query_scalar(sql::ADD_BOOT)
