@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, output};
+use crate::diagnose::Cause;
 use crate::estimate::{Settings, modelled_position_mm};
 use crate::evaluate::limits::NAMES;
 use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, TESTS, Test, run};
@@ -51,8 +52,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     if let Some(folder) = &arguments.out {
         output::figures(folder, figures(&results))?;
     }
-    let as_expected =
-        results.iter().all(|result| result.verdict() == result.case.cause && result.tests.iter().all(is_as_expected));
+    let as_expected = results
+        .iter()
+        .all(|result| result.verdict() == Some(result.case.cause) && result.tests.iter().all(is_as_expected));
     if arguments.json {
         output::json(&report(&results))?;
     } else {
@@ -85,7 +87,7 @@ fn tables(results: &[CaseResult], study: &Study) -> String {
         }
         let table = output::numbers(table, 0);
         let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
-        let verdict = format!("verdict: {} (changed: {})", result.verdict(), result.case.cause);
+        let verdict = format!("verdict: {} (changed: {})", verdict(result), result.case.cause.as_str());
         let [scatter, beyond] = [result.correlation, result.correlation_beyond_scatter].map(line);
         text.extend([
             format!("\n{table}\ncorrelation of the inertia estimates: {scatter}\n"),
@@ -111,6 +113,10 @@ fn cell(test: &Test, at: usize) -> String {
     format!("{:+.1} ({sd_pct:.1}) | {expected}{mark}", test.change_pct[at])
 }
 
+fn verdict(result: &CaseResult) -> &'static str {
+    result.verdict().map_or("none", Cause::as_str)
+}
+
 fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
     let test = |test: &Test| {
         json!({
@@ -122,7 +128,7 @@ fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
     let case = |result: &CaseResult| {
         let pairs = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| json!({"b0_a1": b0_a1, "b0_a0": b0_a0, "a1_a0": a1_a0});
         json!({
-            "parameter": result.case.symbol, "cause": result.case.cause, "verdict": result.verdict(),
+            "parameter": result.case.symbol, "cause": result.case.cause.as_str(), "verdict": verdict(result),
             "correlation": pairs(result.correlation),
             "correlation_beyond_scatter": pairs(result.correlation_beyond_scatter),
             "tests": result.tests.iter().map(test).collect::<Vec<_>>(),

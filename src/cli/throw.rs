@@ -205,7 +205,7 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
         if !(-90.0..=2000.0).contains(&size_pct) {
             bail!("--fault {fault}: the size must be -90 to 2000 %");
         }
-        condition.worsen(part, size_pct);
+        condition.change(part, size_pct);
     }
     Ok(condition)
 }

@@ -55,7 +55,7 @@ impl Coverage {
 
     /// Checks the `verdict` on throw `at` of a life.
     pub(super) fn add(&mut self, at: usize, verdict: &Verdict, life: &Timeline, settings: &Settings) {
-        if at < life.onset || life.is_learned() {
+        if at < life.onset || life.fault_is_in_baseline() {
             return;
         }
         for fault in life.faults.iter().filter(|fault| fault.onset == life.onset && has_one_size(fault)) {

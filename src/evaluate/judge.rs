@@ -45,33 +45,17 @@ pub(super) enum Judgement {
 /// Judges the calls of a life, in their order, by the definitions in [`super`]. `trend`: first throw at which the rule
 /// stated that its baseline has a trend.
 pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Judgement {
-    if life.is_learned() && !calls.is_empty() {
+    if life.fault_is_in_baseline() && !calls.is_empty() {
         return Judgement::Wrong;
     }
-    let before = calls.iter().take_while(|call| call.at < life.onset);
-    let after = &calls[before.clone().count()..];
-    let after = || after.iter().filter(|call| Some(call.cause) != life.lasting());
-    if before.into_iter().any(|call| Some(call.cause) != life.earlier()) {
-        return Judgement::Wrong;
-    }
+    let (before, after) = calls.split_at(calls.partition_point(|call| call.at < life.onset));
+    // The name of an earlier fault that still exists is neither an answer nor an error.
+    let after: Vec<Call> = after.iter().filter(|call| Some(call.cause) != life.lasting()).copied().collect();
     let truth: Vec<Cause> = life.truth().collect();
-    // If the fault is one of a sensor, an alarm that names part and sensor as equally possible is no name.
-    let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
-    let named = || after().filter(|call| Cause::PHYSICAL.contains(&call.cause) && !open(call));
-    let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
-    let wrong_critical = named().any(|call| call.critical && !truth.contains(&call.cause));
-    if wrong_first || wrong_critical {
+    if before.iter().any(|call| Some(call.cause) != life.earlier()) || is_wrong(&after, &truth) {
         return Judgement::Wrong;
     }
-    let first = |cause: Cause| after().find(|call| call.cause == cause).map(|call| call.at);
-    let both = after().find(|call| open(call)).map(|call| call.at);
-    let unattributed = first(Cause::Unattributed).into_iter().chain(both).min();
-    let all_named = truth.iter().map(|&cause| first(cause)).collect::<Option<Vec<_>>>();
-    let all_named = all_named.and_then(|throws| throws.into_iter().max());
-    let (right, ambiguous) = match truth.len() {
-        1 => (all_named, unattributed),
-        _ => (all_named.into_iter().chain(unattributed).min(), None),
-    };
+    let (right, ambiguous) = answers(&after, &truth);
     // For wear from the first throw, an early statement about the baseline is a name, and a late name does not count.
     let right = match life.deadline() {
         Some(deadline) => right.into_iter().chain(trend).min().filter(|at| *at < deadline),
@@ -82,6 +66,33 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
         (None, Some(_)) => Judgement::Ambiguous,
         (None, None) => Judgement::Missed,
     }
+}
+
+/// Whether the first named part, or one at critical severity, is healthy.
+fn is_wrong(after: &[Call], truth: &[Cause]) -> bool {
+    let mut named = after
+        .iter()
+        .filter(|call| Cause::PHYSICAL.contains(&call.cause) && !leaves_sensor_open(call, truth))
+        .enumerate();
+    named.any(|(at, call)| (at == 0 || call.critical) && !truth.contains(&call.cause))
+}
+
+/// The throws at which the calls answer the whole truth, and at which they leave it open: an alarm without a name. Such an
+/// alarm is the right answer to two faults.
+fn answers(after: &[Call], truth: &[Cause]) -> (Option<usize>, Option<usize>) {
+    let first = |is: &dyn Fn(&Call) -> bool| after.iter().find(|call| is(call)).map(|call| call.at);
+    let named: Option<Vec<usize>> = truth.iter().map(|&cause| first(&|call| call.cause == cause)).collect();
+    let named = named.and_then(|throws| throws.into_iter().max());
+    let unattributed = first(&|call| call.cause == Cause::Unattributed || leaves_sensor_open(call, truth));
+    match truth.len() {
+        1 => (named, unattributed),
+        _ => (named.into_iter().chain(unattributed).min(), None),
+    }
+}
+
+/// Whether an alarm names part and sensor as equally possible, and the fault is one of a sensor. Such an alarm is no name.
+fn leaves_sensor_open(call: &Call, truth: &[Cause]) -> bool {
+    call.or_sensor && truth.contains(&Cause::Sensor)
 }
 
 /// Whether any call named a healthy part at critical severity.
@@ -153,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn an_alarm_about_a_fault_that_the_baseline_has_learned_is_a_false_alarm_that_may_hit() {
+    fn any_alarm_about_a_fault_that_is_in_the_baseline_is_wrong() {
         let life = life(Situation::FromFirstThrow, &[Cause::Kt]);
         assert_eq!(judged(&life, &[]), Judgement::Missed);
         for cause in [Cause::Kt, Cause::Inertia, Cause::Unattributed] {

@@ -32,7 +32,7 @@ pub fn picture(report: &Report) -> String {
     for shape in [Growth::Step, Growth::Ramp] {
         for (quantity, curves) in [("throws to the name", DELAYS.as_slice()), ("named right [%]", RIGHT.as_slice())] {
             for part in Cause::PHYSICAL {
-                let rows: Vec<&Row> = report.rows.iter().filter(|row| shown(row, part.as_str(), shape)).collect();
+                let rows: Vec<&Row> = report.rows.iter().filter(|row| shown(row, part, shape)).collect();
                 let panel = Panel::curves(format!("{part}, {}", shape.as_ref()), "size [% of nominal]", quantity);
                 sheet = sheet.panel(curves.iter().fold(panel, |panel, (name, value)| {
                     let points = rows.iter().map(|row| (row.size_pct, value(row).unwrap_or(f64::NAN)));
@@ -44,9 +44,9 @@ pub fn picture(report: &Report) -> String {
     sheet.to_svg()
 }
 
-fn shown(row: &Row, part: &str, shape: Growth) -> bool {
-    let plain = row.case == Situation::Plain.label() && row.depth == Depth::Parameter && row.noise == Noise::Default;
-    plain && row.cause == part && row.shape == shape
+fn shown(row: &Row, part: Cause, shape: Growth) -> bool {
+    let plain = row.situation == Situation::Plain && row.depth == Depth::Parameter && row.noise == Noise::Default;
+    plain && row.parts == [part] && row.shape == shape
 }
 
 fn right_pct(tally: &Tally, row: &Row) -> f64 {

@@ -9,7 +9,7 @@ use super::{
     domain,
     healthy::FLEETS,
     judge::{Judgement, judge, names_wrongly},
-    life::{Rules, Source, live},
+    life::{FalseAlarms, Rules, Source, live},
     observation::observation,
     parameter::ParameterMachine,
     random::stream,
@@ -101,12 +101,11 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// `alarms`: their numbers, as in [`super::life::Calls::alarms`].
     Healthy {
         depth: Depth,
         fleet: Option<usize>,
         throws: usize,
-        alarms: [usize; 4],
+        alarms: FalseAlarms,
     },
     /// The judgements of the monitor, the paper's rule and the CUSUM; whether the monitor named a healthy part at
     /// critical severity; and the correctness of its sizes and forecasts.
@@ -195,16 +194,16 @@ impl Plan {
         Report { seed: self.seed, healthy, rows, budget }
     }
 
-    fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> [usize; 4] {
+    fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> FalseAlarms {
         let random = |domain, row| stream(self.seed, domain, row, machine);
         let rules = self.rules(Situation::Plain, Noise::Default);
         if let Some(fleet) = fleet {
             let life = FLEETS[fleet].life(throws, &mut random(domain::WEATHER, fleet));
             let random = random(domain::FLEET, fleet);
-            return live(drawn(random, Noise::Default, FLEETS[fleet].scatter, &life), &life, rules).alarms();
+            return live(drawn(random, Noise::Default, FLEETS[fleet].scatter, &life), &life, rules).false_alarms();
         }
         let (life, random) = (Timeline::healthy(throws), random(domain::HEALTHY, depth as usize));
-        live(source(depth, Situation::Plain, Noise::Default, random, &life), &life, rules).alarms()
+        live(source(depth, Situation::Plain, Noise::Default, random, &life), &life, rules).false_alarms()
     }
 
     fn row(&self, row: usize, trial: usize) -> Kind {
@@ -292,22 +291,16 @@ fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
 }
 
 /// Adds the alarms of a life to the results of its depth and fleet.
-fn add(
-    healthy: &mut Vec<Healthy>,
-    depth: Depth,
-    fleet: Option<&'static str>,
-    throws: usize,
-    [monitor, not_monitored, paper, cusum]: [usize; 4],
-) {
+fn add(healthy: &mut Vec<Healthy>, depth: Depth, fleet: Option<&'static str>, throws: usize, alarms: FalseAlarms) {
     let at = healthy.iter().position(|healthy| (healthy.depth, healthy.fleet) == (depth, fleet)).unwrap_or_else(|| {
         healthy.push(Healthy { depth, fleet, ..Healthy::default() });
         healthy.len() - 1
     });
     healthy[at].throws += throws;
-    healthy[at].false_alarms += monitor;
-    healthy[at].not_monitored += not_monitored;
-    healthy[at].paper_false_alarms += paper;
-    healthy[at].cusum_false_alarms += cusum;
+    healthy[at].false_alarms += alarms.monitor;
+    healthy[at].not_monitored += alarms.not_monitored;
+    healthy[at].paper_false_alarms += alarms.paper;
+    healthy[at].cusum_false_alarms += alarms.cusum;
 }
 
 /// The warning limits as fractions, in the order of [`Cause::PHYSICAL`].

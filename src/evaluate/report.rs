@@ -5,8 +5,9 @@ use serde::{Serialize, Serializer};
 use super::{
     coverage::Coverage,
     judge::Judgement,
-    scenario::{Depth, Growth, Noise, Scenario},
+    scenario::{Depth, Growth, Noise, Scenario, Situation},
 };
+use crate::diagnose::Cause;
 
 /// Goal: least share of lives that are named right in a plain row.
 const GOAL_RIGHT: f64 = 0.99;
@@ -68,6 +69,9 @@ pub struct Budget {
 pub struct Row {
     /// Depth of the simulation.
     pub depth: Depth,
+    /// The faulty parts.
+    #[serde(skip)]
+    pub(super) parts: Vec<Cause>,
     /// The faulty part; two are joined by `+`.
     pub cause: String,
     /// Growth of the fault.
@@ -78,6 +82,9 @@ pub struct Row {
     pub noise: Noise,
     /// Whether the row is hard; otherwise it is plain.
     pub hard: bool,
+    /// The conditions.
+    #[serde(skip)]
+    pub(super) situation: Situation,
     /// Name of the conditions.
     pub case: &'static str,
     /// Number of lives.
@@ -174,15 +181,17 @@ impl Row {
     /// The row of a scenario, from its judged lives.
     pub(super) fn new(scenario: &Scenario, lives: &Lives) -> Self {
         let [monitor, paper, cusum] = [0, 1, 2].map(|rule| Tally::of(lives.judgements.iter().map(|three| three[rule])));
-        let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
+        let parts: Vec<Cause> = scenario.faults.iter().map(|(part, _)| *part).collect();
         Self {
             depth: scenario.depth,
-            cause: cause.join("+"),
+            cause: parts.iter().map(|part| part.as_str()).collect::<Vec<_>>().join("+"),
+            parts,
             shape: scenario.shape,
             // Rounded, as the fraction is not exact in binary.
             size_pct: (scenario.faults[0].1 * 1e4).round() / 1e2,
             noise: scenario.noise,
             hard: scenario.hard,
+            situation: scenario.situation,
             case: scenario.situation.label(),
             trials: lives.judgements.len(),
             monitor,
@@ -205,7 +214,7 @@ impl Row {
         if let Some(delay) = late.filter(|_| !self.hard && self.shape == Growth::Step) {
             shortfalls.push(format!("median delay {delay} throws"));
         }
-        if self.wrong_critical > 0 && self.cause.contains('+') {
+        if self.wrong_critical > 0 && self.parts.len() > 1 {
             shortfalls.push(format!("a healthy part named at critical severity in {} lives", self.wrong_critical));
         }
         for (name, comparator) in [("the paper's rule", &self.paper), ("CUSUM", &self.cusum)] {

@@ -14,6 +14,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
+use crate::diagnose::Cause;
 use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, Trace};
@@ -54,8 +55,8 @@ pub struct Case {
     pub symbol: &'static str,
     /// Unit of the parameter.
     pub unit: &'static str,
-    /// The cause that the parameter stands for, as in messages.
-    pub cause: &'static str,
+    /// The cause that the parameter stands for.
+    pub cause: Cause,
     /// Values of the parameter in tests 2 to 6.
     pub values: [f64; 5],
     parameter: fn(&mut Parameters) -> &mut f64,
@@ -67,7 +68,7 @@ const CASES: [Case; 4] = [
     Case {
         symbol: "KT",
         unit: "N m/A",
-        cause: "kt",
+        cause: Cause::Kt,
         values: [0.5, 0.6, 0.7, 0.9, 1.0],
         parameter: |machine| &mut machine.torque_constant,
         expected: |at| {
@@ -78,7 +79,7 @@ const CASES: [Case; 4] = [
     Case {
         symbol: "mu",
         unit: "",
-        cause: "friction",
+        cause: Cause::Friction,
         values: [0.001, 0.0025, 0.005, 0.01, 0.02],
         parameter: |machine| &mut machine.rails.slide_friction,
         expected: |at| {
@@ -90,7 +91,7 @@ const CASES: [Case; 4] = [
     Case {
         symbol: "K_bs",
         unit: "N m/rad",
-        cause: "stiffness",
+        cause: Cause::Stiffness,
         values: [0.1, 0.2, 0.3, 0.4, 0.5],
         parameter: |machine| &mut machine.screw_stiffness_nm,
         expected: |at| {
@@ -101,7 +102,7 @@ const CASES: [Case; 4] = [
     Case {
         symbol: "J_L",
         unit: "kg m²",
-        cause: "inertia",
+        cause: Cause::Inertia,
         values: [1e-4, 2e-4, 4e-4, 6e-4, 7.5e-4],
         parameter: |machine| &mut machine.load_inertia_kg_m2,
         expected: |at| [Expected::Change([-3.0, -19.0, -39.0, -51.0, -57.5][at]); 3],
@@ -300,15 +301,15 @@ impl CaseResult {
         })
     }
 
-    /// The cause by the study's rule: `inertia`, the cause of the coefficient that changed most, or `none`.
-    pub fn verdict(&self) -> &'static str {
+    /// The cause by the study's rule: inertia, the cause of the coefficient that changed most, or `None`.
+    pub fn verdict(&self) -> Option<Cause> {
         let moved = self.moved();
         if self.correlation_beyond_scatter.iter().all(|pair| *pair >= CORRELATION_LIMIT) {
-            return "inertia";
+            return Some(Cause::Inertia);
         }
         let most = |at: usize| self.tests.iter().map(|test| test.change_pct[at].abs()).fold(0.0, f64::max);
         let largest = (0..3).filter(|&at| moved[at]).max_by(|&a, &b| most(a).total_cmp(&most(b)));
         // The parameters of the first three cases belong to b0, a1 and a0.
-        largest.map_or("none", |at| CASES[at].cause)
+        largest.map(|at| CASES[at].cause)
     }
 }

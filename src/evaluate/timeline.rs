@@ -68,7 +68,7 @@ const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
 impl Timeline {
     /// Whether the fault exists from the first throw. The baseline contains it, and every alarm comes from scatter.
-    pub(super) fn is_learned(&self) -> bool {
+    pub(super) fn fault_is_in_baseline(&self) -> bool {
         self.onset == 0 && self.deadline().is_none()
     }
 

@@ -111,8 +111,9 @@ impl Default for Condition {
 }
 
 impl Condition {
-    /// Adds a fault of `size_pct` \[%\] in `part` to the faults so far.
-    pub fn worsen(&mut self, part: Part, size_pct: f64) {
+    /// Changes `part` by `size_pct` \[%\], beside its changes so far: by a fault, or as a healthy machine differs from
+    /// others. A loss is limited to 95 %, as the simulation needs positive coefficients.
+    pub fn change(&mut self, part: Part, size_pct: f64) {
         let ratio = (1.0 + size_pct / 100.0).max(0.05);
         match part {
             Part::Kt => self.kt *= ratio,

@@ -219,7 +219,7 @@ impl SimulatedMachine {
             if matches!(fault.shape, Shape::RandomWalk { .. }) && throw_index >= fault.from_throw {
                 *walk += normal(&mut self.rng);
             }
-            condition.worsen(fault.part, fault.size_at(throw_index, *walk));
+            condition.change(fault.part, fault.size_at(throw_index, *walk));
         }
         condition
     }
@@ -299,7 +299,7 @@ impl FleetSettings {
         let (kt, friction) = (ratio(self.spread.kt_pct), ratio(self.spread.friction_pct));
         let (stiffness, inertia) = (ratio(self.spread.stiffness_pct), ratio(self.spread.inertia_pct));
         let mut as_built = Condition::default();
-        as_built.worsen(Part::Inertia, (inertia - 1.0) * 100.0);
+        as_built.change(Part::Inertia, (inertia - 1.0) * 100.0);
         let mut parameters = self.machine.in_condition(&as_built)?;
         parameters.torque_constant *= kt;
         parameters.back_emf_constant *= kt;

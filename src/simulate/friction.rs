@@ -61,14 +61,25 @@ pub(super) struct Response {
     velocity: Vec<Vec<f64>>,
 }
 
+impl Response {
+    /// Effect of the forces of all contacts on the state.
+    fn effect_of(&self, contacts: &[Contact]) -> State {
+        let mut sum = [0.0; STATES];
+        for (contact, effect) in contacts.iter().zip(&self.effect) {
+            add_scaled(&mut sum, effect, contact.force);
+        }
+        sum
+    }
+}
+
 /// Dry friction of a machine, with the forces of the last step.
 #[derive(Debug, Clone)]
 pub(super) struct Friction<'a> {
     parameters: &'a Parameters,
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
-    /// Effect of the present forces on the state; NaN when it must be computed again.
-    effect: State,
+    /// Effect of the present forces on the state; `None` after a change of the response or of the forces.
+    effect: Option<State>,
 }
 
 impl<'a> Friction<'a> {
@@ -83,7 +94,7 @@ impl<'a> Friction<'a> {
                 |chair: &Chair| contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n);
             contacts.extend(modes.chairs.iter().map(slide));
         }
-        Self { parameters, contacts, effect: [0.0; STATES] }
+        Self { parameters, contacts, effect: Some([0.0; STATES]) }
     }
 
     /// Torque of the closed brake \[N m on the screw\].
@@ -106,7 +117,7 @@ impl<'a> Friction<'a> {
         // The force may be above the new limit because of break-away friction, but the iteration must start within the
         // limits.
         motor.force = motor.force.clamp(-motor.limit, motor.limit);
-        self.forget_effect();
+        self.effect = None;
     }
 
     /// Adds this step's friction to `next`, the state that the step would reach without friction. `state` is the state
@@ -115,30 +126,21 @@ impl<'a> Friction<'a> {
         if self.parameters.breakaway_ratio > 1.0 {
             self.update_limits(state, motor_on);
         }
-        if self.effect[0].is_nan() {
-            self.refresh(response);
-        }
+        let effect = self.effect.get_or_insert_with(|| response.effect_of(&self.contacts));
         let mut reached = *next;
-        add_scaled(&mut reached, &self.effect, 1.0);
+        add_scaled(&mut reached, effect, 1.0);
         if !self.contacts.iter().all(|contact| contact.holds(&reached)) {
             self.solve(next, response);
-            self.refresh(response);
+            let effect = self.effect.insert(response.effect_of(&self.contacts));
             reached = *next;
-            add_scaled(&mut reached, &self.effect, 1.0);
+            add_scaled(&mut reached, effect, 1.0);
         }
         *next = reached;
     }
 
-    /// Discards the stored effect of the forces, which is wrong after a change of the response or of the forces.
+    /// Discards the stored effect of the forces, which is wrong after a change of the response.
     pub(super) fn forget_effect(&mut self) {
-        self.effect = [f64::NAN; STATES];
-    }
-
-    fn refresh(&mut self, response: &Response) {
-        self.effect = [0.0; STATES];
-        for (contact, effect) in self.contacts.iter().zip(&response.effect) {
-            add_scaled(&mut self.effect, effect, contact.force);
-        }
+        self.effect = None;
     }
 
     /// Computes the limit of each contact from its speed: the excess over sliding friction falls with the square of the
@@ -158,7 +160,7 @@ impl<'a> Friction<'a> {
                 let slides = contact.force.abs() >= contact.limit;
                 contact.limit = limit;
                 contact.force = if slides { limit.copysign(contact.force) } else { contact.force.clamp(-limit, limit) };
-                self.effect = [f64::NAN; STATES];
+                self.effect = None;
             }
         }
     }

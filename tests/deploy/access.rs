@@ -256,8 +256,8 @@ async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_t
         return;
     }
     let (cabinet, endpoint) = cabinet().await;
-    let wire = Wire::to(endpoint.trim_start_matches("tls/").to_owned()).await;
-    let mut config = client_config(&railway().folder("logger.north.21A"), &wire.endpoint);
+    let relay = ClosingRelay::to(endpoint.trim_start_matches("tls/").to_owned()).await;
+    let mut config = client_config(&railway().folder("logger.north.21A"), &relay.endpoint);
     config.insert_json5("connect/retry", "{ period_init_ms: 100, period_max_ms: 200 }").unwrap();
     let logger = zenoh::open(config).await.unwrap();
     let kept = Arc::new(Mutex::new(Vec::<Vec<u8>>::new()));
@@ -280,10 +280,10 @@ async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_t
     kept.lock().unwrap().push(b"before the first cut".to_vec());
     for outage in 0..2_u8 {
         until("the backlog is read", async || page().await == *kept.lock().unwrap()).await;
-        wire.cut();
+        relay.cut();
         until("the link is down", async || page().await.is_empty()).await;
         kept.lock().unwrap().push(vec![outage]);
-        wire.mend();
+        relay.mend();
     }
     until("the backlog is read after the last cut", async || page().await == *kept.lock().unwrap()).await;
 }
@@ -331,12 +331,12 @@ async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Sub
 }
 
 /// A TCP relay that can be cut. While it is cut it closes every link and accepts no new one.
-struct Wire {
+struct ClosingRelay {
     endpoint: String,
     connected: tokio::sync::watch::Sender<bool>,
 }
 
-impl Wire {
+impl ClosingRelay {
     async fn to(address: String) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let endpoint = format!("tls/{}", listener.local_addr().unwrap());

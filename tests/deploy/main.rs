@@ -13,7 +13,7 @@ mod access;
 mod central;
 mod daemon;
 mod documents;
-#[path = "../service/rig.rs"]
+#[path = "../support/rig.rs"]
 mod rig;
 mod shipped;
 mod site;

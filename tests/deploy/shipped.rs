@@ -1,4 +1,4 @@
-//! Zenoh accepts every shipped configuration, and its comments are true.
+//! Zenoh accepts every shipped configuration, and the container recipe copies files that exist.
 
 use super::site::{read, zenoh_table};
 

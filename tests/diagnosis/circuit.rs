@@ -8,7 +8,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{causes, channels},
 };
 
@@ -17,7 +17,7 @@ const OF_RATIOS: State = State::OF_RATIOS;
 
 /// A drive with a published voltage, after a healthy time without an event.
 fn learned(seed: u64, state: State) -> Drive {
-    Drive::after_in(state, 100, 91_000 + seed, true)
+    Drive::after_in(state, 100, 91_000 + seed, Voltage::Published)
 }
 
 /// The alarms that were raised, and those that ended.
@@ -96,7 +96,7 @@ fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
 #[test]
 fn a_motor_that_warms_and_cools_has_no_alarm() {
     for (seed, is_published) in [(10, true), (11, true), (12, false), (13, false)] {
-        let mut drive = Drive::new(91_000 + seed, true);
+        let mut drive = Drive::new(91_000 + seed, Voltage::Published);
         let swing_k = if is_published { 30.0 } else { 15.0 };
         for throw in 0..400 {
             let celsius = 10.0 - swing_k * (f64::from(throw) / 120.0).cos();
@@ -116,7 +116,7 @@ fn a_motor_that_warms_and_cools_has_no_alarm() {
 #[test]
 fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
     for (is_published, expected) in [(true, 1), (false, 0)] {
-        let mut drive = Drive::new(91_020, true);
+        let mut drive = Drive::new(91_020, Voltage::Published);
         let mut raised = Vec::new();
         for throw in 0..160 {
             let celsius = 15.0 + 5.0 * (f64::from(throw) / 10.0).sin();
@@ -199,7 +199,7 @@ fn events_one_sided(drive: &mut Drive, throws: usize, gain: f64, state: State) -
 
 /// A healthy drive with a published voltage and one rejected direction.
 fn one_sided(seed: u64) -> Drive {
-    let mut drive = Drive::new(91_000 + seed, true);
+    let mut drive = Drive::new(91_000 + seed, Voltage::Published);
     let events = events_one_sided(&mut drive, 120, 1.0, SOUND);
     assert!(events.iter().all(|event| event.cause == Cause::NotMonitored), "seed {seed}: {events:?}");
     drive
@@ -232,7 +232,7 @@ fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
         [(40, true, OF_RATIOS), (41, true, OF_RATIOS), (42, false, SOUND), (43, false, SOUND)]
     {
         let healthy = || {
-            let mut drive = Drive::new(91_000 + seed, true);
+            let mut drive = Drive::new(91_000 + seed, Voltage::Published);
             drive.has_toe_sensor = has_toe_sensor;
             drive.stay_healthy(100, before);
             drive

@@ -16,6 +16,14 @@ use crate::fleet::{NOMINAL, estimator_covariance, in_parallel, normal};
 const LIVES: u64 = 400;
 const THROWS: u64 = 400;
 
+/// Shares of throws that are rough, have ratios only, have a current only, or are rejected.
+struct Shares {
+    rough: f64,
+    ratios_only: f64,
+    current_only: f64,
+    rejected: f64,
+}
+
 /// A machine whose measured values may have no scatter at all.
 struct Degenerate {
     rng: ChaCha8Rng,
@@ -23,8 +31,7 @@ struct Degenerate {
     scatter: f64,
     /// Factor on the stated standard deviations.
     stated: f64,
-    /// Shares of throws that are rough, have ratios only, current only, are rejected, or have no estimate.
-    shares: [f64; 4],
+    shares: Shares,
     /// Temperature \[°C\], and its standard deviation; `None` if not published.
     temperature_c: Option<(f64, f64)>,
     supply_v: Option<f64>,
@@ -40,7 +47,8 @@ impl Degenerate {
         let mut pick = |of: &[f64]| *of.choose(&mut rng).unwrap();
         let scatter = pick(&[0.0, 0.0, 1e-9, 0.01]);
         let stated = pick(&[1.0, 1.0, 1e-8, 100.0]);
-        let shares = std::array::from_fn(|_| pick(&[0.0, 0.0, 0.1, 0.5, 1.0]));
+        let mut share = || pick(&[0.0, 0.0, 0.1, 0.5, 1.0]);
+        let shares = Shares { rough: share(), ratios_only: share(), current_only: share(), rejected: share() };
         let temperature = pick(&[-40.0, 0.0, 20.0, f64::NAN]);
         let temperature_c = (!temperature.is_nan()).then(|| (temperature, pick(&[0.0, 0.0, 5.0])));
         let supply_v = Some(pick(&[0.0, 1e-6, 110.0, f64::NAN])).filter(|v| !v.is_nan());
@@ -80,8 +88,9 @@ impl Degenerate {
         if throw_no >= from {
             coefficients[which] *= f64::exp(size);
         }
-        let [is_rough, ratios_only, is_current_only, is_rejected] =
-            self.shares.map(|share| self.rng.random_bool(share));
+        let mut is = |share: f64| self.rng.random_bool(share);
+        let (is_rough, ratios_only) = (is(self.shares.rough), is(self.shares.ratios_only));
+        let (is_current_only, is_rejected) = (is(self.shares.current_only), is(self.shares.rejected));
         if ratios_only {
             coefficients = coefficients.map(|own| own / coefficients[0]);
         }

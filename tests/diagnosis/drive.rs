@@ -78,6 +78,22 @@ impl State {
     pub(crate) const OF_RATIOS: Self = Self { brake_s: 0.02, ..Self::SOUND };
 }
 
+/// Whether the logger publishes the supply voltage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Voltage {
+    Published,
+    Unknown,
+}
+
+impl Voltage {
+    pub(crate) const BOTH: [Self; 2] = [Self::Published, Self::Unknown];
+
+    /// Published by every second machine.
+    pub(crate) fn alternating(seed: u64) -> Self {
+        if seed.is_multiple_of(2) { Self::Published } else { Self::Unknown }
+    }
+}
+
 /// A drive and its monitor.
 pub(crate) struct Drive {
     rng: ChaCha8Rng,
@@ -88,8 +104,7 @@ pub(crate) struct Drive {
     /// Scatter of torque, friction, spring and voltage from throw to throw, in standard deviations.
     scatter: [f64; 4],
     throws: u64,
-    /// Whether the logger publishes the supply voltage.
-    pub(crate) publishes_volts: bool,
+    pub(crate) voltage: Voltage,
     pub(crate) has_toe_sensor: bool,
     /// Whether the motor is series-wound, with iron that saturates.
     is_series: bool,
@@ -103,7 +118,7 @@ pub(crate) struct Drive {
 }
 
 impl Drive {
-    pub(crate) fn new(seed: u64, publishes_volts: bool) -> Self {
+    pub(crate) fn new(seed: u64, voltage: Voltage) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut like = |value: f64| value * (0.05 * normal(&mut rng)).exp();
         let parameters = [like(6.4), 6.4, like(0.031), like(0.10), like(1.5), like(0.05)];
@@ -116,7 +131,7 @@ impl Drive {
             parameters,
             scatter,
             throws: 0,
-            publishes_volts,
+            voltage,
             has_toe_sensor: true,
             is_series: false,
             stroke_mm: None,
@@ -129,7 +144,7 @@ impl Drive {
     /// A drive with a series-wound motor, whose running current is a quarter of the stall current and saturates the iron
     /// by half.
     pub(crate) fn series(seed: u64) -> Self {
-        let mut drive = Self { is_series: true, ..Self::new(seed, false) };
+        let mut drive = Self { is_series: true, ..Self::new(seed, Voltage::Unknown) };
         // Inertia, friction and spring.
         drive.parameters[2..].iter_mut().for_each(|parameter| *parameter *= 8.0);
         drive.monitor.configured(Parameters::of(&drive.settings()), Timestamp::UNIX_EPOCH);
@@ -144,8 +159,8 @@ impl Drive {
     /// A drive with a configured stroke, whose motor runs on for 35 ms after the arrival, after this number of sound
     /// throws without an event.
     #[track_caller]
-    pub(crate) fn with_stroke(throws: usize, seed: u64, publishes_volts: bool) -> Self {
-        let mut drive = Self::new(seed, publishes_volts);
+    pub(crate) fn with_stroke(throws: usize, seed: u64, voltage: Voltage) -> Self {
+        let mut drive = Self::new(seed, voltage);
         (drive.stroke_mm, drive.push_s) = (Some(STROKE_MM), 0.035);
         drive.stay_healthy(throws, State::SOUND);
         drive
@@ -153,14 +168,14 @@ impl Drive {
 
     /// A drive after this number of sound throws, none of which had an event.
     #[track_caller]
-    pub(crate) fn after(throws: usize, seed: u64, publishes_volts: bool) -> Self {
-        Self::after_in(State::SOUND, throws, seed, publishes_volts)
+    pub(crate) fn after(throws: usize, seed: u64, voltage: Voltage) -> Self {
+        Self::after_in(State::SOUND, throws, seed, voltage)
     }
 
     /// A drive after this number of throws of `state`, none of which had an event.
     #[track_caller]
-    pub(crate) fn after_in(state: State, throws: usize, seed: u64, publishes_volts: bool) -> Self {
-        let mut drive = Self::new(seed, publishes_volts);
+    pub(crate) fn after_in(state: State, throws: usize, seed: u64, voltage: Voltage) -> Self {
+        let mut drive = Self::new(seed, voltage);
         drive.stay_healthy(throws, state);
         drive
     }
@@ -224,7 +239,7 @@ impl Drive {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * self.throws.cast_signed()),
             direction: Some(direction),
-            supply_v: self.publishes_volts.then_some(volts),
+            supply_v: (self.voltage == Voltage::Published).then_some(volts),
             ..Throw::recorded(trace)
         };
         let throw = (self.logger)(throw);

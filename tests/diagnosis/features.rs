@@ -10,13 +10,13 @@ use pointsd::{
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{Machine, Scatter, causes, in_parallel, normal},
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
 fn current_only(seed: u64) -> Drive {
-    let mut drive = Drive::new(55_000 + seed, false);
+    let mut drive = Drive::new(55_000 + seed, Voltage::Unknown);
     drive.has_toe_sensor = false;
     drive.stay_healthy(100, State::SOUND);
     assert_eq!(drive.monitor.state(), MachineState::Healthy);
@@ -259,7 +259,7 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
     ];
     for (state, cause) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::after_in(late, 100, 58_000 + seed, false);
+            let mut drive = Drive::after_in(late, 100, 58_000 + seed, Voltage::Unknown);
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{cause:?}");
             assert_eq!(drive.monitor.caveats().len(), 1, "{cause:?}: {:?}", drive.monitor.caveats());
             let events = drive.events(24, state);
@@ -322,9 +322,9 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
 }
 
 /// Alarms that `lives` healthy machines without a toe sensor raise in `life` complete simulated throws each.
-fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: usize) -> Vec<String> {
+fn raised_by_currents(voltage: Voltage, rate_hz: f64, lives: u64, life: usize) -> Vec<String> {
     let live = |seed| {
-        let mut drive = Drive::new(610_000 + seed, publishes_volts);
+        let mut drive = Drive::new(610_000 + seed, voltage);
         (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, rate_hz, Some(115.0));
         let raised = drive.events(life, State::SOUND).into_iter().filter(|event| event.event_no == 1);
         raised.map(|event| format!("machine {seed}: {}", event.text)).collect()
@@ -339,7 +339,7 @@ fn slow_recordings_show_the_start_of_the_motor() {
     let mut durations = [Vec::new(), Vec::new()];
     let throws = 20;
     for seed in 0..10 {
-        let mut drive = Drive::new(620_000 + seed, false);
+        let mut drive = Drive::new(620_000 + seed, Voltage::Unknown);
         (drive.has_toe_sensor, drive.rate_hz) = (false, 25.0);
         let of_machine: Vec<Observation> = (0..throws).map(|_| drive.throw(State::SOUND)).collect();
         for (at, durations) in durations.iter_mut().enumerate() {
@@ -364,13 +364,11 @@ fn slow_recordings_show_the_start_of_the_motor() {
 fn currents_of_healthy_machines_stay_within_the_budget() {
     let lives = std::env::var("POINTSD_LIVES").map_or(100, |text| text.parse().unwrap());
     let (mut alarms, mut throws) = (0, 0);
-    for (publishes_volts, rate_hz) in [(true, 1000.0), (false, 1000.0), (true, 25.0), (false, 25.0)] {
-        let raised = raised_by_currents(publishes_volts, rate_hz, lives, 1000);
-        println!(
-            "supply_v {publishes_volts}, {rate_hz} Hz: {} alarms in {} throws: {raised:#?}",
-            raised.len(),
-            lives * 1000
-        );
+    for (voltage, rate_hz) in
+        [(Voltage::Published, 1000.0), (Voltage::Unknown, 1000.0), (Voltage::Published, 25.0), (Voltage::Unknown, 25.0)]
+    {
+        let raised = raised_by_currents(voltage, rate_hz, lives, 1000);
+        println!("supply_v {voltage:?}, {rate_hz} Hz: {} alarms in {} throws: {raised:#?}", raised.len(), lives * 1000);
         alarms += raised.len();
         throws += lives * 1000;
     }

@@ -7,7 +7,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{Machine, Scatter, shift},
 };
 
@@ -90,7 +90,7 @@ fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
     ];
     for (cause, pct, fault) in faults {
         for seed in 0..4 {
-            let mut drive = Drive::after_in(OF_RATIOS, 36, 61_000 + seed, seed.is_multiple_of(2));
+            let mut drive = Drive::after_in(OF_RATIOS, 36, 61_000 + seed, Voltage::alternating(seed));
             let events = drive.events(60, fault);
             let named = events.iter().find(|event| event.cause == cause);
             let named = named.unwrap_or_else(|| panic!("{cause}, seed {seed}: {events:#?}"));
@@ -108,7 +108,7 @@ fn wear_from_the_first_throw_is_a_trend_of_the_ratios_too() {
         |part| State { torque: 1.0 / part, back_emf: 1.0 / part, ..OF_RATIOS },
     ];
     for (worn, seed) in wear.into_iter().zip(41_000..) {
-        let mut drive = Drive::new(seed, true);
+        let mut drive = Drive::new(seed, Voltage::Published);
         let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|text| text.contains("has a trend"));
         let found = (0..60).find(|throw| {
             drive.feed(worn(1.0 + 0.0025 * f64::from(*throw)));

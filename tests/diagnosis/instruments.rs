@@ -7,7 +7,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, Logger, State, with_positions},
+    drive::{Drive, Logger, State, Voltage, with_positions},
     fleet::{causes, channels},
 };
 
@@ -26,8 +26,8 @@ enum Truth {
     Nothing,
 }
 
-/// Description, whether the supply voltage is published, state, and expected alarms.
-fn cases() -> impl Iterator<Item = (&'static str, bool, State, Truth)> {
+/// Description, supply voltage, state, and expected alarms.
+fn cases() -> impl Iterator<Item = (&'static str, Voltage, State, Truth)> {
     use SensorChannel::{Clock, Current, Position};
     use Truth::{LateStart, MotorOrSensor, Nothing, Part, Sensor, Slow, Supply};
 
@@ -54,27 +54,37 @@ fn cases() -> impl Iterator<Item = (&'static str, bool, State, Truth)> {
         ("inertia up 12 %", State { inertia: 1.12, ..SOUND }, [Part(Cause::Inertia); 2]),
     ];
     let single = [
-        ("supply 20 % up", true, State { volts: 1.2, ..SOUND }, Supply),
-        ("magnets down 10 %, warm", true, State { torque: 0.9, back_emf: 0.9, ohms: 1.08, ..SOUND }, Part(Cause::Kt)),
-        ("magnets down 10 %, cold", true, State { torque: 0.9, back_emf: 0.9, ohms: 0.92, ..SOUND }, Part(Cause::Kt)),
-        ("resistance up 15 %", true, State { ohms: 1.15, ..SOUND }, Nothing),
-        ("stroke set 6 % longer", false, State { stroke: 1.06, ..SOUND }, Nothing),
+        ("supply 20 % up", Voltage::Published, State { volts: 1.2, ..SOUND }, Supply),
+        (
+            "magnets down 10 %, warm",
+            Voltage::Published,
+            State { torque: 0.9, back_emf: 0.9, ohms: 1.08, ..SOUND },
+            Part(Cause::Kt),
+        ),
+        (
+            "magnets down 10 %, cold",
+            Voltage::Published,
+            State { torque: 0.9, back_emf: 0.9, ohms: 0.92, ..SOUND },
+            Part(Cause::Kt),
+        ),
+        ("resistance up 15 %", Voltage::Published, State { ohms: 1.15, ..SOUND }, Nothing),
+        ("stroke set 6 % longer", Voltage::Unknown, State { stroke: 1.06, ..SOUND }, Nothing),
         (
             "supply 35 % down and friction up 80 %",
-            true,
+            Voltage::Published,
             State { volts: 0.65, friction: 1.8, ..SOUND },
             Part(Cause::Friction),
         ),
     ];
-    let both = both
-        .into_iter()
-        .flat_map(|(what, state, [with, without])| [(what, true, state, with), (what, false, state, without)]);
+    let both = both.into_iter().flat_map(|(what, state, [with, without])| {
+        [(what, Voltage::Published, state, with), (what, Voltage::Unknown, state, without)]
+    });
     both.chain(single)
 }
 
 /// Events in 70 throws of `state` after 120 healthy ones.
-fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
-    Drive::after(120, seed, volts).events(70, state)
+fn live(seed: u64, voltage: Voltage, state: State) -> Vec<AlarmEvent> {
+    Drive::after(120, seed, voltage).events(70, state)
 }
 
 impl Truth {
@@ -110,17 +120,17 @@ impl Truth {
 }
 
 fn lives(seeds: std::ops::Range<u64>) {
-    for (what, volts, state, truth) in cases() {
+    for (what, voltage, state, truth) in cases() {
         let (mut said, count) = (0, seeds.end - seeds.start);
         for seed in seeds.clone() {
-            let events = live(seed, volts, state);
+            let events = live(seed, voltage, state);
             let wrong = events.iter().find(|event| truth.is_contradicted_by(event));
             let texts: Vec<_> = events.iter().map(|event| &event.text).collect();
-            assert!(wrong.is_none(), "{what}, supply_v {volts}, seed {seed}: {texts:#?}");
+            assert!(wrong.is_none(), "{what}, supply_v {voltage:?}, seed {seed}: {texts:#?}");
             said += u64::from(truth.is_named_by(&events));
         }
-        println!("{what}, supply_v {volts}: said in {said} of {count}");
-        assert!(10 * said >= 9 * count, "{what}, supply_v {volts}: said in {said} of {count}");
+        println!("{what}, supply_v {voltage:?}: said in {said} of {count}");
+        assert!(10 * said >= 9 * count, "{what}, supply_v {voltage:?}: said in {said} of {count}");
     }
 }
 
@@ -138,7 +148,7 @@ fn sensor_supply_and_machine_are_distinguished_in_forty_lives() {
 
 #[test]
 fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
-    let mut drive = Drive::new(300, false);
+    let mut drive = Drive::new(300, Voltage::Unknown);
     let mut events = Vec::new();
     for throw in 0..240 {
         let state = State { position_gain: if (120..160).contains(&throw) { 1.06 } else { 1.0 }, ..State::SOUND };
@@ -160,8 +170,10 @@ fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
 
 #[test]
 fn a_published_voltage_is_not_requested() {
-    for (publishes, seed) in [(true, 320), (false, 320), (true, 321), (false, 321)] {
-        let mut drive = Drive::new(seed, publishes);
+    for (voltage, seed) in
+        [(Voltage::Published, 320), (Voltage::Unknown, 320), (Voltage::Published, 321), (Voltage::Unknown, 321)]
+    {
+        let mut drive = Drive::new(seed, voltage);
         let mut texts = Vec::new();
         for (throws, current_gain) in [(100, 1.0), (60, 1.1)] {
             let events = drive.events_with(throws, State { current_gain, ..State::SOUND }, |throw| {
@@ -172,7 +184,7 @@ fn a_published_voltage_is_not_requested() {
         }
         let asks = texts.iter().any(|text| text.contains("published supply_v would"));
         let is_open = texts.iter().any(|text| text.contains("current sensor"));
-        assert!(is_open && asks != publishes, "{publishes}: {texts:#?}");
+        assert!(is_open && asks == (voltage == Voltage::Unknown), "{voltage:?}: {texts:#?}");
     }
 }
 
@@ -187,7 +199,7 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
     ];
     for seed in 310..313 {
         for (what, state) in wrong {
-            let mut drive = Drive::after(100, seed, true);
+            let mut drive = Drive::after(100, seed, Voltage::Published);
             let events = drive.events(200, state);
             let of_sensor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Sensor).collect();
             let parts: Vec<_> = events.iter().filter(|event| Cause::PHYSICAL.contains(&event.cause)).collect();
@@ -199,7 +211,7 @@ fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
 #[test]
 fn a_noisy_position_sensor_is_named_and_no_part_is() {
     for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {
-        let mut drive = Drive::after(60, seed, false);
+        let mut drive = Drive::after(60, seed, Voltage::Unknown);
         let noisy = State { position_noise_mm: noise_mm, ..State::SOUND };
         // One or two noisy throws are a disturbance.
         for state in [noisy, noisy].into_iter().chain([State::SOUND; 12]) {
@@ -242,7 +254,7 @@ fn sizes_hold(seeds: std::ops::Range<u64>) {
         let (mut held, mut raised) = (0, 0);
         let mut said = Vec::new();
         for seed in seeds.clone() {
-            let mut drive = Drive::new(seed, true);
+            let mut drive = Drive::new(seed, Voltage::Published);
             drive.events(100, State::SOUND);
             drive.logger = logger;
             let is_named = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::Supply);
@@ -268,7 +280,7 @@ fn an_impossible_supply_voltage_names_its_sensor_and_hides_no_fault() {
         |throw| Throw { supply_v: Some(10_000.0), ..throw },
     ];
     for (logger, has_toe_sensor) in failed.into_iter().flat_map(|logger| [(logger, true), (logger, false)]) {
-        let mut drive = Drive::new(77, true);
+        let mut drive = Drive::new(77, Voltage::Published);
         drive.has_toe_sensor = has_toe_sensor;
         drive.events(100, State::SOUND);
         drive.logger = logger;
@@ -306,7 +318,7 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
     ];
     let shifts = [-60.0, -20.0, -7.0, 7.0, 20.0, 40.0, 60.0];
     for ((seed, position_offset_mm), (part, state)) in (9_000..).zip(shifts).zip(parts.into_iter().cycle()) {
-        let mut drive = Drive::after(100, seed, false);
+        let mut drive = Drive::after(100, seed, Voltage::Unknown);
         let raised = drive.events(80, State { position_offset_mm, ..State::SOUND });
         let [event] = &raised[..] else { panic!("{position_offset_mm} mm: {raised:#?}") };
         assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Position)));
@@ -328,7 +340,7 @@ fn a_position_sensor_that_is_not_linear_is_no_bad_contact_and_a_stuck_one_is_nam
     let stuck: Logger = |throw| with_positions(throw, |_| 57.0);
     for (logger, is_stuck) in [(bow, false), (steps, false), (stuck, true)] {
         for seed in 9_900..9_903 {
-            let mut drive = Drive::new(seed, true);
+            let mut drive = Drive::new(seed, Voltage::Published);
             drive.events(100, State::SOUND);
             drive.logger = logger;
             let events = drive.events(60, State::SOUND);
@@ -346,15 +358,15 @@ fn a_position_sensor_with_another_gain_and_zero_accuses_no_part() {
     for (seed, (position_gain, position_offset_mm)) in
         (9_900..).zip([(0.5, 30.0), (0.9, 10.0), (1.1, -15.0), (0.97, 8.0)])
     {
-        for volts in [true, false] {
-            let mut drive = Drive::after(100, seed, volts);
+        for voltage in Voltage::BOTH {
+            let mut drive = Drive::after(100, seed, voltage);
             let state = State { position_gain, position_offset_mm, ..State::SOUND };
             let events = drive.events(100, state);
             let named =
                 |event: &AlarmEvent| (event.cause, event.channel) == (Cause::Sensor, Some(SensorChannel::Position));
-            assert!(!events.is_empty() && events.iter().all(named), "{position_gain}, {volts}: {events:#?}");
+            assert!(!events.is_empty() && events.iter().all(named), "{position_gain}, {voltage:?}: {events:#?}");
             let friction_pct = drive.feed(state).change_pct.unwrap()[1];
-            assert!(friction_pct.abs() < 12.0, "{position_gain}, {volts}: {friction_pct}");
+            assert!(friction_pct.abs() < 12.0, "{position_gain}, {voltage:?}: {friction_pct}");
         }
     }
 }

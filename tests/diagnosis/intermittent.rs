@@ -6,7 +6,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{Machine, Scatter, shift},
 };
 
@@ -97,7 +97,7 @@ fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() 
 /// A drive with an alarm about a friction that is high in every fifth throw, and the events of these throws. `before`:
 /// number of throws in the state `usual` before them.
 fn every_fifth(seed: u64, usual: State, before: usize) -> (Drive, Vec<AlarmEvent>) {
-    let mut drive = Drive::after(160, 65_000 + seed, false);
+    let mut drive = Drive::after(160, 65_000 + seed, Voltage::Unknown);
     drive.events(before, usual);
     let states = (0..100).map(|at| if at % 5 == 0 { State { friction: 1.7, ..usual } } else { usual });
     let events = states.flat_map(|state| drive.feed(state).events).collect();

@@ -7,7 +7,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{assert_nine_of_ten, in_parallel, sizes_held},
 };
 
@@ -17,8 +17,8 @@ const LOADED: State = State { friction: 12.0, ..State::SOUND };
 const OF_RATIOS: State = State { brake_s: State::OF_RATIOS.brake_s, ..LOADED };
 
 /// A loaded drive after a healthy time without an event.
-fn learned(seed: u64, publishes_volts: bool, state: State) -> Drive {
-    Drive::after_in(state, 100, 96_000 + seed, publishes_volts)
+fn learned(seed: u64, voltage: Voltage, state: State) -> Drive {
+    Drive::after_in(state, 100, 96_000 + seed, voltage)
 }
 
 /// Cause, throw and text of each event.
@@ -29,7 +29,7 @@ fn texts(events: &[AlarmEvent]) -> Vec<(Cause, Option<&ThrowRef>, &str)> {
 /// Checks that nine of ten 95 % intervals of `cause` contain its true size, in the throws after a step to `state`.
 fn assert_size(cause: Cause, before: State, state: State, truth_pct: f64) {
     let of_lives = in_parallel(6, |seed| {
-        let mut drive = learned(seed, seed % 2 == 0, before);
+        let mut drive = learned(seed, Voltage::alternating(seed), before);
         sizes_held(cause, truth_pct, (0..40).map(|_| drive.feed(state)))
     });
     assert_nine_of_ten(&of_lives.concat(), 150, &format!("{cause} {truth_pct} %"));
@@ -62,7 +62,7 @@ fn the_size_of_a_motor_fault_is_that_of_its_torque_and_not_of_what_friction_leav
 fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
     for before in [LOADED, OF_RATIOS] {
         let of_lives = in_parallel(6, |seed| {
-            let mut drive = learned(20 + seed, seed % 2 == 0, before);
+            let mut drive = learned(20 + seed, Voltage::alternating(seed), before);
             drive.events(80, State { ohms: 2.0, ..before })
         });
         for events in of_lives {
@@ -77,7 +77,7 @@ fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
 #[test]
 fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
     let of_lives = in_parallel(6, |seed| {
-        let mut drive = learned(40 + seed, seed % 2 == 0, OF_RATIOS);
+        let mut drive = learned(40 + seed, Voltage::alternating(seed), OF_RATIOS);
         let mut events = Vec::new();
         for _ in 0..160 {
             let stiffness = if drive.next() == Direction::ReverseToNormal { 1.12 } else { 0.95 };
@@ -95,7 +95,7 @@ fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {
 #[test]
 fn a_repair_raises_no_alarm_about_the_throws_before_it() {
     let of_lives = in_parallel(12, |seed| {
-        let mut drive = learned(60 + seed, seed % 2 == 0, OF_RATIOS);
+        let mut drive = learned(60 + seed, Voltage::alternating(seed), OF_RATIOS);
         for _ in 0..80 {
             let stiffness = if drive.next() == Direction::ReverseToNormal { 1.2 } else { 1.0 };
             drive.feed(State { friction: 1.6 * OF_RATIOS.friction, stiffness, ..OF_RATIOS });

@@ -8,7 +8,7 @@ use pointsd::{
     throw::Throw,
 };
 
-use crate::drive::{Drive, State};
+use crate::drive::{Drive, State, Voltage};
 
 /// The caveats about the kind of the motor of some simulated machines, with this setting.
 fn caveats(machine: &simulate::Parameters, motor: Motor) -> Vec<Option<String>> {
@@ -59,7 +59,7 @@ fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
         State { stiffness: 3.0, ..sound },
     ];
     for (seed, state) in (0..).zip(states) {
-        let mut drive = Drive::new(94_000 + seed, false);
+        let mut drive = Drive::new(94_000 + seed, Voltage::Unknown);
         drive.events(26, state);
         let caveats = drive.monitor.caveats();
         assert!(!caveats.iter().any(|caveat| caveat.contains("Set motor =")), "{state:?}: {caveats:?}");

@@ -12,7 +12,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State, with_positions},
+    drive::{Drive, State, Voltage, with_positions},
     fleet::{Machine, Scatter, channels, shift},
 };
 
@@ -105,8 +105,8 @@ fn traces_that_show_nothing_do_not_complete_a_throw() {
 /// With a weak gain of the position sensor complete throws seem shorter than 95 % of the configured stroke.
 #[test]
 fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_throw() {
-    for publishes_volts in [true, false] {
-        let mut drive = Drive::with_stroke(120, 71, publishes_volts);
+    for voltage in Voltage::BOTH {
+        let mut drive = Drive::with_stroke(120, 71, voltage);
         let weak = State { position_gain: 0.94, ..State::SOUND };
         let events = drive.events(30, weak);
         assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
@@ -118,7 +118,7 @@ fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_th
 #[test]
 fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
     for push_s in [0.0, 0.15, 0.3, 1.0, 4.0] {
-        let mut drive = Drive::with_stroke(40, 74, true);
+        let mut drive = Drive::with_stroke(40, 74, Voltage::Published);
         drive.push_s = push_s;
         let blocked = State { stroke: 0.94, ..State::SOUND };
         let events = drive.events(2, blocked);
@@ -325,10 +325,10 @@ fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
 
 #[test]
 fn a_position_in_another_unit_is_a_caveat_and_no_throw_is_refused() {
-    let mut drive = Drive::after(40, 72, true);
+    let mut drive = Drive::after(40, 72, Voltage::Published);
     let asks = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("in centimetres (115 mm)"));
     assert!(!asks(&drive), "{:?}", drive.monitor.caveats());
-    drive = Drive::new(72, true);
+    drive = Drive::new(72, Voltage::Published);
     drive.logger = |throw| with_positions(throw, |mm| 0.1 * mm);
     drive.stay_healthy(40, State::SOUND);
     assert!(asks(&drive), "{:?}", drive.monitor.caveats());
@@ -343,7 +343,7 @@ fn a_position_in_another_unit_is_a_caveat_and_no_throw_is_refused() {
 /// The motor runs on after the arrival of the toe, which only a toe sensor shows.
 #[test]
 fn a_lost_toe_sensor_makes_no_throw_slow() {
-    let mut drive = Drive::new(31, false);
+    let mut drive = Drive::new(31, Voltage::Unknown);
     (drive.stroke_mm, drive.push_s) = (Some(115.0), 1.0);
     drive.stay_healthy(110, State::SOUND);
     drive.has_toe_sensor = false;
@@ -373,7 +373,7 @@ fn only_a_drift_that_lengthens_a_throw_explains_slow_throws() {
 /// The last good temperature counts while the alarm about the sensor is active.
 #[test]
 fn a_failed_thermometer_explains_no_change_of_the_features() {
-    let mut drive = Drive::new(32, false);
+    let mut drive = Drive::new(32, Voltage::Unknown);
     drive.has_toe_sensor = false;
     let at = |celsius: f64| move |throw: &mut Observation| throw.temperature_c = Some(celsius);
     assert_eq!(drive.events_with(120, State::SOUND, at(10.0)), []);
@@ -385,7 +385,7 @@ fn a_failed_thermometer_explains_no_change_of_the_features() {
 fn a_fault_that_a_maintenance_left_is_reported_again() {
     let settings = Settings::default();
     for is_incomplete in [false, true] {
-        let mut drive = Drive::after(110, 33, false);
+        let mut drive = Drive::after(110, 33, Voltage::Unknown);
         let (state, cause, stays) = if is_incomplete {
             (State { stroke: 0.5, ..State::SOUND }, Cause::IncompleteThrow, 5)
         } else {
@@ -415,7 +415,7 @@ fn a_fault_that_a_maintenance_left_is_reported_again() {
 /// Their normal values are learned anew, so these alarms do not come back.
 #[test]
 fn a_new_baseline_ends_the_alarms_that_compare_with_the_old_one() {
-    let mut drive = Drive::after(110, 34, true);
+    let mut drive = Drive::after(110, 34, Voltage::Published);
     let [raised] = &drive.events(40, State { ohms: 2.0, ..State::SOUND })[..] else { panic!("one alarm") };
     assert_eq!(raised.cause, Cause::Supply);
     let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "new cable".to_owned() };

@@ -3,7 +3,7 @@
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::causes,
 };
 
@@ -58,7 +58,7 @@ impl Judgement {
 
 /// A life in which the second fault begins `gap` throws after the first, and each fault grows over `ramp` throws.
 fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<AlarmEvent>, Drive) {
-    let mut drive = Drive::after(120, seed, seed.is_multiple_of(2));
+    let mut drive = Drive::after(120, seed, Voltage::alternating(seed));
     let share = |since: u32| if ramp == 0 { 1.0 } else { (f64::from(since + 1) / f64::from(ramp)).min(1.0) };
     let mut events = Vec::new();
     for throw in 0..gap + ramp + AFTER {
@@ -73,9 +73,7 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
     let mut judgement = Judgement::default();
     for seed in seeds {
         let (events, drive) = live(seed, faults, gap, ramp);
-        let is_active = |event: &&AlarmEvent| {
-            matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged)
-        };
+        let is_active = |event: &&AlarmEvent| event.state.is_active();
         let open = drive.monitor.open_alarms();
         let says = |cause: Cause| {
             let is_named = |event: &AlarmEvent| {
@@ -102,7 +100,7 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
 /// and ramp the data can distinguish the two faults.
 fn forty_lives(pair: [Fault; 2], is_clear: fn(gap: u32, ramp: u32) -> bool) {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |value| value.parse().unwrap());
-    let (from, lives) = (number("SEED", 5_000), number("LIVES", 40));
+    let (from, lives) = (number("POINTSD_SEED", 5_000), number("POINTSD_LIVES", 40));
     let mut total = Judgement::default();
     for order in [pair, [pair[1], pair[0]]] {
         for (gap, ramp) in [(0, 0), (30, 0), (200, 0), (50, 100)] {
@@ -175,7 +173,7 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
     let both = State { friction: 1.4, stiffness: 1.3, ..before };
     let [dry, stiff] = [State { friction: 1.4, ..before }, State { stiffness: 1.3, ..before }];
     for (seed, first) in [(0, dry), (1, dry), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::after_in(before, 140, 97_000 + seed, true);
+        let mut drive = Drive::after_in(before, 140, 97_000 + seed, Voltage::Published);
         drive.events(60, first);
         let events = drive.events(100, both);
         let [AlarmEvent { cause, change_pct: Some(pct), change_pct_sd: Some(sd), .. }] = &events[..] else {
@@ -197,7 +195,7 @@ fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ra
     let both = State { torque: 0.85, back_emf: 0.85, stiffness: 1.3, ..before };
     let [weak, stiff] = [State { stiffness: 1.0, ..both }, State { torque: 1.0, back_emf: 1.0, ..both }];
     for (seed, first) in [(0, weak), (1, weak), (0, stiff), (1, stiff)] {
-        let mut drive = Drive::after_in(before, 140, 98_000 + seed, true);
+        let mut drive = Drive::after_in(before, 140, 98_000 + seed, Voltage::Published);
         drive.events(60, first);
         let events = drive.events(160, both);
         let is_part = |event: &&AlarmEvent| Cause::PHYSICAL.contains(&event.cause);

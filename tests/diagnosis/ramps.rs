@@ -7,7 +7,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::{Machine, Scatter, in_parallel, shift},
 };
 
@@ -81,7 +81,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
 fn the_size_of_a_friction_of_a_multiple_of_nominal_holds() {
     for (factor, throws) in [(2.5, 1), (2.5, 60), (4.0, 1), (4.0, 60)] {
         let lives = in_parallel(4, |seed| {
-            let mut drive = Drive::after(120, 50_300 + seed, seed % 2 == 0);
+            let mut drive = Drive::after(120, 50_300 + seed, Voltage::alternating(seed));
             let (mut said, mut held) = (0_u32, 0_u32);
             for throw in 1..=140 {
                 let size = ramp(100.0 * (factor - 1.0), throws, 1, throw);

@@ -5,7 +5,7 @@ use pointsd::{
     throw::{Direction, Throw},
 };
 
-use crate::drive::{Drive, Logger, State, with_positions, with_trace};
+use crate::drive::{Drive, Logger, State, Voltage, with_positions, with_trace};
 
 /// The machine is sound in all of these throws.
 #[test]
@@ -38,7 +38,7 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
         ("without a position", without_position, Some(position), "no longer sends a toe position"),
     ];
     for (name, logger, channel, words) in cases {
-        let mut drive = Drive::with_stroke(120, 75, true);
+        let mut drive = Drive::with_stroke(120, 75, Voltage::Published);
         drive.logger = logger;
         let events = drive.events(24, State::SOUND);
         let is_about_recordings = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::NotMonitored);
@@ -56,7 +56,7 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
 /// The movement shows the direction, so the throws are evaluated as before.
 #[test]
 fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
-    let mut drive = Drive::new(76, true);
+    let mut drive = Drive::new(76, Voltage::Published);
     let swapped: Logger = |throw| {
         let other = |direction: Direction| Direction::BOTH.into_iter().find(|other| *other != direction);
         Throw { direction: throw.direction.and_then(other), ..throw }
@@ -78,7 +78,7 @@ fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
 
 #[test]
 fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
-    let mut drive = Drive::with_stroke(0, 72, true);
+    let mut drive = Drive::with_stroke(0, 72, Voltage::Published);
     let short = State { stroke: 0.91, ..State::SOUND };
     let events = drive.events(60, short);
     assert_eq!(events, []);
@@ -93,18 +93,18 @@ fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
 /// The coefficients of a machine without a toe sensor come from the current and the published voltage.
 #[test]
 fn lost_coefficients_of_a_machine_without_a_toe_sensor_are_a_caveat() {
-    let mut drive = Drive::new(73, true);
+    let mut drive = Drive::new(73, Voltage::Published);
     (drive.stroke_mm, drive.has_toe_sensor) = (Some(115.0), false);
     let events = drive.events(120, State::SOUND);
     assert_eq!((events, drive.monitor.caveats()), (vec![], vec![]));
     // The logger no longer publishes the voltage.
-    drive.publishes_volts = false;
+    drive.voltage = Voltage::Unknown;
     for throws in 1..=20 {
         assert_eq!(drive.feed(State::SOUND).events, []);
         let is_said = drive.monitor.caveats().iter().any(|caveat| caveat.contains("give no coefficients"));
         assert_eq!(is_said, throws == 20, "after {throws} throws");
     }
-    drive.publishes_volts = true;
+    drive.voltage = Voltage::Published;
     drive.feed(State::SOUND);
     assert_eq!(drive.monitor.caveats(), Vec::<String>::new());
 }

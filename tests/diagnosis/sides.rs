@@ -9,11 +9,11 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::drive::{Drive, State};
+use crate::drive::{Drive, State, Voltage};
 
 /// A drive after a healthy time.
 fn learned(seed: u64) -> Drive {
-    Drive::after(120, seed, seed.is_multiple_of(2))
+    Drive::after(120, seed, Voltage::alternating(seed))
 }
 
 /// Number of lives in which the friction alarm states its direction at the end, and in which at most one event updates
@@ -48,7 +48,7 @@ fn an_alarm_says_its_direction_once_it_is_known() {
 #[test]
 #[ignore = "minutes"]
 fn an_alarm_says_its_direction_once_it_is_known_in_forty_lives() {
-    let from: u64 = std::env::var("SEED").map_or(7_100, |seed| seed.parse().unwrap());
+    let from: u64 = std::env::var("POINTSD_SEED").map_or(7_100, |seed| seed.parse().unwrap());
     let found = directions(from..from + 40);
     println!("direction said, and once, in {found:?} of 40");
     assert!(found[0] >= 38 && found[1] == 40);
@@ -85,7 +85,7 @@ fn an_offset_of_the_current_is_an_alarm_of_its_sensor() {
 #[test]
 #[ignore = "minutes"]
 fn an_offset_of_the_current_is_an_alarm_of_its_sensor_in_forty_lives() {
-    let from: u64 = std::env::var("SEED").map_or(7_200, |seed| seed.parse().unwrap());
+    let from: u64 = std::env::var("POINTSD_SEED").map_or(7_200, |seed| seed.parse().unwrap());
     offsets(from..from + 40);
 }
 
@@ -93,7 +93,7 @@ fn an_offset_of_the_current_is_an_alarm_of_its_sensor_in_forty_lives() {
 #[test]
 fn the_zero_of_a_hall_sensor_may_drift() {
     for seed in 6_300..6_303 {
-        let mut drive = Drive::new(seed, true);
+        let mut drive = Drive::new(seed, Voltage::Published);
         for throw in 0..400 {
             let [day, season] = [20.0, 600.0].map(|period| (f64::from(throw) * std::f64::consts::TAU / period).sin());
             let state = State { current_offset_a: 0.1 * day + 0.2 * season, ..State::SOUND };
@@ -105,7 +105,7 @@ fn the_zero_of_a_hall_sensor_may_drift() {
 
 #[test]
 fn a_current_at_rest_since_the_first_throw_is_a_caveat_and_no_alarm() {
-    let mut drive = Drive::new(6_310, true);
+    let mut drive = Drive::new(6_310, Voltage::Published);
     let state = State { current_offset_a: 1.0, ..State::SOUND };
     drive.stay_healthy(120, state);
     let caveats = drive.monitor.caveats();

@@ -7,7 +7,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, Logger, State, with_trace},
+    drive::{Drive, Logger, State, Voltage, with_trace},
     fleet::causes,
 };
 
@@ -34,7 +34,7 @@ fn the_ratios_at_250_hz_are_those_at_1_khz() {
     let faulty = State { friction: 1.4, torque: 0.9, stiffness: 1.2, ..State::SOUND };
     let (mut compared, mut missing) = (0, 0);
     for seed in 6_600..6_606 {
-        let (mut fast, mut slow) = (Drive::new(seed, false), Drive::new(seed, false));
+        let (mut fast, mut slow) = (Drive::new(seed, Voltage::Unknown), Drive::new(seed, Voltage::Unknown));
         slow.logger = slower::<4>;
         for state in [State::SOUND, faulty].into_iter().cycle().take(20) {
             let Some([fast, slow]) = ratios(&mut fast, state).zip(ratios(&mut slow, state)).map(<[_; 2]>::from) else {
@@ -58,7 +58,7 @@ fn a_machine_at_250_hz_is_monitored_by_its_ratios() {
         (State { torque: 0.8, back_emf: 0.8, ..State::SOUND }, "motor"),
     ];
     for (seed, (state, name)) in (6_700..6_709).zip(faults.into_iter().cycle()) {
-        let mut drive = Drive::new(seed, true);
+        let mut drive = Drive::new(seed, Voltage::Published);
         drive.logger = slower::<4>;
         assert_eq!(drive.events(200, State::SOUND), [], "seed {seed}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
@@ -70,7 +70,7 @@ fn a_machine_at_250_hz_is_monitored_by_its_ratios() {
 #[test]
 fn a_machine_at_100_hz_is_monitored_by_its_features() {
     for seed in 6_800..6_803 {
-        let mut drive = Drive::new(seed, false);
+        let mut drive = Drive::new(seed, Voltage::Unknown);
         drive.logger = slower::<10>;
         assert_eq!(drive.events(200, State::SOUND), [], "seed {seed}");
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
@@ -88,7 +88,7 @@ fn a_machine_at_100_hz_is_monitored_by_its_features() {
 fn healthy_machines_at_250_and_100_hz_raise_no_alarm_in_forty_lives_each() {
     let loggers: [(_, Logger); 2] = [(6_900..6_940, slower::<4>), (6_940..6_980, slower::<10>)];
     for (seed, logger) in loggers.into_iter().flat_map(|(seeds, logger)| seeds.map(move |seed| (seed, logger))) {
-        let mut drive = Drive::new(seed, seed % 2 == 0);
+        let mut drive = Drive::new(seed, Voltage::alternating(seed));
         drive.logger = logger;
         assert_eq!(drive.events(500, State::SOUND), [], "seed {seed}");
     }

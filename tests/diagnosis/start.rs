@@ -4,7 +4,7 @@ use pointsd::diagnose::{AlarmEvent, AlarmState, Cause};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    drive::{Drive, State},
+    drive::{Drive, State, Voltage},
     fleet::normal,
 };
 
@@ -14,7 +14,7 @@ fn is_about_the_start(event: &AlarmEvent) -> bool {
 
 /// A drive after a healthy time without an event.
 fn learned(seed: u64) -> Drive {
-    Drive::after(100, 59_000 + seed, false)
+    Drive::after(100, 59_000 + seed, Voltage::Unknown)
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
 fn a_lower_inrush_is_no_changed_start() {
     let late = State::OF_RATIOS;
     for (ohms, seed) in [(1.2, 33_000), (1.2, 33_001), (1.3, 33_000), (1.3, 33_001)] {
-        let mut drive = Drive::after_in(late, 140, seed, false);
+        let mut drive = Drive::after_in(late, 140, seed, Voltage::Unknown);
         drive.stay_healthy(80, State { ohms, ..late });
     }
 }
@@ -95,7 +95,7 @@ fn a_noisy_position_sensor_is_no_changed_start() {
 #[test]
 fn a_start_that_always_scatters_is_normal() {
     for seed in 0..3 {
-        let (mut drive, mut rng) = (Drive::new(59_500 + seed, false), ChaCha8Rng::seed_from_u64(seed));
+        let (mut drive, mut rng) = (Drive::new(59_500 + seed, Voltage::Unknown), ChaCha8Rng::seed_from_u64(seed));
         for throw in 0..300 {
             let brake_s = 0.006 * (0.2 * normal(&mut rng)).exp();
             let friction = 1.0 + 0.05 * (f64::from(throw) / 30.0).sin();

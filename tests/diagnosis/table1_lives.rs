@@ -3,7 +3,7 @@
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    diagnose::{AlarmState, Cause, MachineMonitor, Observation, Settings},
+    diagnose::{Cause, MachineMonitor, Observation, Settings},
     estimate::{self, Identifier},
     simulate::{Conditions, Parameters, Sensors},
     throw::{Direction, Throw, ThrowRef},
@@ -51,8 +51,7 @@ impl Life {
         let estimate = found.outcome.as_ref().ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance));
         let observation = Observation { estimate, direction_contradicted: None, ..Observation::of(&throw, &found) };
         for event in self.monitor.observe(&observation, &self.settings).events {
-            let active = matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
-            if active && !self.raised.contains(&event.cause) {
+            if event.state.is_active() && !self.raised.contains(&event.cause) {
                 self.raised.push(event.cause);
             }
         }

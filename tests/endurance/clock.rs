@@ -11,7 +11,7 @@ use crate::{
     witness::Witness,
 };
 
-#[path = "../service/faketime.rs"]
+#[path = "../support/faketime.rs"]
 mod faketime;
 
 /// Throws of each of two machines between two jumps.

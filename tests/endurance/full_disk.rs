@@ -22,7 +22,7 @@ async fn a_full_disk_without_ballast_raises_an_alarm_too() {
 async fn fill_and_free(ballast_mib: u64) {
     let Some(disk) = SmallDisk::mount() else { return };
     let rig = Rig::with(QUICK_ALARMS)
-        .moved_to(disk.folder())
+        .in_folder(disk.folder())
         .store(&format!("ballast_mib = {ballast_mib}\nlow_disk_mib = 2\n"));
     let daemon = rig.start();
     let witness = Witness::listen(&daemon.endpoint, None).await;

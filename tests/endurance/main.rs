@@ -9,19 +9,20 @@
     reason = "helpers of tests outside #[test]"
 )]
 
+#[path = "../support/cable.rs"]
 mod cable;
 mod database;
 mod gauge;
 mod logger;
-#[path = "../disk/replay.rs"]
+#[path = "../support/replay.rs"]
 mod replay;
-#[path = "../service/rig.rs"]
+#[path = "../support/rig.rs"]
 mod rig;
-#[path = "../disk/shim.rs"]
+#[path = "../support/shim.rs"]
 mod shim;
-#[path = "../disk/small_disk.rs"]
+#[path = "../support/small_disk.rs"]
 mod small_disk;
-#[path = "../disk/verdict.rs"]
+#[path = "../support/verdict.rs"]
 mod verdict;
 mod witness;
 

@@ -38,7 +38,7 @@ fn assert_changes(
     let new = coefficients(&machine);
     for (part, size_pct, expected) in faults {
         let mut condition = Condition::default();
-        condition.worsen(*part, *size_pct);
+        condition.change(*part, *size_pct);
         let worn = coefficients(&machine.in_condition(&condition).unwrap());
         for at in 0..3 {
             let change = 100.0 * (worn[at] / new[at] - 1.0);

@@ -29,6 +29,14 @@ impl Channels {
     }
 }
 
+/// Channels that a random damage changes.
+#[derive(Clone, Copy)]
+enum Damaged {
+    Position,
+    Current,
+    Both,
+}
+
 /// Damages the channels at random; returns the name of the damage.
 #[expect(clippy::too_many_lines, reason = "one arm for each kind of damage")]
 pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
@@ -37,12 +45,16 @@ pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static 
     let to = (from + rng.random_range(1..=len / 4)).min(len);
     let size = 10.0_f64.powf(rng.random_range(-1.0..2.0)) * if rng.random() { 1.0 } else { -1.0 };
     let kind = rng.random_range(0..16);
-    let both = rng.random_range(0..3);
+    let damaged = match rng.random_range(0..3) {
+        0 => Damaged::Position,
+        1 => Damaged::Current,
+        _ => Damaged::Both,
+    };
     let mut pick = |apply: &dyn Fn(&mut Vec<f64>)| {
-        if both != 0 {
+        if matches!(damaged, Damaged::Current | Damaged::Both) {
             apply(&mut channels.current);
         }
-        if both != 1 {
+        if matches!(damaged, Damaged::Position | Damaged::Both) {
             apply(&mut channels.position);
         }
     };
@@ -97,7 +109,11 @@ pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static 
         }
         10 => {
             let by = rng.random_range(1..=len / 20);
-            let channel = if both == 0 { &mut channels.current } else { &mut channels.position };
+            // Only the shift between the channels counts, so either of them may move.
+            let channel = match damaged {
+                Damaged::Position => &mut channels.current,
+                Damaged::Current | Damaged::Both => &mut channels.position,
+            };
             if rng.random() {
                 channel.rotate_left(by);
             } else {
@@ -191,10 +207,10 @@ const TABLE: &[Damage] = &[
     }),
     ("a lone current of 5 A", "spike", |c| c.current[1500] += 5.0),
     ("a lone position 0.3 mm off", "spike|position_jump", |c| c.position[1500] += 0.3),
-    ("1 A of noise in the current", "noisy", |c| c.noise(true, 1.0)),
-    ("2 mm of noise in the position", "noisy", |c| c.noise(false, 2.0)),
-    ("6 mm of noise in the position", "noisy", |c| c.noise(false, 6.0)),
-    ("20 mm of noise in the position", "noisy", |c| c.noise(false, 20.0)),
+    ("1 A of noise in the current", "noisy", |c| c.noise_in_current(1.0)),
+    ("2 mm of noise in the position", "noisy", |c| c.noise_in_position(2.0)),
+    ("6 mm of noise in the position", "noisy", |c| c.noise_in_position(6.0)),
+    ("20 mm of noise in the position", "noisy", |c| c.noise_in_position(20.0)),
     ("hum of 6 mm in the position", "noisy", |c| {
         for (k, x) in c.position.iter_mut().enumerate() {
             *x += 6.0 * (std::f64::consts::TAU * 0.05 * k as f64).sin();
@@ -249,12 +265,22 @@ impl Channels {
         self.position = self.position[range].to_vec();
     }
 
-    fn noise(&mut self, current: bool, size: f64) {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let channel = if current { &mut self.current } else { &mut self.position };
-        for value in channel.iter_mut() {
-            *value += size * 1.7 * rng.random_range(-1.0..1.0);
-        }
+    /// Adds noise with this standard deviation \[A\] to the current.
+    fn noise_in_current(&mut self, a: f64) {
+        add_noise(&mut self.current, a);
+    }
+
+    /// Adds noise with this standard deviation \[mm\] to the position.
+    fn noise_in_position(&mut self, mm: f64) {
+        add_noise(&mut self.position, mm);
+    }
+}
+
+/// Adds uniform noise with this standard deviation.
+fn add_noise(channel: &mut [f64], sd: f64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for value in channel {
+        *value += sd * 1.7 * rng.random_range(-1.0..1.0);
     }
 }
 

@@ -1,6 +1,6 @@
 //! A real drive: the Electro-Mechanical Positioning System (Janot, Gautier, Brunot 2019), closed loop, 1 kHz.
 
-use std::{fs, path::Path};
+use std::{env, fs};
 
 use pointsd::estimate::{
     Hold, Identifier, Rejection, Settings,
@@ -12,13 +12,13 @@ use pointsd::throw::{Throw, Trace};
 const FORCE_N: f64 = 35.150_651_88;
 const INTERVAL_S: f64 = 1e-3;
 
-/// Force \[N\] and position \[m\]; `None`, with a message, without the data.
+/// Force \[N\] and position \[m\] from the file in `POINTSD_EMPS`; `None`, with a message, without this variable.
 fn recorded() -> Option<(Vec<f64>, Vec<f64>)> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/emps.csv");
-    let Ok(text) = fs::read_to_string(&path) else {
-        println!("skipped: {} does not exist", path.display());
+    let Some(path) = env::var_os("POINTSD_EMPS") else {
+        println!("skipped: POINTSD_EMPS does not name the file of the benchmark, see deploy/RECORDINGS.md");
         return None;
     };
+    let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("POINTSD_EMPS={}: {error}", path.display()));
     let rows = text.lines().skip(1).map(|line| {
         let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
         (FORCE_N * cells[1], cells[2])

@@ -44,7 +44,7 @@ fn the_size_of_a_fault_is_what_the_estimate_shows() {
             identify(&record(machine, &Sensors::perfect(1000.0), direction), &Settings::default())
         };
         let mut condition = Condition::default();
-        condition.worsen(part, size_pct);
+        condition.change(part, size_pct);
         let worn = new.in_condition(&condition).unwrap();
         for direction in Direction::BOTH {
             let found = change_pct(estimate(&worn, direction), estimate(&new, direction));

@@ -155,7 +155,7 @@ fn a_long_start_extends_the_timeout_of_systemd() {
     let path = folder.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
-    let config = rig.config();
+    let config = rig.write_config();
     let mut command = pointsd(&["run", "--config"]);
     let child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
     let _program = Program(child);

@@ -44,8 +44,8 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
     rig.change("CREATE TABLE users (name TEXT)").await;
     let refused = |reason: &str| {
         for command in ["check", "run"] {
-            let error = ends(78, pointsd(&[command, "--config"]).arg(rig.config()));
-            let place = format!("{}:3: store.path: ", rig.config().display());
+            let error = ends(78, pointsd(&[command, "--config"]).arg(rig.write_config()));
+            let place = format!("{}:3: store.path: ", rig.write_config().display());
             assert!(error.contains(reason) && error.contains(&place), "{command}: {error}");
         }
     };
@@ -68,7 +68,7 @@ fn a_database_of_another_user_is_a_wrong_configuration() {
     for (command, exit, says) in
         [("check", 78, "this user cannot write to"), ("run", 74, "its -wal and its -shm belong to")]
     {
-        let error = ends(exit, pointsd(&[command, "--config"]).arg(rig.config()));
+        let error = ends(exit, pointsd(&[command, "--config"]).arg(rig.write_config()));
         assert!(error.contains(says), "{command}: {error}");
     }
 }

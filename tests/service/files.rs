@@ -114,9 +114,9 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
     let report = |exit: i32, machine: &str, config: &Path| {
         ends(exit, pointsd(&["report", machine, "--out"]).arg(&out).arg("--config").arg(config))
     };
-    report(66, "north/99", &rig.config());
+    report(66, "north/99", &rig.write_config());
     assert!(!out.exists());
-    report(0, "north/machine-1", &rig.config());
+    report(0, "north/machine-1", &rig.write_config());
     let page = fs::read_to_string(&out).unwrap();
     for part in [
         "<style>",
@@ -132,7 +132,7 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
         assert!(!page.contains(foreign), "{foreign}");
     }
     // A reader of the database needs neither its folder nor the certificates of the daemon.
-    let config = fs::read_to_string(rig.config()).unwrap();
+    let config = fs::read_to_string(rig.write_config()).unwrap();
     let certificate = "[zenoh.transport.link.tls]\nlisten_private_key = \"/no/such/file\"\n";
     let other = rig.folder().join("other.toml");
     fs::write(
@@ -165,7 +165,7 @@ async fn a_database_of_another_version_is_refused_with_the_reason() {
     fs::write(rig.database(), []).unwrap();
     rig.change(include_str!("../storage/released.sql")).await;
     let refused = |arguments: &[&str], exit: i32, says: &str| {
-        let error = ends(exit, pointsd(arguments).arg("--config").arg(rig.config()));
+        let error = ends(exit, pointsd(arguments).arg("--config").arg(rig.write_config()));
         assert!(error.contains(says), "{arguments:?}: {error}");
     };
     for command in [&["export"][..], &["report", "north/machine-1", "--out", "-"], &["replay"]] {

@@ -41,8 +41,7 @@ impl Answer {
 
 /// `127.0.0.1:PORT` of the daemon's dashboard.
 pub(crate) fn address(daemon: &Daemon) -> String {
-    daemon.until_log("the dashboard is at");
-    let line = daemon.log().into_iter().find(|line| line.contains("the dashboard is at")).unwrap();
+    let line = daemon.until_log("the dashboard is at");
     line.split("http://").nth(1).unwrap().trim_end_matches('/').to_owned()
 }
 

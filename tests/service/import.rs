@@ -13,7 +13,7 @@ fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, St
 
 fn import_as(rig: &Rig, machine: &str, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
     let mut command = pointsd(&["import", "--machine", machine, "--config"]);
-    let output = command.arg(rig.config()).args(more).args(files).output().unwrap();
+    let output = command.arg(rig.write_config()).args(more).args(files).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
@@ -41,7 +41,7 @@ fn a_closed_pipe_does_not_end_an_import() {
         fs::write(file, encode_throw(Encoding::Json, &throw)).unwrap();
     }
     let mut command = pointsd(&["import", "--json", "--machine", "north/21B", "--config"]);
-    let output = run_with_closed_pipe(command.arg(rig.config()).args(&files));
+    let output = run_with_closed_pipe(command.arg(rig.write_config()).args(&files));
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 3);
 }
@@ -53,7 +53,7 @@ fn a_recording_from_a_pipe_is_that_of_its_file() {
     let file = rig.folder().join("throw.csv");
     ends(0, pointsim(&["throw", "--out"]).arg(&file));
     let mut command = pointsd(&["import", "--machine", "north/21B", "--config"]);
-    command.arg(rig.config()).arg("/dev/stdin").stdin(Stdio::piped()).stdout(Stdio::piped());
+    command.arg(rig.write_config()).arg("/dev/stdin").stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut child = command.spawn().unwrap();
     child.stdin.take().unwrap().write_all(&fs::read(&file).unwrap()).unwrap();
     assert!(child.wait_with_output().unwrap().status.success());
@@ -89,7 +89,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     }
 
     let mut piped = pointsd(&["import", "-", "--machine", "north/21B", "--config"]);
-    let piped = piped.arg(rig.config()).stdin(fs::File::open(&many).unwrap()).output().unwrap();
+    let piped = piped.arg(rig.write_config()).stdin(fs::File::open(&many).unwrap()).output().unwrap();
     let said = String::from_utf8(piped.stdout).unwrap();
     assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 4 known before, 0 alarm events");
     assert_eq!(imported(&rig, &[&many], &["--json"]).0, "", "known throws are not judged again");
@@ -126,7 +126,7 @@ fn throws_out_of_order_are_warned_about_and_those_of_another_machine_refused() {
 
 /// Runs `pointsd import` without `--machine`; returns its exit code and its error.
 fn import_named(rig: &Rig, files: &[&Path]) -> (Option<i32>, String) {
-    let output = pointsd(&["import", "--config"]).arg(rig.config()).args(files).output().unwrap();
+    let output = pointsd(&["import", "--config"]).arg(rig.write_config()).args(files).output().unwrap();
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 

@@ -5,10 +5,11 @@
 mod alarms;
 mod backlogs;
 mod browser;
-#[path = "../endurance/cable.rs"]
+#[path = "../support/cable.rs"]
 mod cable;
 mod clients;
 mod configuration;
+#[path = "../support/faketime.rs"]
 mod faketime;
 mod files;
 mod http;
@@ -20,6 +21,7 @@ mod prometheus;
 mod python;
 mod questions;
 mod region;
+#[path = "../support/rig.rs"]
 mod rig;
 mod silence;
 mod throws;

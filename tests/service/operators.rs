@@ -373,9 +373,15 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sighup_applies_the_settings_that_need_no_restart() {
-    let (_rig, daemon) = Rig::running();
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let alarms = listen(&session).await;
+    Rig::with("[monitor]\nid = \"later\"\n[machines]\nstroke_mm = 115.0\n").in_folder(rig.folder()).write_config();
     daemon.signal("-HUP");
-    daemon.until_log("configuration reloaded");
+    daemon.until_log("changes in monitor take effect at the next start");
+    // Without a stroke in the configuration a toe that stops half way is no alarm.
+    daemon.logger(KEY).await.send([obstructed()]).await;
+    assert_eq!(next(&alarms).await.1.cause, Cause::IncompleteThrow);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -410,7 +416,7 @@ fn state(rig: &Rig) -> (String, usize) {
 async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other() {
     let (rig_a, a) = daemon_with_alarm("a", "");
     let (rig_b, b) = daemon_with_alarm("b", "");
-    let of_b = rig_b.config().display().to_string();
+    let of_b = rig_b.write_config().display().to_string();
 
     let text = ends(0, &mut pointsd(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &of_b]));
     assert!(text.starts_with("fleet/b: "), "{text}");
@@ -447,7 +453,7 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     // The second daemon is connected to the first, and serves the same machines.
     let (rig_b, _b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
     a.until_status("link", |status| status["connected"] == true).await;
-    for config in [rig_a.config(), rig_b.config()] {
+    for config in [rig_a.write_config(), rig_b.write_config()] {
         let text = ends(69, pointsd(&["ack", "north/machine-1", "kt", "--by", "tester", "--config"]).arg(config));
         assert!(text.contains("several daemons serve north/machine-1") && text.contains("fleet/a"), "{text}");
         assert!(text.contains("fleet/b"), "{text}");

@@ -8,7 +8,8 @@ use crate::rig::{Rig, size};
 const ROWS: usize = 50_000;
 /// Number of machines of these throws.
 const MACHINES: usize = 500;
-/// Time limit of a query: as stated in the README, plus the start of the program on a loaded computer.
+/// Time limit of a query, far above the milliseconds that it takes: it includes the start of the program, in a debug
+/// build on a loaded computer.
 const LIMIT: Duration = Duration::from_secs(2);
 
 fn questions() -> Vec<String> {

@@ -93,7 +93,7 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
 
     // The last backup of the daemon that is killed.
     let backup = rigs[2].folder().join("backup.db");
-    ends(0, pointsd(&["backup", "--config"]).arg(rigs[2].config()).arg(&backup));
+    ends(0, pointsd(&["backup", "--config"]).arg(rigs[2].write_config()).arg(&backup));
     daemons.remove(2).kill();
     let (key, alarm) = next(&alarms).await;
     assert_eq!(key, "points/v1/east/box/alarm");
@@ -130,7 +130,7 @@ async fn machines_that_a_new_key_leaves_out_are_named() {
     daemon.logger(KEY).await.send([&throws("boot", 1)[0]]).await;
     rig.judged(1).await;
     daemon.terminate();
-    let narrowed = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"").moved_to(rig.folder());
+    let narrowed = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"").in_folder(rig.folder());
     let daemon = narrowed.start();
     let said = daemon.says(1, &["status"]);
     assert!(said.contains("NOT SERVED: north/21B: in the database, but not in subscribe.key"), "{said}");

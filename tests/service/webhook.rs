@@ -22,16 +22,24 @@ use crate::{
     rig::{Daemon, PATIENCE, Program, Rig, ends, free_address, has},
 };
 
-const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
-const FAILED: &str = "HTTP/1.1 500 Internal Server Error\r\nContent-Length: 4\r\n\r\noops";
-const MOVED: &str = "HTTP/1.1 307 Temporary Redirect\r\nLocation: /elsewhere\r\nContent-Length: 0\r\n\r\n";
-const REFUSED: &str = "HTTP/1.1 422 Unprocessable Content\r\nContent-Length: 0\r\n\r\n";
-/// The server keeps the connection open and does not answer.
-const NOTHING: &str = "";
-/// The server accepts the message after [`SLOW_FOR`].
-const SLOW: &str = "HTTP/1.1 202 Accepted\r\n\r\n";
+/// Reaction of the server to a request.
+#[derive(Clone, Copy)]
+enum Answer {
+    Reply(&'static str),
+    /// A reply after [`LATE_BY`].
+    Late(&'static str),
+    /// The connection stays open without a reply.
+    Silence,
+}
+
+const ACCEPTED: Answer = Answer::Reply("HTTP/1.1 204 No Content\r\n\r\n");
+const FAILED: Answer = Answer::Reply("HTTP/1.1 500 Internal Server Error\r\nContent-Length: 4\r\n\r\noops");
+const MOVED: Answer =
+    Answer::Reply("HTTP/1.1 307 Temporary Redirect\r\nLocation: /elsewhere\r\nContent-Length: 0\r\n\r\n");
+const REFUSED: Answer = Answer::Reply("HTTP/1.1 422 Unprocessable Content\r\nContent-Length: 0\r\n\r\n");
+const ACCEPTED_LATE: Answer = Answer::Late("HTTP/1.1 202 Accepted\r\n\r\n");
 /// Less than the 10 s for which the daemon waits.
-const SLOW_FOR: Duration = Duration::from_secs(8);
+const LATE_BY: Duration = Duration::from_secs(8);
 
 /// A request of the webhook.
 #[derive(Debug)]
@@ -47,13 +55,13 @@ struct Server {
 }
 
 impl Server {
-    fn start(address: &str, answers: &'static [&'static str]) -> Self {
+    fn start(address: &str, answers: &'static [Answer]) -> Self {
         Self::with(address, answers, |stream| Box::new(stream))
     }
 
     fn with(
         address: &str,
-        answers: &'static [&'static str],
+        answers: &'static [Answer],
         accept: impl Fn(TcpStream) -> Box<dyn ReadWrite> + Send + 'static,
     ) -> Self {
         let listener = TcpListener::bind(address).unwrap();
@@ -64,13 +72,16 @@ impl Server {
             for (number, stream) in listener.incoming().enumerate() {
                 let mut stream = BufReader::new(accept(stream.unwrap()));
                 let Some(post) = read(&mut stream) else { continue };
-                let answer = answers[number.min(answers.len() - 1)];
-                if answer == SLOW {
-                    thread::sleep(SLOW_FOR);
-                }
-                let _ = stream.get_mut().write_all(answer.as_bytes()).and_then(|()| stream.get_mut().flush());
-                if answer == NOTHING {
-                    silent.push(stream);
+                let mut reply = |text: &str| {
+                    let _ = stream.get_mut().write_all(text.as_bytes()).and_then(|()| stream.get_mut().flush());
+                };
+                match answers[number.min(answers.len() - 1)] {
+                    Answer::Reply(text) => reply(text),
+                    Answer::Late(text) => {
+                        thread::sleep(LATE_BY);
+                        reply(text);
+                    }
+                    Answer::Silence => silent.push(stream),
                 }
                 if sender.send(post).is_err() {
                     return;
@@ -195,7 +206,7 @@ fn a_receiver_may_be_slow_and_gets_the_request_again_after_ten_seconds() {
     let idle_rig = rig(&format!("http://{}/", idle_server.address), "");
     let idle = idle_rig.start();
     let began = Instant::now();
-    let server = Server::start("127.0.0.1:0", &[NOTHING, NOTHING, SLOW, ACCEPTED]);
+    let server = Server::start("127.0.0.1:0", &[Answer::Silence, Answer::Silence, ACCEPTED_LATE, ACCEPTED]);
     let rig = rig(&format!("http://{}/", server.address), "");
     let daemon = rig.start();
     weak_motor(&daemon);
@@ -206,7 +217,7 @@ fn a_receiver_may_be_slow_and_gets_the_request_again_after_ten_seconds() {
     let third = (server.next().body, Instant::now());
     assert_eq!((&second.0, &third.0), (&first.0, &first.0), "the same event until it is accepted");
     let seconds = |from: Instant, to: Instant| to.duration_since(from).as_secs_f64();
-    let waits = [seconds(first.1, second.1), seconds(second.1, third.1) - SLOW_FOR.as_secs_f64()];
+    let waits = [seconds(first.1, second.1), seconds(second.1, third.1) - LATE_BY.as_secs_f64()];
     assert!(waits[0] > 10.0 && waits[0] < 16.0 && waits[1] > 11.0 && waits[1] < 18.0, "{waits:?}");
     daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     while server.next().body["state"] != "active_acknowledged" {}
@@ -220,7 +231,7 @@ fn a_receiver_may_be_slow_and_gets_the_request_again_after_ten_seconds() {
 #[test]
 fn a_killed_daemon_sends_unaccepted_alarms_after_its_start() {
     // The receiver does not answer the first request: the daemon cannot know whether the receiver has the alarm.
-    let server = Server::start("127.0.0.1:0", &[NOTHING, ACCEPTED]);
+    let server = Server::start("127.0.0.1:0", &[Answer::Silence, ACCEPTED]);
     let rig = rig(&format!("http://{}/", server.address), "");
     let daemon = rig.start();
     weak_motor(&daemon);
@@ -231,7 +242,7 @@ fn a_killed_daemon_sends_unaccepted_alarms_after_its_start() {
     daemon.terminate();
 
     // Without a webhook in the configuration no notification is stored.
-    let rig = Rig::with("").moved_to(rig.folder());
+    let rig = Rig::with("").in_folder(rig.folder());
     let daemon = rig.start();
     daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     assert_eq!(pending(&rig), 0);
@@ -306,7 +317,7 @@ fn a_receiver_with_tls_needs_a_certificate_of_the_authority() {
     daemon.until_log("UnknownIssuer");
     daemon.terminate();
 
-    let known = rig(&url, &format!("ca_file = {:?}", file("ca.pem"))).moved_to(unknown.folder());
+    let known = rig(&url, &format!("ca_file = {:?}", file("ca.pem"))).in_folder(unknown.folder());
     let _daemon = known.start();
     assert_eq!(server.next().body["cause"], "kt");
 }

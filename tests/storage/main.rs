@@ -9,7 +9,7 @@ mod judging;
 mod keeping;
 mod power;
 mod salvage;
-#[path = "../disk/small_disk.rs"]
+#[path = "../support/small_disk.rs"]
 mod small_disk;
 
 mod spooling;

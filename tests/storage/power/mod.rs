@@ -6,11 +6,11 @@
 
 mod cuts;
 mod faults;
-#[path = "../../disk/replay.rs"]
+#[path = "../../support/replay.rs"]
 mod replay;
-#[path = "../../disk/shim.rs"]
+#[path = "../../support/shim.rs"]
 mod shim;
-#[path = "../../disk/verdict.rs"]
+#[path = "../../support/verdict.rs"]
 mod verdict;
 mod worker;
 

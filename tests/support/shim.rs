@@ -10,7 +10,7 @@ use std::{
 /// The shim as a shared library; `None`, with a message, without a C compiler.
 pub(crate) fn library() -> Option<&'static Path> {
     static LIBRARY: OnceLock<Option<PathBuf>> = OnceLock::new();
-    LIBRARY.get_or_init(|| built("tests/disk/shim.c")).as_deref()
+    LIBRARY.get_or_init(|| built("tests/support/shim.c")).as_deref()
 }
 
 /// A C file of this package as a shared library; `None`, with a message, without a C compiler.

@@ -99,8 +99,8 @@ impl Rig {
         }
     }
 
-    /// Moves its files to an existing folder.
-    pub(crate) fn moved_to(self, folder: &Path) -> Self {
+    /// Its files are in the folder of another rig or in another existing one.
+    pub(crate) fn in_folder(self, folder: &Path) -> Self {
         Self { folder: folder.to_owned(), ..self }
     }
 
@@ -129,8 +129,9 @@ impl Rig {
         self.environment.push((name.into(), value.into()));
     }
 
-    /// Ends the rig and returns its folder.
+    /// Ends the rig and returns its own folder.
     pub(crate) fn into_folder(self) -> tempfile::TempDir {
+        assert_eq!(self.folder, self.temporary.path(), "the files are in another folder");
         self.temporary
     }
 
@@ -142,7 +143,8 @@ impl Rig {
         self.folder.join("points.db")
     }
 
-    pub(crate) fn config(&self) -> PathBuf {
+    /// Writes the configuration; returns its path.
+    pub(crate) fn write_config(&self) -> PathBuf {
         let path = self.folder.join("pointsd.toml");
         let Self { extra, store, .. } = self;
         let zenoh = match &self.router {
@@ -190,7 +192,7 @@ impl Rig {
     /// Starts the daemon; the receiver gets its endpoint when it is ready.
     pub(crate) fn launch(&self) -> (Daemon, mpsc::Receiver<String>) {
         let mut command = pointsd(&["run", "--config"]);
-        command.arg(self.config()).envs(self.environment.iter().cloned());
+        command.arg(self.write_config()).envs(self.environment.iter().cloned());
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let log = Arc::new(Log::default());
         let (ready, endpoint) = mpsc::channel();
@@ -219,6 +221,7 @@ impl Rig {
     /// Waits until `count` throws are judged.
     pub(crate) async fn judged(&self, count: usize) -> Vec<pointsd::wire::Health> {
         let deadline = Instant::now() + PATIENCE;
+        // Without `until`, as the compiler cannot show that its async closure is `Send`, and some tests spawn this.
         loop {
             let history = self.history().await;
             if history.len() >= count {
@@ -268,7 +271,7 @@ impl Rig {
         connection
     }
 
-    /// Changes the database while no daemon runs.
+    /// Changes the database as another program would, also beside a running daemon.
     pub(crate) async fn change(&self, statement: impl Into<String>) {
         let mut connection = self.connection().await;
         sqlx::query(sqlx::AssertSqlSafe(statement.into())).execute(&mut connection).await.unwrap();
@@ -307,12 +310,12 @@ impl Daemon {
         self.log.lines.lock().unwrap().clone()
     }
 
-    /// Waits until it logs a line that contains `words`.
-    pub(crate) fn until_log(&self, words: &str) {
-        let absent = |lines: &mut Vec<String>| !lines.iter().any(|line| line.contains(words));
+    /// Waits until it logs a line that contains `words`; returns the first such line.
+    pub(crate) fn until_log(&self, words: &str) -> String {
+        let found = |lines: &[String]| lines.iter().find(|line| line.contains(words)).cloned();
         let lines = self.log.lines.lock().unwrap();
-        let (lines, waited) = self.log.more.wait_timeout_while(lines, PATIENCE, absent).unwrap();
-        assert!(!waited.timed_out(), "no log line with {words:?}: {lines:?}");
+        let (lines, _) = self.log.more.wait_timeout_while(lines, PATIENCE, |lines| found(lines).is_none()).unwrap();
+        found(&lines).unwrap_or_else(|| panic!("no log line with {words:?}: {lines:?}"))
     }
 
     /// Waits for the exit.
