@@ -11,7 +11,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State, with_positions},
+    drive::{Drive, State, Voltage, with_positions},
     operational::{ended, feed, machine, raised, summary},
 };
 
@@ -263,7 +263,7 @@ fn throws_without_a_movement_do_not_reverse_the_position_of_a_logger_with_exchan
         });
         Throw { direction, ..throw }
     };
-    let mut drive = Drive::new(1, false);
+    let mut drive = Drive::new(1, Voltage::Unknown);
     drive.logger = exchanged;
     drive.stay_healthy(40, State::SOUND);
     drive.logger = |throw| with_positions(throw, |_| 3.0);
