@@ -13,7 +13,7 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::{AssertSqlSafe, SqliteConnection};
+use sqlx::{AssertSqlSafe, SqliteConnection, query::QueryScalar};
 
 use super::{spool::count, write::Write};
 use crate::store::{
@@ -124,7 +124,7 @@ impl DroppableRows {
         match &self.choice {
             Choice::OfAll { oldest, arguments } => {
                 let oldest = sqlx::query_scalar(*oldest).bind(limit);
-                arguments.iter().fold(oldest, |oldest, argument| oldest.bind(argument)).fetch_all(connection).await
+                arguments.iter().fold(oldest, QueryScalar::bind).fetch_all(connection).await
             }
             Choice::OfLargest { machines, oldest } => {
                 let machines: Vec<Usage> = sqlx::query_as(*machines).bind(limit).fetch_all(&mut *connection).await?;
