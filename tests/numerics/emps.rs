@@ -18,7 +18,7 @@ fn recorded() -> Option<(Vec<f64>, Vec<f64>)> {
         println!("skipped: POINTSD_EMPS does not name the file of the benchmark, see deploy/RECORDINGS.md");
         return None;
     };
-    let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("POINTSD_EMPS={}: {error}", path.display()));
+    let text = fs::read_to_string(&path).map_err(|error| format!("POINTSD_EMPS={}: {error}", path.display())).unwrap();
     let rows = text.lines().skip(1).map(|line| {
         let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
         (FORCE_N * cells[1], cells[2])

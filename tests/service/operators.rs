@@ -376,11 +376,11 @@ async fn sighup_applies_the_settings_that_need_no_restart() {
     let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let alarms = listen(&session).await;
-    Rig::with("[monitor]\nid = \"later\"\n[machines]\nstroke_mm = 115.0\n").in_folder(rig.folder()).write_config();
+    Rig::with("[monitor]\nid = \"later\"\n[machines]\nstroke_mm = 200.0\n").in_folder(rig.folder()).write_config();
     daemon.signal("-HUP");
     daemon.until_log("changes in monitor take effect at the next start");
-    // Without a stroke in the configuration a toe that stops half way is no alarm.
-    daemon.logger(KEY).await.send([obstructed()]).await;
+    // The toe moves by 115 mm: a complete throw without a stroke in the configuration.
+    daemon.logger(KEY).await.send(throws("boot", 1)).await;
     assert_eq!(next(&alarms).await.1.cause, Cause::IncompleteThrow);
 }
 
