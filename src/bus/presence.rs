@@ -15,8 +15,8 @@ pub(crate) enum Token {
 }
 
 /// Watches the liveliness tokens in a key expression while the session is open. `on_change` gets the key of each token
-/// with its change; the present tokens come first. It runs on a thread of zenoh and must not
-/// wait: a cut link removes all tokens of a region at once, and a queue of these changes would overflow.
+/// with its change; the present tokens come first. It runs on a thread of zenoh and must not wait: a cut link removes
+/// all tokens of a region at once, and a queue of these changes would overflow.
 pub(crate) async fn watch_tokens(
     session: &Session,
     key_expression: &str,

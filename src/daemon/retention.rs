@@ -85,7 +85,8 @@ mod tests {
 
     const ROUND: Duration = Duration::from_secs(10);
 
-    /// Whether a clock that a time server has set is trusted, after each round of a day. `wall(round)` is the time of the wall clock \[s\].
+    /// Whether a clock that a time server has set is trusted, after each round of a day. `wall(round)` is the time of
+    /// the wall clock \[s\].
     fn a_day(wall: impl Fn(i64) -> i64) -> Vec<bool> {
         let start = clock::monotonic();
         let at = |seconds| Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds);

@@ -30,11 +30,6 @@ const FIELDS: [&str; 10] = [
     "supply_v",
 ];
 
-/// Largest share of accepted estimates far from the truth: twice the largest share of four runs of 100,000 mutations,
-/// which had 6 to 13. A scaled inrush looks like another inertia, and another sampling rate like a faster machine. If the
-/// mutation leaves no edge in the trace, one throw cannot show it.
-const ALLOWED: f64 = 26e-5;
-
 /// Name of a field, and index of its value in the message.
 type Field<'a> = (&'a str, usize);
 
@@ -276,5 +271,7 @@ fn random_damage_to_traces_and_messages_never_passes_for_a_sound_estimate_far_fr
         println!("{what}, {kind}: {count:?}");
     }
     println!("{runs} mutations, {} accepted more than 5 % away:\n{}", nonsense.len(), nonsense.join("\n"));
-    assert!(nonsense.len() as f64 <= (ALLOWED * runs as f64).max(2.0), "{nonsense:#?}");
+    // A few are allowed: a scaled inrush looks like another inertia, and another sampling rate like a faster machine.
+    // If the mutation leaves no edge in the trace, one throw cannot show it.
+    assert!(nonsense.len() as u64 <= (runs / 10_000).max(2), "{nonsense:#?}");
 }

@@ -149,7 +149,7 @@ impl Intake {
         throws: &[Throw],
     ) -> Result<Option<(u64, Cursor)>, StoreError> {
         let (at, mut new, mut next) = (clock::now(), 0, None);
-        let mut parts: Vec<&[Throw]> = Some(throws).filter(|throws| !throws.is_empty()).into_iter().collect();
+        let mut parts = if throws.is_empty() { Vec::new() } else { vec![throws] };
         while let Some(part) = parts.pop() {
             match self.shared.store.spool_page(machine, after, part, at).await {
                 Ok(stored) => {

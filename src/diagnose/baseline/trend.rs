@@ -113,10 +113,15 @@ impl Filling {
 
 /// The change over the whole series, if it has a trend.
 fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evidence: f64) -> Option<f64> {
-    let has_evidence = |series: &Series| series.bayes_factor(time) >= evidence;
-    Some(Series::uncorrelated(values, levels, error_part)).filter(has_evidence)?;
-    let series = Some(Series::new(values, levels, error_part)).filter(has_evidence)?;
+    let may_have = Series::uncorrelated(values, levels, error_part).bayes_factor(time) >= evidence;
+    if !may_have {
+        return None;
+    }
+    let series = Series::new(values, levels, error_part);
     let sloped = series.with(time);
+    if sloped.evidence - series.evidence() < evidence {
+        return None;
+    }
     let step = |at: usize| -> Vec<f64> { (0..values.len()).map(|t| if t < at { -0.5 } else { 0.5 }).collect() };
     let steps: Vec<f64> = (1..STEPS).map(|at| series.with(&step(at * values.len() / STEPS)).evidence).collect();
     let stepped = ln_sum(steps.into_iter()) - (STEPS as f64 - 1.0).ln();

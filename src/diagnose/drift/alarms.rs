@@ -129,9 +129,7 @@ impl DriftAlarms {
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
             let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
-            if size <= least || !is_shown {
-                reading.claim = Claim::Counts;
-            }
+            reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
         if is_intermittent && reading.undoubted <= settings.critical_factor {

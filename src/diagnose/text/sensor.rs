@@ -12,10 +12,8 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
         SensorChannel::Position => ("reads", "the travel differs from the stroke"),
         SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
-        // A wrong temperature has its own texts.
-        SensorChannel::Supply | SensorChannel::Temperature => {
-            ("reads", "the motor's resistance and back-EMF seem changed as much, its current not")
-        }
+        SensorChannel::Temperature => ("reads", "it differs from the weather"),
+        SensorChannel::Supply => ("reads", "the motor's resistance and back-EMF seem changed as much, its current not"),
     };
     let way = match (fault.channel, pct > 0.0) {
         (SensorChannel::Clock, true) => "fast",
