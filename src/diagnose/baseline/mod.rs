@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub(super) use motor_kind::ShownMotor;
 pub(super) use neutral::Neutral;
 pub use temperature::TemperatureSource;
-pub(super) use temperature::covariance_of_effect;
+pub(super) use temperature::{Suspicion, covariance_of_effect};
 pub(super) use trend::Filling;
 pub(super) use wet::{LONGEST_SPELL, WetSpell, wet_spells};
 

@@ -7,7 +7,8 @@
 //! uncertainty of k, times the distance from the reference.
 //!
 //! A fault changes a coefficient for good and must not count as an effect of the temperature. So the model contains a
-//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or throws of a suspected drift.
+//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or throws of a suspected drift. When
+//! a drift is suspected, has an alarm or ends, the level may have changed, and a new anchor is taken.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -39,10 +40,33 @@ const MEMORY: f64 = 250.0;
 const CLIP_SD: f64 = 3.5;
 
 /// Throws of a suspected drift that determine its anchor. The same number of throws before them is left out: those
-/// leave the longest window after the suspicion began, but were made before.
+/// leave the longest window after the suspicion changed, but were made before.
 const ANCHORED: u32 = LONGEST_WINDOW;
 /// Change of the level since the anchor that counts as another lasting change, in standard deviations of the anchor.
 const LEVEL_SD: f64 = 4.0;
+
+/// Whether the last throws show a drift, which must not be learned as normal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Suspicion {
+    /// No suspicion.
+    #[default]
+    None,
+    /// The last throws may show a drift.
+    Suspected,
+    /// The last throws show a drift above its limit; its name is not stable yet.
+    AboveLimit,
+    /// A drift has an active alarm.
+    Alarmed,
+}
+
+impl Suspicion {
+    /// Whether nothing is suspected.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    pub(crate) fn is_none(&self) -> bool {
+        *self == Self::None
+    }
+}
 
 /// A known point of the line over the temperature, and sums over the throws since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -78,7 +102,10 @@ pub(crate) struct Temperature {
     /// Number of throws in the baseline. Early snapshots do not contain it: the usual number.
     throws: f64,
     anchor: Anchor,
-    /// Throws since a drift is suspected, and the anchor from the second half of them.
+    /// The suspicion of a drift at the last throw.
+    #[serde(skip_serializing_if = "Suspicion::is_none")]
+    suspicion: Suspicion,
+    /// Throws since the suspicion changed, and the anchor from the second half of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<Box<(u32, Anchor)>>,
 }
@@ -95,6 +122,7 @@ impl Default for Temperature {
             product: [0.0; 3],
             throws: 50.0,
             anchor: Anchor::default(),
+            suspicion: Suspicion::None,
             next: None,
         }
     }
@@ -146,18 +174,19 @@ impl Temperature {
     }
 
     /// Updates the compensation with a throw. `raw`: residual without compensation; `distance`: temperature from the
-    /// reference \[K\]; `suspected`: a drift is suspected; `scatter`: of the machine.
-    pub(crate) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, suspected: bool, scatter: &Scatter) {
+    /// reference \[K\]; `suspicion`: of a drift in the last throws; `scatter`: of the machine.
+    pub(crate) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, suspicion: Suspicion, scatter: &Scatter) {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
         }
         let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
-        if !suspected {
-            self.next = None;
-            if self.anchor.throws.is_some() {
-                self.move_anchor(Anchor::default());
-            }
-        } else if self.is_moving(&raw, distance) {
+        if suspicion != self.suspicion {
+            self.suspicion = suspicion;
+            // A suspicion that ends before it has an anchor was chance.
+            let is_chance = suspicion.is_none() && self.anchor.throws.is_none();
+            self.next = (!is_chance).then(Box::default);
+        }
+        if self.is_moving(&raw, distance) {
             return;
         }
         let (slope, _) = self.posterior(noise);
@@ -180,19 +209,23 @@ impl Temperature {
         }
         self.solve(noise, true);
         let change = self.change(self.per_k);
-        if suspected && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt()) {
+        if !suspicion.is_none() && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt())
+        {
             // Another fault, or the repair of a part.
             self.next = Some(Box::new((ANCHORED, Anchor::default())));
         }
     }
 
-    /// Adds a throw of a suspected drift to the next anchor. Returns whether the throw was used for this.
+    /// Adds a throw to the next anchor. Returns whether the throw was used for this, or left out. Without a suspicion,
+    /// the next anchor is the centre of the baseline.
     fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
-        if self.anchor.throws.is_none() && self.next.is_none() {
-            self.next = Some(Box::new((0, Anchor::default())));
-        }
         let Some((throws, next)) = self.next.as_deref_mut() else { return false };
         *throws += 1;
+        if *throws == ANCHORED && self.suspicion.is_none() {
+            self.next = None;
+            self.move_anchor(Anchor::default());
+            return true;
+        }
         if *throws > ANCHORED {
             let count = f64::from(*throws - ANCHORED);
             next.distance += (distance - next.distance) / count;
@@ -292,7 +325,7 @@ mod tests {
         let before = temperature.effect_sd(10.0);
         let scatter = Scatter::learn(&logs, Matrix3::identity() * 1e-8, 1);
         for _ in 0..100 {
-            temperature.learn_on(Vector3::zeros(), 0.0, false, &scatter);
+            temperature.learn_on(Vector3::zeros(), 0.0, Suspicion::None, &scatter);
         }
         let after = temperature.effect_sd(10.0);
         assert!(before.min() > 0.0 && (after - before).norm() < 1e-9, "{before:?} {after:?}");

@@ -15,10 +15,10 @@ use crate::{
     diagnose::{
         AlarmEvent, Cause, Drifting, RunnerUp, Settings, Severity,
         alarm::{Alarms, Rule, RuleResult, Step},
+        baseline::Suspicion,
         gauges::Gauges,
         statistics::{LONGEST_WINDOW, percent, to_f32},
         text,
-        track::Suspicion,
     },
     throw::{Direction, ThrowRef},
 };
@@ -262,7 +262,7 @@ impl DriftAlarms {
         condition.is_some_and(|(_, condition)| condition.is_beginning())
     }
 
-    /// The reason not to add the last throw to a baseline.
+    /// The suspicion of a drift, as a reason not to add the last throw to a baseline.
     pub(crate) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
         if alarms.active().any(|event| event.cause.is_drift()) {
             Suspicion::Alarmed

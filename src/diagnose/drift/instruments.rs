@@ -45,14 +45,8 @@ const LEAD_OF_SENSOR: f64 = 10.0;
 const LEAD_OF_MACHINE: f64 = 6.0;
 /// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
 const MAX_MISFIT: f64 = 40.0;
-/// Least significance of a change of the supply \[standard deviations\].
-const SUPPLY_SD: f64 = 4.0;
-/// Least relevant change of the supply, as a logarithm.
-const SUPPLY_CHANGE: f64 = 0.05;
 /// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
-/// Range of the increase in duration as part of the loss of supply voltage, both as logarithms.
-const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
 /// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
 const MAX_FRICTION_PER_LOSS: f64 = 1.3;
 /// Least change of the inrush current as part of the gain error of the current sensor.
@@ -61,10 +55,6 @@ const INRUSH_OF_GAIN: f64 = 0.5;
 /// inrush is named as a fault of the motor. With more, a slide chair that dries on a soft drive is named as a gain
 /// error, as it changes the resistance like a gain error of 10 to 15 %.
 const INRUSH_SLACK_SD: f64 = 1.0;
-/// Largest apparent change of the motor, as part of the change of the logarithm of the resistance between supply and
-/// motor. Measured on an independent drive at 250 Hz: a change by 0.08 with twice the resistance.
-const MOTOR_OF_CIRCUIT: f64 = 0.12;
-
 /// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
 const LINGERS: u32 = 2 * LONGEST_WINDOW;
 
@@ -211,9 +201,7 @@ impl Instruments {
     fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
         let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
         let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
-        // With a smaller inrush, dry friction takes a larger part of the torque: at most the ratio of the running
-        // current to the inrush current.
-        let of_inrush = MOTOR_OF_CIRCUIT.max(self.gauges.running_of_inrush()) * circuit.level.value.abs();
+        let of_inrush = self.gauges.motor_of_inrush(circuit.level.value);
         // Heat changes the motion as a bad contact does, so a change that heat explains counts as well.
         let is_changed = circuit.is_shown && !circuit.is_doubtful;
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
@@ -244,7 +232,10 @@ impl Instruments {
     /// Whether the supply explains a change of friction, alone or beside a small change of the motor. The model has no
     /// dry friction, whose effect on the coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
-        let Some(lost) = self.supply_lost(window.throws) else { return false };
+        let Some(lost) = self.gauges.supply_lost(window.throws) else { return false };
+        if window.exceeds_supply(&self.gauges) {
+            return false;
+        }
         let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
         let share = friction.size / lost.value;
         let slack = 2.0 * friction.size_sd / lost.value.abs();
@@ -259,22 +250,6 @@ impl Instruments {
             };
         is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
             || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
-    }
-
-    /// Loss of supply voltage as a logarithm; `None` unless the loss is significant and the duration agrees.
-    fn supply_lost(&self, throws: usize) -> Option<Level> {
-        let lost = self.supply_change(throws)?;
-        let longer = self.gauges.level(Gauge::Duration, throws)?;
-        let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
-        (changed && DURATION_PER_LOSS.contains(&(longer.value / lost.value))).then_some(lost)
-    }
-
-    /// Loss of supply voltage as a logarithm: from the published voltage less its error, else from the inrush current.
-    fn supply_change(&self, throws: usize) -> Option<Level> {
-        let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
-        let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
-        let error = self.gauges.level(Gauge::BackEmf, throws).filter(|_| is_wrong);
-        Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
     }
 
     /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
@@ -370,9 +345,9 @@ impl Instruments {
     /// part of the supply, as the voltage is measured before it.
     pub(crate) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
-        let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
+        let lost = volts.and_then(|_| self.gauges.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
-        let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
+        let left = self.gauges.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
         let delay = step.settings.on_delay_throws;
         let seen = Seen::fault(lost.is_some() || explained.is_some(), matters || explained == Some(true));
         self.supply.follow(seen, left, delay);

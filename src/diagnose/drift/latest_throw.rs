@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use nalgebra::Vector3;
 
-use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor};
+use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor, window::DRY};
 use crate::{
     diagnose::{Cause, Settings, gauges::Gauges, statistics::Level, track::Tracks},
     throw::Direction,
@@ -14,9 +14,6 @@ use crate::{
 const SIZE_SHARE: f64 = 0.01;
 /// Least size of a coefficient, as part of its normal value, so that its logarithm is finite.
 const LEAST_LEFT: f64 = 0.01;
-/// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
-/// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
-const DRY: (f64, f64) = (0.5, 0.29);
 /// Dry friction as part of the running load: mean and standard deviation. The load contains the spring too.
 const DRY_LOAD: (f64, f64) = (0.3, 0.17);
 

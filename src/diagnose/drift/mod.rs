@@ -233,7 +233,12 @@ pub(super) fn attribute(
     let last = side.map_or_else(|| mean_of_both(last_few), |side| last_few[side]);
     let is_before = last.is_some_and(|last| is_before_motor_fault(window, &last, known, settings));
     let known = &Known { gauges: known.gauges.filter(|_| !is_before), ..known.clone() };
-    Attribution::of(&Case { window, of_one_throw: &scatter.of_one_throw(), known, settings })
+    // The supply explains only a part of this drift, so the rest is attributed.
+    let slow = known.gauges.filter(|gauges| window.exceeds_supply(gauges));
+    let rest = slow.map_or(*window, |gauges| window.at_usual_speed(gauges));
+    let mut found = Attribution::of(&Case { window: &rest, of_one_throw: &scatter.of_one_throw(), known, settings });
+    found.mean = window.mean;
+    found
 }
 
 /// Least size of `cause` \[%\] that is detected in a mean with this covariance and this limit of T; `None` if no size

@@ -11,6 +11,7 @@ mod levels;
 mod normal;
 mod offset;
 mod start;
+mod supply;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};

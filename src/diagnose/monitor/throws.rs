@@ -220,9 +220,9 @@ impl MachineMonitor {
     /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
         let settings = step.settings;
-        let suspicious = self.drift.is_suspicious(step.alarms);
         let departure = self.tracks.departure(throw);
-        let residual = self.tracks.push(throw, self.order, suspicious, settings);
+        let suspicion = self.drift.suspicion(None, step.alarms);
+        let residual = self.tracks.push(throw, self.order, suspicion, settings);
         let drift = residual.map(|residual| {
             let is_series = self.parameters.is_some_and(|parameters| parameters.motor == Motor::Series);
             let known = Known { is_series, ..self.drift.known(step.alarms, &self.instruments.gauges) };

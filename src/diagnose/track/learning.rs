@@ -10,8 +10,8 @@ use crate::{
     diagnose::{
         Settings,
         baseline::{
-            Baseline, BaselineRecord, BaselineThrow, Changes, Filling, WetSpell, filling, learn_in_order, learn_mixed,
-            trend, wet_spells,
+            Baseline, BaselineRecord, BaselineThrow, Changes, Filling, Suspicion, WetSpell, filling, learn_in_order,
+            learn_mixed, trend, wet_spells,
         },
         observation::Evaluated,
         statistics::{Sym3, WINDOWS},
@@ -25,19 +25,6 @@ const MOST_ASIDE: usize = WINDOWS[3];
 
 /// Numbers of throws set aside in a direction at which the scatter is computed again.
 const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
-
-/// Reason not to add a throw to a baseline.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Suspicion {
-    /// No suspicion.
-    None,
-    /// The last throws may show a drift.
-    Suspected,
-    /// The last throws show a drift above its limit; its name is not stable yet.
-    AboveLimit,
-    /// A drift has an active alarm.
-    Alarmed,
-}
 
 impl Track {
     /// Takes the baseline from the learned throws; the known `changes` are subtracted from these.

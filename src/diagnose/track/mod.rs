@@ -7,10 +7,9 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-pub(super) use self::learning::Suspicion;
 use super::{
     Blindness, Cause, HidingTemperature, Settings,
-    baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, WetSpell, covariance_of_effect},
+    baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, Suspicion, WetSpell, covariance_of_effect},
     drift::{
         Departure, Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Tested, Thresholds, UNKNOWN_SCALE_SD,
         Window, attribute, visible_pct, with_middle_kept,
@@ -152,7 +151,7 @@ impl Tracks {
         &mut self,
         throw: &Evaluated,
         order: u64,
-        suspected: bool,
+        suspicion: Suspicion,
         settings: &Settings,
     ) -> Option<Vector3<f64>> {
         self.refresh_thresholds(settings);
@@ -170,7 +169,7 @@ impl Tracks {
             let fixed = order[1];
             raw.add_scalar_mut(-raw[fixed]);
             sensor = relative_to(fixed, &sensor);
-            if !suspected {
+            if suspicion.is_none() {
                 let departure = baseline.compensated((raw, distance));
                 let of_machine = relative_to(fixed, &baseline.scatter.of_one_throw()).trace();
                 let stated = sensor.trace() / f64::from(LONGEST_WINDOW);
@@ -187,7 +186,7 @@ impl Tracks {
         let oldest = track.recent.push(recent);
         if let Some(oldest) = oldest.filter(|throw| track.of_ratios || throw.has_scale()) {
             let (raw, distance) = oldest.raw();
-            baseline.temperature.learn_on(raw, distance, suspected, &baseline.scatter);
+            baseline.temperature.learn_on(raw, distance, suspicion, &baseline.scatter);
         }
         if track.of_ratios {
             return Some(with_middle_kept(residual));
