@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent, Known,
-    LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Reading, Transition, Window,
+    AlarmEvidence, Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent,
+    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Transition, Window,
     explained, fit, friction_of_sound_motor,
 };
 use crate::{
@@ -89,9 +89,9 @@ impl DriftAlarms {
         let weather = self.beside_weather(latest);
         for (index, cause) in DRIFTS.into_iter().enumerate() {
             let active = severity_of_drift(cause, step.alarms);
-            let reading = self.reading(cause, weather, active, latest, step.alarms);
-            let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
-            let transition = self.conditions[index].step(reading, active, latest.settings);
+            let evidence = self.evidence(cause, weather, active, latest, step.alarms);
+            let direction = if evidence.claim == Claim::Named { latest.direction(cause) } else { None };
+            let transition = self.conditions[index].step(evidence, active, latest.settings);
             let becomes_one_sided = self.becomes_one_sided(index, direction, step.alarms);
             self.apply(cause, transition, becomes_one_sided, latest, step);
         }
@@ -100,43 +100,46 @@ impl DriftAlarms {
 
     /// The evidence of the latest throw for an alarm about `cause`. `weather`: the strongest claim beside the weather;
     /// `active`: the severity of an active alarm about a lasting change of this cause.
-    fn reading(
+    fn evidence(
         &self,
         cause: Cause,
         weather: Claim,
         active: Option<Severity>,
         latest: LatestThrow,
         alarms: &Alarms,
-    ) -> Reading {
+    ) -> AlarmEvidence {
         let LatestThrow { drift, settings, .. } = latest;
-        let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
-        reading.claim = reading.claim.min(self.new_part(cause, latest).unwrap_or(weather));
+        let mut evidence = drift.evidence(cause, settings);
+        let (latest_side, _) = drift.latest;
+        let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
+        evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
+        evidence.claim = evidence.claim.min(self.new_part(cause, latest).unwrap_or(weather));
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
-            reading.patience += LEVELS_FOLLOW;
+            evidence.patience += LEVELS_FOLLOW;
         }
-        reading.unchecked = alarms.is_unchecked(cause);
-        if reading.claim == Claim::Named
+        evidence.unchecked = alarms.is_unchecked(cause);
+        if evidence.claim == Claim::Named
             && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
         {
             let size = now.relevance(settings);
             let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
-            reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
+            evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
             // The window may contain throws with a larger drift, so the present size decides.
-            reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
+            evidence.undoubted = if size > 1.0 { evidence.undoubted } else { 0.0 };
             let least = 1.0 - settings.deadband_pct / 100.0;
             // A part is named only if its change is significant.
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
             let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
-            reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+            evidence.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
-        if is_intermittent && reading.undoubted <= settings.critical_factor {
+        if is_intermittent && evidence.undoubted <= settings.critical_factor {
             // Its text says more than a mean of faulty and sound throws.
-            reading.claim = reading.claim.min(Claim::Counts);
+            evidence.claim = evidence.claim.min(Claim::Counts);
         }
-        reading
+        evidence
     }
 
     /// Applies the transition of a condition to the alarm about `cause`. `becomes_one_sided`: see
@@ -359,8 +362,7 @@ impl DriftAlarms {
                 named.or_else(|| parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings))));
             let Some(largest) = largest else {
                 // The last throws do not show this cause, so its last known size stays.
-                let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);
-                now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
+                now.extend(self.present(alarm.cause).map(|known| (alarm.severity, 0.0, *known)));
                 continue;
             };
             let direction = latest.direction(alarm.cause);
@@ -377,11 +379,9 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The present direction of the drift of an active alarm; the inner `None` is both directions.
-    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
-    fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
-        let now = self.now.iter().find(|drifting| drifting.cause == cause);
-        alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
+    /// The present drift of an active alarm.
+    fn present(&self, cause: Cause) -> Option<&Drifting> {
+        self.now.iter().find(|drifting| drifting.cause == cause)
     }
 
     fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {

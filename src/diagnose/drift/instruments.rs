@@ -71,7 +71,7 @@ const LINGERS: u32 = 2 * LONGEST_WINDOW;
 /// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-struct Streaks {
+struct FaultCounts {
     /// Consecutive throws with the fault above its limit.
     named: u32,
     /// Consecutive throws with the measured quantity far below its limit.
@@ -101,13 +101,13 @@ pub(crate) struct Instruments {
     channel: Option<SensorChannel>,
     /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f64,
-    sensor: Streaks,
-    supply: Streaks,
-    circuit: Streaks,
+    sensor: FaultCounts,
+    supply: FaultCounts,
+    circuit: FaultCounts,
     /// For an offset of the current sensor.
-    rest: Streaks,
+    rest: FaultCounts,
     /// For an offset of the position sensor.
-    shift: Streaks,
+    shift: FaultCounts,
 }
 
 /// A sensor, or the clock, that may explain a drift.
@@ -349,18 +349,18 @@ impl Instruments {
     pub(crate) fn judge_offset(&mut self, sensor: Channel, step: &mut Step) {
         let Some((level, size)) = self.gauges.offset(sensor) else { return };
         let channel = sensor.into();
-        let streaks = match sensor {
+        let counts = match sensor {
             Channel::Current => &mut self.rest,
             Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
-        streaks.follow(Seen::fault(size > 1.0, true), Some(size), delay);
+        counts.follow(Seen::fault(size > 1.0, true), Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
-        if streaks.named >= delay {
+        if counts.named >= delay {
             let event = step.sensor(channel, text::offset(step.name, sensor, &level));
-            step.alarms.raise_another(Rule::Offset, event, streaks.named == delay);
-        } else if streaks.over >= step.settings.off_delay_throws && is_own() {
+            step.alarms.raise_another(Rule::Offset, event, counts.named == delay);
+        } else if counts.over >= step.settings.off_delay_throws && is_own() {
             step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
         }
     }
@@ -399,8 +399,8 @@ impl Instruments {
         });
         let owner = if step.alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
         let is_over = owner.over >= step.settings.off_delay_throws;
-        for (streaks, rule, event) in of_voltage.into_iter().chain(of_circuit) {
-            if step.alarms.raise_another(rule, event, streaks.named == delay || is_over) {
+        for (counts, rule, event) in of_voltage.into_iter().chain(of_circuit) {
+            if step.alarms.raise_another(rule, event, counts.named == delay || is_over) {
                 return;
             }
         }
@@ -416,7 +416,7 @@ impl Instruments {
     }
 }
 
-impl Streaks {
+impl FaultCounts {
     /// Counts a throw. `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
     /// alarm. A fault without an alarm explains no later drift.
     fn follow(&mut self, seen: Seen, left: Option<f64>, delay: u32) {

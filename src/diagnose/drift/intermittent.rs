@@ -72,7 +72,7 @@ pub(crate) struct Intermittent {
 
 /// Frequent departures, with their cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Departures {
+pub(crate) struct IntermittentFault {
     /// Throws per departure.
     pub(crate) one_in: f64,
     /// Mean of the departures, explained by one cause.
@@ -142,7 +142,12 @@ impl Intermittent {
     }
 
     /// Departures more frequent than the healthy rate; `budget`: false alarms per throw.
-    pub(crate) fn found(&self, of_one_throw: &Matrix3<f64>, budget: f64, settings: &Settings) -> Option<Departures> {
+    pub(crate) fn found(
+        &self,
+        of_one_throw: &Matrix3<f64>,
+        budget: f64,
+        settings: &Settings,
+    ) -> Option<IntermittentFault> {
         if self.past.1 < KNOWN_FROM {
             return None;
         }
@@ -185,7 +190,11 @@ impl Intermittent {
         parts.sort_by(|a, b| misfit(a).total_cmp(&misfit(b)));
         let [best, second, ..] = parts;
         let clear = misfit(&second) - misfit(&best) > CLOSE;
-        Some(Departures { one_in, explanation: best, cause: if clear { best.cause } else { Cause::Unattributed } })
+        Some(IntermittentFault {
+            one_in,
+            explanation: best,
+            cause: if clear { best.cause } else { Cause::Unattributed },
+        })
     }
 
     pub(crate) fn has_heavy_tails(&self) -> bool {

@@ -13,7 +13,7 @@ use super::{
     drift::{DRIFTS, DriftAlarms, Instruments},
     gauges::{FeatureWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
-    snapshot::{Stamp, VersionOne},
+    snapshot::{Header, VersionOne},
     text,
     track::Tracks,
 };
@@ -90,13 +90,13 @@ impl MachineMonitor {
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
     pub fn from_snapshot(json: &str) -> Result<Self, serde_json::Error> {
-        let stamp: Stamp = serde_json::from_str(json)?;
-        match stamp.version {
+        let header: Header = serde_json::from_str(json)?;
+        match header.version {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
             Some(version) if Version(version) == Version::default() => {
                 let mut monitor: Self = serde_json::from_str(json)?;
                 monitor.tracks.relate_to_b0();
-                stamp.give_owners(&mut monitor.alarms);
+                header.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
                 Ok(replaced.unwrap_or(monitor))
             }

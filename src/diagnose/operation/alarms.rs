@@ -57,7 +57,7 @@ pub(super) enum Logger {
 /// never shows in consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub(super) struct Streaks {
+pub(super) struct DirectionCounts {
     incomplete: u32,
     slow: u32,
     very_slow: u32,
@@ -76,7 +76,7 @@ pub(super) struct Streaks {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Operation {
-    pub(super) sides: [Streaks; 2],
+    pub(super) sides: [DirectionCounts; 2],
     incomplete: u32,
     complete: u32,
     fast_enough: u32,
@@ -252,7 +252,7 @@ impl Operation {
             let code = observation.rejection.as_ref().map(Rejection::code);
             text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
-            let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
+            let DirectionCounts { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
@@ -311,7 +311,7 @@ impl Operation {
     pub(crate) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
-            let Streaks { rejections, rejected, .. } = &self.sides[direction.side()];
+            let DirectionCounts { rejections, rejected, .. } = &self.sides[direction.side()];
             let count = Some(rejections.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
             Some(text::often_rejected(name, direction, count, u32::BITS, rejected.as_ref()?))
         });

@@ -4,7 +4,7 @@ use super::sensor::look_at_sensor;
 use crate::{
     diagnose::{
         Cause, RunnerUp, SensorChannel,
-        drift::{Attribution, Awaited, CLOSE, DECISIVE, Departures, Explanation, LimitForecast, Naming, Rival},
+        drift::{Attribution, Awaited, CLOSE, DECISIVE, Explanation, IntermittentFault, LimitForecast, Naming, Rival},
         statistics::percent,
     },
     throw::counted,
@@ -94,8 +94,8 @@ pub(crate) fn one_direction(text: &str) -> String {
 }
 
 /// Text of an intermittent fault.
-pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
-    let Departures { one_in, explanation, cause } = found;
+pub(crate) fn intermittent(name: &str, found: &IntermittentFault) -> String {
+    let IntermittentFault { one_in, explanation, cause } = found;
     let advice = match cause {
         Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
         _ => look_at(explanation.cause, explanation.size),
