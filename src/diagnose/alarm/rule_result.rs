@@ -38,7 +38,7 @@ impl RuleResult {
             (Some(cause), Self::Nothing) => {
                 let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
                 let text =
-                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
+                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
                 step.clear(cause, text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))

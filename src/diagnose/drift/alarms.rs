@@ -174,7 +174,8 @@ impl DriftAlarms {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None => text::cleared(name, cause, at_once),
+                    None if at_once => text::cleared_at_once(name, cause),
+                    None => text::cleared(name, cause),
                 };
                 step.clear(cause, text);
             }

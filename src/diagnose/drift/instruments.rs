@@ -325,7 +325,7 @@ impl Instruments {
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        let seen = match Seen::fault(fault.is_some(), of_drift.is_none() || drift.matters()) {
+        let seen = match Seen::fault(fault.map(|_| of_drift.is_none() || drift.matters())) {
             Seen::Nothing if is_alike => Seen::Alike,
             seen => seen,
         };
@@ -340,7 +340,7 @@ impl Instruments {
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
-            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor, false));
+            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor));
         }
     }
 
@@ -354,7 +354,7 @@ impl Instruments {
             Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
-        counts.follow(Seen::fault(size > 1.0, true), Some(size), delay);
+        counts.follow(Seen::fault((size > 1.0).then_some(true)), Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
         if counts.named >= delay {
@@ -371,17 +371,17 @@ impl Instruments {
     pub(crate) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
-        let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
-        let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
+        let of_limit = |lost: Level| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT;
+        let left = self.supply_change(WINDOWS[0]).map(of_limit);
         let delay = step.settings.on_delay_throws;
-        let seen = Seen::fault(lost.is_some() || explained.is_some(), matters || explained == Some(true));
-        self.supply.follow(seen, left, delay);
+        let matters = lost.map(|lost| of_limit(lost) > 1.0);
+        self.supply.follow(Seen::fault(matters.max(explained)), left, delay);
         // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
-        self.circuit.follow(Seen::fault(circuit.is_some(), true), left, delay);
+        self.circuit.follow(Seen::fault(circuit.map(|_| true)), left, delay);
         let event = |level: Level, text: String| step.warning(Cause::Supply, text).of_size(level);
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
@@ -392,8 +392,7 @@ impl Instruments {
             let lower = Level { value: -level.value, ..level };
             let event = match shown_by {
                 ShownBy::Inrush => event(lower, text::inrush(step.name, &lower)),
-                ShownBy::Resistance => event(level, text::circuit(step.name, &level, true)),
-                ShownBy::SeriesResistance => event(level, text::circuit(step.name, &level, false)),
+                _ => event(level, text::circuit(step.name, &level, shown_by)),
             };
             (self.circuit, Rule::Circuit, event)
         });
@@ -405,7 +404,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply, false));
+            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply));
         }
     }
 
@@ -430,12 +429,12 @@ impl FaultCounts {
 }
 
 impl Seen {
-    /// What a fault is that `holds`, and whose size `matters`.
-    fn fault(holds: bool, matters: bool) -> Self {
-        match (holds, matters) {
-            (true, true) => Self::AboveLimit,
-            (true, false) => Self::BelowLimit,
-            (false, _) => Self::Nothing,
+    /// `matters`: `None` without a fault, else whether its size is above the limit.
+    fn fault(matters: Option<bool>) -> Self {
+        match matters {
+            Some(true) => Self::AboveLimit,
+            Some(false) => Self::BelowLimit,
+            None => Self::Nothing,
         }
     }
 }

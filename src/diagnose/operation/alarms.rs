@@ -126,6 +126,15 @@ pub(crate) struct Operation {
     pub(super) calm_s: f64,
 }
 
+/// Why a machine is not monitored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unmonitored {
+    /// No throw arrives, or the logger is gone.
+    Silent,
+    /// The throws cannot be evaluated, or do not show every fault.
+    Unevaluated,
+}
+
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
@@ -260,13 +269,14 @@ impl Operation {
             }
             return;
         };
-        self.not_monitored(false, text, step);
+        self.not_monitored(Unmonitored::Unevaluated, text, step);
     }
 
     /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
     /// instead of throws that cannot be evaluated, or the reverse. Returns whether the alarm changed.
-    pub(super) fn not_monitored(&mut self, is_about_silence: bool, text: String, step: &mut Step) -> bool {
+    pub(super) fn not_monitored(&mut self, reason: Unmonitored, text: String, step: &mut Step) -> bool {
         let event = step.warning(Cause::NotMonitored, text);
+        let is_about_silence = reason == Unmonitored::Silent;
         let before = self.is_about_silence.replace(is_about_silence);
         let is_other = before.is_some_and(|before| before != is_about_silence);
         if is_other { step.alarms.raise_anew(event) } else { step.raise(event) }

@@ -112,14 +112,15 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended; `at_once`: within a few throws.
-pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
-    let repair = if at_once {
-        " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
-    } else {
-        ""
-    };
-    format!("Machine {name}: {cause} is back to normal.{repair}")
+/// Text of a drift that has ended.
+pub(crate) fn cleared(name: &str, cause: Cause) -> String {
+    format!("Machine {name}: {cause} is back to normal.")
+}
+
+/// Text of a drift that has ended within a few throws.
+pub(crate) fn cleared_at_once(name: &str, cause: Cause) -> String {
+    cleared(name, cause)
+        + " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
 }
 
 /// Text of a drift that counts as weather now, as other machines of the site have it too.
