@@ -302,7 +302,9 @@ proptest! {
         let mut seen = std::collections::BTreeMap::new();
         for jump in jumps {
             let mut observation = machine.throw(Vector3::zeros());
-            observation.rejection = (jump > 0).then_some(Rejection::NoMovement);
+            if jump > 0 {
+                observation.outcome = Some(Err(Rejection::NoMovement));
+            }
             observation.started_at = now() + SignedDuration::from_secs(i64::from(jump % 2));
             let mut events = machine.observe(&observation).events;
             for _ in 0..12 {

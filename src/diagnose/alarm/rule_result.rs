@@ -37,8 +37,7 @@ impl RuleResult {
         match (alarms.owned_by(rule), self) {
             (Some(cause), Self::Nothing) => {
                 let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
-                let text =
-                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
+                let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
                 step.clear(cause, text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))

@@ -156,7 +156,7 @@ impl Operation {
             as_before => as_before,
         };
         // A trace that shows nothing neither completes a throw nor fails.
-        let shows_movement = observation.estimate.is_some() || observation.features.duration_s.is_some();
+        let shows_movement = observation.estimate().is_some() || observation.features.duration_s.is_some();
         let is_known = incomplete || observation.faulty_sensor().is_none() && shows_movement;
         if is_known {
             streak(&mut self.incomplete, incomplete);
@@ -171,7 +171,7 @@ impl Operation {
             if own.incomplete > in_a_row {
                 (in_a_row, in_direction) = (own.incomplete, Some(direction));
             }
-            if let Some(rejection) = &observation.rejection {
+            if let Some(rejection) = observation.rejection() {
                 own.rejected = Some(rejection.code().to_owned());
             }
         }
@@ -258,7 +258,7 @@ impl Operation {
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
         } else if self.unevaluated >= enough {
-            let code = observation.rejection.as_ref().map(Rejection::code);
+            let code = observation.rejection().map(Rejection::code);
             text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
             let DirectionCounts { unevaluated, ref rejected, .. } = self.sides[unseen.side()];

@@ -19,11 +19,15 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
             "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether \
              current and position are of the same moment, and neutral_mm and motor"
         }
-        Some(RejectionCode::Undersampled) => "the sampling rate of the logger, and set anti_alias_hz if it has a filter",
+        Some(RejectionCode::Undersampled) => {
+            "the sampling rate of the logger, and set anti_alias_hz if it has a filter"
+        }
         Some(RejectionCode::StartMissing | RejectionCode::OnsetMissing) => {
             "that the logger records some tenths of a second before the motor starts"
         }
-        Some(RejectionCode::EndMissing) => "that the logger records until the motor is off, and whether the machine became slow",
+        Some(RejectionCode::EndMissing) => {
+            "that the logger records until the motor is off, and whether the machine became slow"
+        }
         Some(RejectionCode::NotPositive) => {
             "neutral_mm, as a wrong one makes the friction of one direction negative, then the machine and its sensors"
         }
