@@ -48,7 +48,6 @@ use super::{
     Blindness, Cause, Settings,
     statistics::{LONGEST_WINDOW, Scatter, percent, sym3},
 };
-use crate::throw::Direction;
 
 /// Lead of one name over the others (odds of 150 to 1) from which the name is certain enough that an alarm does not
 /// wait for more throws because of it.
