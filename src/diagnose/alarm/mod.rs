@@ -188,12 +188,11 @@ impl Alarms {
     /// part or whose fault was intermittent, and the evidence of an alarm from before a maintenance is replaced. Returns
     /// whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
-        let cause = event.cause;
-        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::gives_way);
-        if self.is_active(cause) && !takes_over && !self.is_unchecked(cause) {
+        let stands = |alarm: &Alarm| !(alarm.is_unchecked || rule == Rule::Usual && alarm.rule.gives_way());
+        if self.find_active(event.cause).is_some_and(stands) {
             return false;
         }
-        let index = self.find(cause).unwrap_or_else(|| {
+        let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
             self.open.push(Alarm { state: State::Cleared, rule, is_unchecked: false, last });
             self.open.len() - 1
@@ -204,18 +203,19 @@ impl Alarms {
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
     /// another rule, it changes to the new fault if that `is_new`. So one alarm does not hide another fault.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
-        let cause = event.cause;
-        let owner = self.rule(cause);
-        let other = self.find_active(cause).is_some_and(|active| active.channel != event.channel)
-            || cause == Cause::Supply && owner.is_some_and(|owner| owner != rule)
-            || owner == Some(Rule::Offset);
-        let index = self.find(cause).filter(|_| other && is_new);
+        let is_other = |alarm: &Alarm| {
+            alarm.last.channel != event.channel
+                || event.cause == Cause::Supply && alarm.rule != rule
+                || alarm.rule == Rule::Offset
+        };
+        let changes = is_new && self.find_active(event.cause).is_some_and(is_other);
+        let index = self.find(event.cause).filter(|_| changes);
         if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
     }
 
     /// The sensor that the active sensor alarm names.
     pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
-        self.find_active(Cause::Sensor)?.channel
+        self.find_active(Cause::Sensor)?.last.channel
     }
 
     /// Escalates an active alarm to the severity of `event`, if that is higher; the alarm needs a new acknowledgement
@@ -227,7 +227,7 @@ impl Alarms {
 
     /// Raises an alarm that is not active or not checked, and escalates another one.
     pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
-        let stands = self.is_active(event.cause) && !self.is_unchecked(event.cause);
+        let stands = self.find_active(event.cause).is_some_and(|alarm| !alarm.is_unchecked);
         if stands { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
@@ -378,12 +378,12 @@ impl Alarms {
 
     /// Whether the active alarm of `cause` is from before a maintenance, and not confirmed since.
     pub(super) fn is_unchecked(&self, cause: Cause) -> bool {
-        self.active_alarms().any(|alarm| alarm.last.cause == cause && alarm.is_unchecked)
+        self.find_active(cause).is_some_and(|alarm| alarm.is_unchecked)
     }
 
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
-        self.active_alarms().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
+        self.find_active(cause).map(|alarm| alarm.rule)
     }
 
     /// The cause of the active alarm that `rule` owns.
@@ -398,13 +398,14 @@ impl Alarms {
         }
     }
 
-    fn find_active(&self, cause: Cause) -> Option<&AlarmEvent> {
-        self.active().find(|event| event.cause == cause)
+    /// The active alarm of `cause`.
+    pub(super) fn find_active(&self, cause: Cause) -> Option<&Alarm> {
+        self.active_alarms().find(|alarm| alarm.last.cause == cause)
     }
 
     /// Severity of an active alarm.
     pub(super) fn severity(&self, cause: Cause) -> Option<Severity> {
-        self.find_active(cause).map(|event| event.severity)
+        self.find_active(cause).map(|alarm| alarm.last.severity)
     }
 
     fn active_alarms(&self) -> impl Iterator<Item = &Alarm> {

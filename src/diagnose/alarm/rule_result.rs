@@ -72,7 +72,7 @@ pub(crate) fn withdraw_explained(step: &mut Step) {
 /// sensor, which does not change them.
 fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
-    Cause::PHYSICAL.contains(&event.cause)
+    event.cause.is_part()
         || event.cause == Cause::Sensor
             && matches!(event.channel, Some(Current | Position | Clock))
             && alarms.rule(Cause::Sensor) != Some(Rule::Offset)

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     AlarmEvidence, Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent,
-    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Transition, Window,
-    explained, fit, friction_of_sound_motor,
+    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, Transition, Window, explained,
+    friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
@@ -23,9 +23,6 @@ use crate::{
     throw::{Direction, ThrowRef},
 };
 
-/// The causes that come from a drift, in the order of [`DriftAlarms::conditions`].
-pub(crate) const DRIFTS: [Cause; 5] =
-    [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 /// Part of the limit of T from which a drift is suspected. Its throws are evidence, and are not added to a baseline.
 const SUSPECTED_FROM: f64 = 0.5;
 /// Factor on [`SUSPECTED_FROM`] and [`FORGOTTEN_BELOW`] while a baseline fills: its few throws make the limit high, and
@@ -63,6 +60,7 @@ pub(crate) struct Onset {
 pub(crate) struct DriftAlarms {
     pub(crate) history: History,
     pub(crate) onset: Option<Onset>,
+    /// For each of [`Cause::DRIFTS`].
     pub(crate) conditions: [Condition; 5],
     /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(crate) now: Vec<Drifting>,
@@ -87,7 +85,7 @@ impl DriftAlarms {
         self.history.push(residual, latest.order);
         self.follow_onset(latest, step);
         let weather = self.beside_weather(latest);
-        for (index, cause) in DRIFTS.into_iter().enumerate() {
+        for (index, cause) in Cause::DRIFTS.into_iter().enumerate() {
             let active = severity_of_drift(cause, step.alarms);
             let evidence = self.evidence(cause, weather, active, latest, step.alarms);
             let direction = if evidence.claim == Claim::Named { latest.direction(cause) } else { None };
@@ -123,7 +121,7 @@ impl DriftAlarms {
             && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
         {
             let size = now.relevance(settings);
-            let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
+            let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
             evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
             // The window may contain throws with a larger drift, so the present size decides.
             evidence.undoubted = if size > 1.0 { evidence.undoubted } else { 0.0 };
@@ -216,12 +214,12 @@ impl DriftAlarms {
     /// If the active alarm of a cause is about both directions, and the drift is now known to be in one direction only,
     /// the severity of the alarm. The first throws of a drift do not show this.
     fn becomes_one_sided(&mut self, index: usize, direction: Option<Direction>, alarms: &Alarms) -> Option<Severity> {
-        let cause = DRIFTS[index];
+        let cause = Cause::DRIFTS[index];
         let count = &mut self.one_sided[index];
         *count = if direction.is_some() { count.saturating_add(1) } else { 0 };
-        let is_known = *count >= ONE_SIDED_THROWS && alarms.rule(cause) == Some(Rule::Usual);
-        let is_of_both = alarms.active().any(|event| event.cause == cause && event.direction.is_none());
-        alarms.severity(cause).filter(|_| is_known && is_of_both)
+        let of_both =
+            alarms.find_active(cause).filter(|alarm| alarm.rule == Rule::Usual && alarm.last.direction.is_none());
+        of_both.filter(|_| *count >= ONE_SIDED_THROWS).map(|alarm| alarm.last.severity)
     }
 
     /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults. `excused`: a
@@ -262,7 +260,7 @@ impl DriftAlarms {
 
     /// Whether the last throws speak for an alarm of the usual rule about `cause`.
     fn counts_for(&self, cause: Cause) -> bool {
-        let condition = DRIFTS.iter().zip(&self.conditions).find(|(own, _)| **own == cause);
+        let condition = Cause::DRIFTS.iter().zip(&self.conditions).find(|(own, _)| **own == cause);
         condition.is_some_and(|(_, condition)| condition.is_beginning())
     }
 
@@ -335,12 +333,12 @@ impl DriftAlarms {
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let evidence = drift.attribution.map_or(MotorEvidence::NONE, |attribution| attribution.evidence);
-        let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
+        let physical = alarms.active().map(|event| event.cause).filter(|cause| cause.is_part());
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
             let size = |cause: Cause, window: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
-                    return friction_of_sound_motor(&window.mean, &window.covariance);
+                    return friction_of_sound_motor(window);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
                 let together = pair.map(|pair| explained(pair, window, evidence, settings));
@@ -349,11 +347,8 @@ impl DriftAlarms {
             };
             // The size of a single cause that does not explain the drift means nothing, so a drift without a name is
             // fitted with three causes.
-            let free = |Window { mean, covariance, .. }: &Window| {
-                fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
-            };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
-                Cause::Unattributed => free(window),
+                Cause::Unattributed => window.fit(Cause::OF_COEFFICIENTS, settings).parts.to_vec(),
                 cause if window.shows(cause) => vec![size(cause, window)],
                 _ => Vec::new(),
             });
@@ -450,7 +445,7 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
 /// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
 /// if its fault is intermittent.
 fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
-    alarms.severity(cause).filter(|_| !alarms.rule(cause).is_some_and(Rule::gives_way))
+    alarms.find_active(cause).filter(|alarm| !alarm.rule.gives_way()).map(|alarm| alarm.last.severity)
 }
 
 #[cfg(test)]

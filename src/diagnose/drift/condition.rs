@@ -165,34 +165,33 @@ impl Condition {
         let onset = onset.after(evidence, settings);
         let since_raised = since_raised.map(|throws| throws.saturating_add(1));
         let delay = settings.on_delay_throws + evidence.patience;
-        let is_critical = onset.critical >= delay;
-        let Some(severity) = active else {
-            if evidence.claim == Claim::Named && onset.named >= delay {
+        let is_named = evidence.claim == Claim::Named && onset.named >= delay;
+        let severity = if onset.critical >= delay { Severity::Critical } else { Severity::Warning };
+        let Some(active) = active else {
+            if is_named {
                 // Counters from before the raise must not clear the alarm: the sizes in them follow a step with a
                 // delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
-                let ending = Box::new(Ending { restless, ..Ending::default() });
-                *self = Self::Raised { onset, since_raised: 0, ending };
-                return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
+                *self = Self::Raised { onset, since_raised: 0, ending: Ending::new(restless) };
+                return Transition::Raise(severity);
             }
             *self = Self::Quiet { onset, since_raised };
             return Transition::Stay;
         };
-        let before = if let Self::Raised { ending, .. } = self { **ending } else { Ending::default() };
-        let mut ending = before.after(evidence);
+        let mut ending = if let Self::Raised { ending, .. } = self { ending.clone() } else { Box::default() };
+        ending.follow(evidence);
         let transition = if ending.turned >= delay {
-            ending = Ending { restless: ending.restless, ..Ending::default() };
-            Transition::Turn(if is_critical { Severity::Critical } else { Severity::Warning })
-        } else if evidence.unchecked && evidence.claim == Claim::Named && onset.named >= delay {
-            Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
-        } else if severity == Severity::Warning && is_critical {
+            ending = Ending::new(ending.restless);
+            Transition::Turn(severity)
+        } else if evidence.unchecked && is_named {
+            Transition::Raise(severity)
+        } else if severity > active {
             Transition::Escalate
         } else {
             ending.update_level(evidence.latest);
             ending.transition(settings)
         };
-        let since_raised = since_raised.unwrap_or_default();
-        *self = Self::Raised { onset, since_raised, ending: Box::new(ending) };
+        *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
         transition
     }
 
@@ -212,8 +211,7 @@ impl Condition {
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
             Self::Raised { since_raised, ref ending, .. } => {
-                let ending = Box::new(Ending { restless: ending.restless, ..Ending::default() });
-                Self::Raised { onset, since_raised, ending }
+                Self::Raised { onset, since_raised, ending: Ending::new(ending.restless) }
             }
         };
     }
@@ -228,13 +226,16 @@ impl Beginning {
 }
 
 impl Ending {
-    fn after(mut self, evidence: AlarmEvidence) -> Self {
+    fn new(restless: bool) -> Box<Self> {
+        Box::new(Self { restless, ..Self::default() })
+    }
+
+    fn follow(&mut self, evidence: AlarmEvidence) {
         streak(&mut self.healthy, evidence.plain_health);
         streak(&mut self.likely_healthy, evidence.likely_health);
         streak(&mut self.below, evidence.below);
         streak(&mut self.other, evidence.other_name);
         streak(&mut self.turned, evidence.turned);
-        self
     }
 
     /// Updates the counters that show whether the size falls at once or slowly.

@@ -40,6 +40,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::Window;
 use crate::diagnose::{
     Cause, Settings,
     statistics::{Level, sym3},
@@ -186,15 +187,27 @@ pub(crate) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
     fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
 }
 
-/// Explains the drift `m` with covariance `v` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
+impl Window {
+    /// Explains the mean by `causes`, without the leaks that resemble another fault.
+    pub(super) fn fit<const K: usize>(&self, causes: [Cause; K], settings: &Settings) -> Fit<K> {
+        fit(PLAIN_LEAKS, causes, &self.mean, &self.covariance, settings)
+    }
+
+    /// Explains the mean by one cause.
+    pub(super) fn single(&self, cause: Cause, settings: &Settings) -> Explanation {
+        single(cause, &self.mean, &self.covariance, settings)
+    }
+}
+
+/// Explains the drift of `window` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
 /// friction takes its part of the torque also when the machine starts, as if b0 were smaller. The ratio a1/b0 has no
 /// such error.
-pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
+pub(super) fn friction_of_sound_motor(window: &Window) -> Explanation {
     let weights = Vector3::new(-1.0, 1.0, 0.0);
-    let variance = (weights.transpose() * v * weights).x;
+    let variance = (weights.transpose() * window.covariance * weights).x;
     Explanation {
         cause: Cause::Friction,
-        size: weights.dot(m),
+        size: weights.dot(&window.mean),
         size_sd: variance.max(0.0).sqrt(),
         weights,
         model_sd: 0.0,

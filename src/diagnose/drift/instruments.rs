@@ -24,10 +24,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Tested, Window, fit, fit_along,
-    single,
-};
+use super::{Attribution, Awaited, Drift, Explanation, Naming, Origin, SensorFault, Tested, Window, fit_along};
 use crate::{
     diagnose::{
         AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
@@ -245,7 +242,7 @@ impl Instruments {
     /// dry friction, whose effect on the coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.supply_lost(window.throws) else { return false };
-        let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
+        let friction = window.single(Cause::Friction, settings);
         let share = friction.size / lost.value;
         let slack = 2.0 * friction.size_sd / lost.value.abs();
         let is_friction = |found: &Explanation| found.cause == Cause::Friction;
@@ -441,10 +438,9 @@ impl Seen {
 
 /// The part that fits drift and gauges best, alone or with a second part, and the misfit.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
-    let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
-    let singles = parts.iter().map(|&cause| scored([cause], window, levels, settings));
-    let pairs =
-        parts.iter().enumerate().flat_map(|(at, &first)| parts[at + 1..].iter().map(move |&second| [first, second]));
+    let singles = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));
+    let singles = singles.map(|part| scored([part], window, levels, settings));
+    let pairs = Cause::PAIRS.into_iter().filter(|pair| pair.iter().all(|part| window.shows(*part)));
     let pairs = pairs.map(|pair| scored(pair, window, levels, settings));
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
@@ -456,7 +452,7 @@ fn scored<const K: usize>(
     levels: &[Option<Level>; 4],
     settings: &Settings,
 ) -> (Cause, f64) {
-    let found = fit(PLAIN_LEAKS, parts, &window.mean, &window.covariance, settings);
+    let found = window.fit(parts, settings);
     // A weaker motor loses torque alone, or its magnets weaken: then back-EMF and duration change too.
     let motor = if parts[0] == Cause::Kt { found.parts[0].size } else { 0.0 };
     let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor);

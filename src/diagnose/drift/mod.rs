@@ -18,7 +18,7 @@ mod window;
 
 use nalgebra::{Matrix3, Vector3};
 
-pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
+pub(super) use alarms::{DriftAlarms, Onset};
 pub(super) use attribution::{Attribution, CLOSE, DECISIVE, Naming, Rival};
 pub(super) use condition::{Beginning, Condition, Ending};
 pub use course::LimitForecast;
@@ -189,7 +189,7 @@ impl Drift {
 
     /// Number of throws for which the alarm named by `attribution` waits in addition to the on delay.
     fn patience(&self, attribution: &Attribution) -> u32 {
-        let has_other_part = || self.alarmed.iter().any(|cause| Cause::PHYSICAL.contains(cause));
+        let has_other_part = || self.alarmed.iter().any(|cause| cause.is_part());
         let of_name = match attribution.naming {
             // A window with throws from before and after a second fault may look like a fault of a third part.
             Naming::One(_) if !self.is_alarmed() && has_other_part() => TOO_CLOSE_PATIENCE,
@@ -219,7 +219,7 @@ impl Drift {
         }
         let parts = windows.flat_map(|window| {
             let shown = alarm_causes(cause).filter(|part| window.shows(*part));
-            shown.map(|part| single(part, &window.mean, &window.covariance, settings))
+            shown.map(|part| window.single(part, settings))
         });
         let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))?;
         Some(largest.weights)
@@ -253,8 +253,8 @@ pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) ->
 fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
         let e = match beside {
-            Some(other) => fit(PLAIN_LEAKS, [cause, other], &window.mean, &window.covariance, settings).parts[0],
-            None => single(cause, &window.mean, &window.covariance, settings),
+            Some(other) => window.fit([cause, other], settings).parts[0],
+            None => window.single(cause, settings),
         };
         let bound = e.size.abs() + 2.0 * e.size_sd;
         (settings.relevance(cause, e.size), settings.relevance(cause, bound))

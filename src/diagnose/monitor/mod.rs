@@ -10,7 +10,7 @@ use super::{
     AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
-    drift::{DRIFTS, DriftAlarms, Instruments},
+    drift::{DriftAlarms, Instruments},
     gauges::{FeatureWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
@@ -394,7 +394,7 @@ impl MachineMonitor {
 impl From<VersionOne> for MachineMonitor {
     fn from(old: VersionOne) -> Self {
         let alarms = Alarms::from(old.board);
-        let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(DRIFTS[at])));
+        let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(Cause::DRIFTS[at])));
         let mut tracks = old.tracks;
         tracks.add_temperature();
         Self {
