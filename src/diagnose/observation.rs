@@ -110,14 +110,12 @@ impl Observation {
         }
     }
 
-    /// Whether the recording begins or ends during the movement; its duration and charge are lower bounds then.
-    pub(super) fn is_cut_off(&self) -> bool {
-        matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }))
-    }
-
-    /// Whether the recording has a whole throw, which the points completed.
+    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
+    /// duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
-        !self.is_incomplete() && !self.is_cut_off()
+        let is_cut_off =
+            matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
+        !self.is_incomplete() && !is_cut_off
     }
 
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.

@@ -189,15 +189,20 @@ impl Alarms {
     /// whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let stands = |alarm: &Alarm| !(alarm.is_unchecked || rule == Rule::Usual && alarm.rule.gives_way());
-        if self.find_active(event.cause).is_some_and(stands) {
-            return false;
-        }
+        !self.find_active(event.cause).is_some_and(stands) && self.raise_anew(rule, event)
+    }
+
+    /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
+    /// Returns whether the alarm changed: always.
+    pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
             self.open.push(Alarm { state: State::Cleared, rule, is_unchecked: false, last });
             self.open.len() - 1
         });
-        self.activate(Some(index), rule, event)
+        *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+        self.renew(index, rule, event);
+        true
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
@@ -209,8 +214,7 @@ impl Alarms {
                 || alarm.rule == Rule::Offset
         };
         let changes = is_new && self.find_active(event.cause).is_some_and(is_other);
-        let index = self.find(event.cause).filter(|_| changes);
-        if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
+        if changes { self.raise_anew(rule, event) } else { self.raise(rule, event) }
     }
 
     /// The sensor that the active sensor alarm names.
@@ -222,7 +226,7 @@ impl Alarms {
     /// then. Returns whether it escalated.
     pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
-        self.activate(self.find(event.cause).filter(|_| worse), rule, event)
+        worse && self.raise_anew(rule, event)
     }
 
     /// Raises an alarm that is not active or not checked, and escalates another one.
@@ -231,25 +235,11 @@ impl Alarms {
         if stands { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
-    /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
-    pub(super) fn raise_anew(&mut self, event: AlarmEvent) -> bool {
-        let active = self.find(event.cause).filter(|_| self.is_active(event.cause));
-        if active.is_some() { self.activate(active, Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
-    }
-
     /// Replaces the evidence of an active alarm, and keeps its state.
     pub(super) fn update(&mut self, event: AlarmEvent) {
         if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
             self.renew(index, Rule::Usual, event);
         }
-    }
-
-    fn activate(&mut self, index: Option<usize>, rule: Rule, event: AlarmEvent) -> bool {
-        if let Some(index) = index {
-            *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
-            self.renew(index, rule, event);
-        }
-        index.is_some()
     }
 
     fn renew(&mut self, index: usize, rule: Rule, event: AlarmEvent) {
@@ -291,7 +281,7 @@ impl Alarms {
 
     /// Acknowledges an alarm; a cleared alarm ends with this.
     pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let Alarm { state, last, .. } = &mut self.open[index];
         match state.beneath_mut() {
             State::Active { acknowledged: Some(before) } => {
@@ -315,7 +305,7 @@ impl Alarms {
         actor: Actor,
         at: Timestamp,
     ) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
         let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
         *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
@@ -325,9 +315,9 @@ impl Alarms {
 
     /// Ends the shelving.
     pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
-        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved { cause }) };
+        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved(cause)) };
         *state = (**beneath).clone();
         self.event(index, at, actor, None);
         Ok(())

@@ -101,7 +101,7 @@ pub(super) struct Baseline {
 
 /// Known changes over the throws of a baseline, which are no part of its scatter.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct KnownChanges<'a> {
+pub(super) struct Changes<'a> {
     /// Slopes of a trend, per throw of the machine.
     pub(super) slopes: Option<[f64; 3]>,
     pub(super) wet: &'a [WetSpell],
@@ -136,7 +136,7 @@ impl Baseline {
         throws: &[BaselineThrow],
         sensor: Sym3,
         of_ratios: bool,
-        changes: KnownChanges,
+        changes: Changes,
         taken_at: Timestamp,
         settings: &Settings,
     ) -> Self {
@@ -176,7 +176,7 @@ impl Baseline {
         let compensated = |(throw, log): (&BaselineThrow, Vector3<f64>)| {
             self.compensated(self.residual(&log.into(), throw.temperature_c.map(f64::from)))
         };
-        let dry = KnownChanges { slopes: None, wet };
+        let dry = Changes { slopes: None, wet };
         let logs: Vec<Vector3<f64>> = throws.iter().zip(unchanged(throws, dry)).map(compensated).collect();
         let robust = centres_and_sds(&logs);
         let level = Vector3::from(robust.map(|(centre, _)| centre));
@@ -290,7 +290,7 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
     let mut sensor = Matrix3::zeros();
     for (throws, baseline) in learned.into_iter().zip(baselines) {
         let sd = baseline.scatter.of_one_throw().diagonal().map(f64::sqrt);
-        for (throw, log) in throws.iter().zip(unchanged(throws, KnownChanges { slopes: baseline.slopes, wet })) {
+        for (throw, log) in throws.iter().zip(unchanged(throws, Changes { slopes: baseline.slopes, wet })) {
             let r = baseline.compensated(baseline.residual(&log.into(), throw.temperature_c.map(f64::from)));
             residuals.push((throw.order, clip(r, [0, 1, 2].map(|i| (0.0, sd[i])))));
         }
@@ -308,7 +308,7 @@ pub(super) fn learn_in_order(mut residuals: Vec<(u32, Vector3<f64>)>, sensor: Ma
 }
 
 /// The logarithms of the throws without the known `changes` since the first throw.
-fn unchanged(throws: &[BaselineThrow], changes: KnownChanges) -> impl Iterator<Item = Vector3<f64>> {
+fn unchanged(throws: &[BaselineThrow], changes: Changes) -> impl Iterator<Item = Vector3<f64>> {
     let first = throws.first().map_or(0, |throw| throw.order);
     let slopes = Vector3::from(changes.slopes.unwrap_or_default());
     throws.iter().map(move |throw| throw.dry(changes.wet) - slopes * f64::from(throw.order - first))

@@ -164,7 +164,7 @@ impl DriftAlarms {
                 step.alarms.update(AlarmEvent { text, ..event });
             }
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
-            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(event),
+            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
             // An alarm about an intermittent fault ends by its own rule.
             (Transition::Clear { .. } | Transition::Withdraw, _) if step.alarms.rule(cause) != Some(Rule::Usual) => {}
@@ -235,7 +235,7 @@ impl DriftAlarms {
             let is_over = self.intermittent.is_over() && !becomes_permanent;
             if is_over { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
-            let found = self.intermittent.found(&departure.of_one_throw, settings.false_alarms_per_throw(), settings);
+            let found = self.intermittent.found(&departure.of_one_throw, settings);
             found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
                 let event = step.warning(found.cause, text::intermittent(step.name, &found));
                 RuleResult::Fault(Box::new(event.of_size(found.explanation.level())))

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Explanation, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, single};
+use super::{Explanation, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, single};
 use crate::diagnose::{
     Cause, Settings,
     baseline::{Baseline, usual_friction_over_spring},
@@ -82,9 +82,8 @@ impl MotorEvidence {
 
     pub(super) fn new(back_emf: Option<BackEmf>, known: &Known) -> Self {
         let leaks = match back_emf {
-            Some(back_emf) => {
-                let leaks = LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines));
-                if back_emf.is_wound_up { leaks.of_wound_up_drive() } else { leaks }
+            Some(BackEmf { is_wound_up, .. }) => {
+                Leaks::beside_gauges(usual_friction_over_spring(known.baselines), is_wound_up)
             }
             None if known.is_series => LEAKS_OF_SERIES,
             None => PLAIN_LEAKS,

@@ -88,10 +88,6 @@ const OF_SERIES_MOTOR: &[Leak] = &[
 /// The leaks on a machine with a series-wound motor.
 pub(super) const LEAKS_OF_SERIES: Leaks =
     Leaks { friction: OF_FRICTION_OF_SERIES, motor: OF_SERIES_MOTOR, ..PLAIN_LEAKS };
-/// All leaks. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges show whether
-/// the motor changed.
-pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
-    Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
 /// The setting `model_error` is an upper bound; it counts as this number of standard deviations.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction beside its leak, as part of the model error of other causes.
@@ -155,19 +151,17 @@ pub(crate) struct Leaks {
 }
 
 impl Leaks {
+    /// All leaks on a machine with this ratio of the friction to the force of the spring; `is_wound_up`: its drive is,
+    /// before the toe moves. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges
+    /// show whether the motor changed.
+    pub(super) fn beside_gauges(friction_over_spring: f64, is_wound_up: bool) -> Self {
+        let friction = if is_wound_up { OF_FRICTION_WOUND_UP } else { OF_FRICTION };
+        Self { friction, motor: OF_MOTOR, friction_over_spring }
+    }
+
     /// The leaks on a machine whose motor has kept its speed.
     pub(super) fn at_equal_speed(self) -> Self {
         Self { motor: &self.motor[..1], ..self }
-    }
-
-    /// The leaks on a machine with this ratio of the friction to the force of the spring.
-    pub(super) fn beside_spring(self, friction_over_spring: f64) -> Self {
-        Self { friction_over_spring, ..self }
-    }
-
-    /// The leaks on a machine whose drive is wound up before the toe moves.
-    pub(super) fn of_wound_up_drive(self) -> Self {
-        Self { friction: OF_FRICTION_WOUND_UP, ..self }
     }
 }
 

@@ -39,8 +39,8 @@ use self::{
     condition::{AlarmEvidence, Claim, LEVELS_FOLLOW, Transition},
     evidence::may_show_weaker_motor,
     explain::{
-        Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside,
-        friction_of_sound_motor, single,
+        Fit, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
+        single,
     },
     ranking::{Explanations, best_single, explained},
 };

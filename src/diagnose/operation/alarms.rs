@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     diagnose::{
         AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
-        alarm::Step,
+        alarm::{Rule, Step},
         statistics::{is_default, streak, to_f32},
         text,
     },
@@ -279,7 +279,7 @@ impl Operation {
         let is_about_silence = reason == Unmonitored::Silent;
         let before = self.is_about_silence.replace(is_about_silence);
         let is_other = before.is_some_and(|before| before != is_about_silence);
-        if is_other { step.alarms.raise_anew(event) } else { step.raise(event) }
+        if is_other { step.alarms.raise_anew(Rule::Usual, event) } else { step.raise(event) }
     }
 
     /// Whether the last throw was not evaluated.

@@ -10,8 +10,8 @@ use crate::{
     diagnose::{
         Settings,
         baseline::{
-            Baseline, BaselineRecord, BaselineThrow, Filling, KnownChanges, WetSpell, filling, learn_in_order,
-            learn_mixed, trend, wet_spells,
+            Baseline, BaselineRecord, BaselineThrow, Changes, Filling, WetSpell, filling, learn_in_order, learn_mixed,
+            trend, wet_spells,
         },
         observation::Evaluated,
         statistics::{Sym3, WINDOWS},
@@ -41,13 +41,7 @@ pub(crate) enum Suspicion {
 
 impl Track {
     /// Takes the baseline from the learned throws; the known `changes` are subtracted from these.
-    fn take(
-        &mut self,
-        direction: Direction,
-        changes: KnownChanges,
-        at: Timestamp,
-        settings: &Settings,
-    ) -> BaselineRecord {
+    fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
         let baseline = Baseline::learn(&self.learned, self.sensor, self.of_ratios, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
@@ -140,7 +134,7 @@ impl Tracks {
         if self.follow_wet_spells() {
             self.follow_trend(settings);
         }
-        let changes = KnownChanges { slopes: self.slopes, wet: &self.wet };
+        let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
         // A trend that the last throws end was chance. It was chance in the other baseline too, which is taken again.
