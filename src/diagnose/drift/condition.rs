@@ -172,7 +172,7 @@ impl Condition {
                 // Counters from before the raise must not clear the alarm: the sizes in them follow a step with a
                 // delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
-                *self = Self::Raised { onset, since_raised: 0, ending: Ending::new(restless) };
+                *self = Self::Raised { onset, since_raised: 0, ending: Box::new(Ending::new(restless)) };
                 return Transition::Raise(severity);
             }
             *self = Self::Quiet { onset, since_raised };
@@ -181,7 +181,7 @@ impl Condition {
         let mut ending = if let Self::Raised { ending, .. } = self { ending.clone() } else { Box::default() };
         ending.follow(evidence);
         let transition = if ending.turned >= delay {
-            ending = Ending::new(ending.restless);
+            *ending = Ending::new(ending.restless);
             Transition::Turn(severity)
         } else if evidence.unchecked && is_named {
             Transition::Raise(severity)
@@ -211,7 +211,7 @@ impl Condition {
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
             Self::Raised { since_raised, ref ending, .. } => {
-                Self::Raised { onset, since_raised, ending: Ending::new(ending.restless) }
+                Self::Raised { onset, since_raised, ending: Box::new(Ending::new(ending.restless)) }
             }
         };
     }
@@ -226,8 +226,8 @@ impl Beginning {
 }
 
 impl Ending {
-    fn new(restless: bool) -> Box<Self> {
-        Box::new(Self { restless, ..Self::default() })
+    fn new(restless: bool) -> Self {
+        Self { restless, ..Self::default() }
     }
 
     fn follow(&mut self, evidence: AlarmEvidence) {
