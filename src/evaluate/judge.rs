@@ -20,8 +20,7 @@ impl Call {
     /// The call of an alarm event at throw `at`. `None` unless the alarm is about a drift, a sensor, the supply or slow
     /// throws, and the event raises it or is critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
-        let named = event.cause.is_part()
-            || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
+        let named = event.cause.is_drift() || matches!(event.cause, Cause::Sensor | Cause::Supply | Cause::SlowThrow);
         let critical = event.severity == Severity::Critical;
         let or_sensor = event.runner_up.is_some_and(|other| other.cause == Cause::Sensor);
         let call = Self { at, cause: event.cause, critical, or_sensor };

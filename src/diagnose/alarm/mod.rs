@@ -193,7 +193,7 @@ impl Alarms {
     }
 
     /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
-    /// Returns whether the alarm changed: always.
+    /// Returns true: the alarm changed.
     pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
@@ -323,19 +323,16 @@ impl Alarms {
         Ok(())
     }
 
-    /// Limits the ends of all shelvings to `latest`.
-    pub(super) fn shelve_until_at_most(&mut self, latest: Timestamp) {
-        for alarm in &mut self.open {
-            if let State::Shelved { until, .. } = &mut alarm.state {
+    /// Limits the ends of all shelvings to `latest`, and ends the shelvings that are due.
+    pub(super) fn unshelve_due(&mut self, now: Timestamp, latest: Timestamp) {
+        let cause_if_due = |alarm: &mut Alarm| match &mut alarm.state {
+            State::Shelved { until, .. } => {
                 *until = latest.min(*until);
+                (*until <= now).then_some(alarm.last.cause)
             }
-        }
-    }
-
-    /// Ends the shelvings that are due.
-    pub(super) fn unshelve_due(&mut self, now: Timestamp) {
-        let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
-        let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
+            _ => None,
+        };
+        let due: Vec<Cause> = self.open.iter_mut().filter_map(cause_if_due).collect();
         for cause in due {
             let _ = self.unshelve(cause, Actor::default(), now);
         }

@@ -126,8 +126,7 @@ impl MachineMonitor {
         let now = to_micros(now);
         // Later times show that the clock was set back. Otherwise no throw would count until they are reached.
         let latest = now + settings.longest_shelving();
-        self.alarms.shelve_until_at_most(latest);
-        self.alarms.unshelve_due(now);
+        self.alarms.unshelve_due(now, latest);
         let ends = self.maintenance.as_mut().map(|maintenance| {
             let until = maintenance.until.map_or(latest, |until| until.min(latest));
             *maintenance.until.insert(until)
