@@ -363,11 +363,6 @@ impl Alarms {
         self.find_active(cause).is_some()
     }
 
-    /// Whether the active alarm of `cause` is from before a maintenance, and not confirmed since.
-    pub(super) fn is_unchecked(&self, cause: Cause) -> bool {
-        self.find_active(cause).is_some_and(|alarm| alarm.is_unchecked)
-    }
-
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
         self.find_active(cause).map(|alarm| alarm.rule)

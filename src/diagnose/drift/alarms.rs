@@ -116,7 +116,7 @@ impl DriftAlarms {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
             evidence.patience += LEVELS_FOLLOW;
         }
-        evidence.unchecked = alarms.is_unchecked(cause);
+        evidence.unchecked = alarms.find_active(cause).is_some_and(|alarm| alarm.is_unchecked);
         if evidence.claim == Claim::Named
             && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
         {
@@ -260,8 +260,9 @@ impl DriftAlarms {
 
     /// Whether the last throws speak for an alarm of the usual rule about `cause`.
     fn counts_for(&self, cause: Cause) -> bool {
-        let condition = Cause::DRIFTS.iter().zip(&self.conditions).find(|(own, _)| **own == cause);
-        condition.is_some_and(|(_, condition)| condition.is_beginning())
+        let is_beginning =
+            |condition: &Condition| matches!(condition, Condition::Quiet { onset, .. } if onset.named > 0);
+        Cause::DRIFTS.iter().zip(&self.conditions).any(|(own, condition)| *own == cause && is_beginning(condition))
     }
 
     /// The reason not to add the last throw to a baseline.

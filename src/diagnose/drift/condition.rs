@@ -195,11 +195,6 @@ impl Condition {
         transition
     }
 
-    /// Whether the last throw speaks for an alarm that is not active.
-    pub(crate) fn is_beginning(&self) -> bool {
-        matches!(self, Self::Quiet { onset, .. } if onset.named > 0)
-    }
-
     /// Throws since the raise of the active alarm; `None` without one.
     pub(crate) fn since_raised(&self) -> Option<u32> {
         if let Self::Raised { since_raised, .. } = self { Some(*since_raised) } else { None }
