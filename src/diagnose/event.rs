@@ -50,6 +50,14 @@ impl Cause {
     /// The causes that change one coefficient each, in the order of b0, a1, a0.
     pub(super) const OF_COEFFICIENTS: [Self; 3] = [Self::Kt, Self::Friction, Self::Stiffness];
 
+    /// The causes that come from a drift of the coefficients.
+    pub(super) const DRIFTS: [Self; 5] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia, Self::Unattributed];
+    /// The pairs of physical causes.
+    pub(super) const PAIRS: [[Self; 2]; 6] = {
+        let [a, b, c, d] = Self::PHYSICAL;
+        [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]]
+    };
+
     /// Name in messages and in the database.
     pub fn as_str(self) -> &'static str {
         self.into()
@@ -62,9 +70,14 @@ impl Cause {
         word.parse().ok().or_else(|| Self::VARIANTS.iter().find(is_named).copied())
     }
 
+    /// Whether the cause is one of [`Self::PHYSICAL`], which name a part of the machine.
+    pub fn is_part(self) -> bool {
+        Self::PHYSICAL.contains(&self)
+    }
+
     /// Whether the cause comes from a drift of the coefficients.
-    pub const fn is_drift(self) -> bool {
-        matches!(self, Self::Kt | Self::Friction | Self::Stiffness | Self::Inertia | Self::Unattributed)
+    pub fn is_drift(self) -> bool {
+        Self::DRIFTS.contains(&self)
     }
 }
 

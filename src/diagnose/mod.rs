@@ -35,7 +35,7 @@ pub use baseline::{BaselineRecord, TemperatureSource};
 pub use drift::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
-pub use observation::{Irregularity, Missing, Observation, Parameters};
+pub use observation::{Estimated, Irregularity, Missing, Observation, Parameters};
 pub use operation::Common;
 pub(crate) use operation::{are_steady, is_possible_date};
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};

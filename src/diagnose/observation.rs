@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{SensorChannel, statistics::LONGEST_WINDOW};
 use crate::{
     estimate,
-    estimate::{Features, Grade, Identification, Motor, Rejection, RunningRatios},
+    estimate::{Estimate, Features, Grade, Identification, Motor, Rejection, RunningRatios},
     throw::{Direction, Throw, ThrowRef},
 };
 
@@ -26,16 +26,8 @@ pub struct Observation {
     /// Whether the measured movement contradicts the direction that the logger names; `None` if one of the two is
     /// unknown.
     pub direction_contradicted: Option<bool>,
-    /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
-    pub estimate: Option<([f64; 3], Matrix3<f64>)>,
-    /// Why the estimate was rejected; `None` if it was not.
-    pub rejection: Option<Rejection>,
-    /// Grade of the estimate. A rough estimate counts for drifts, not for baselines.
-    pub grade: Grade,
-    /// Whether only the ratios of the coefficients are known, not their common scale.
-    pub ratios_only: bool,
-    /// The ratios of a complete estimate as an estimate of ratios only gives them.
-    pub running: Option<RunningRatios>,
+    /// The estimate, or why it was rejected; `None` without a usable trace.
+    pub outcome: Option<Result<Estimated, Rejection>>,
     /// Duration, currents and travel, measured without the model.
     pub features: Features,
     /// Temperature \[°C\]; `None` if not measured.
@@ -46,6 +38,34 @@ pub struct Observation {
     pub short_of_stroke_mm: Option<f64>,
 }
 
+/// An estimate as input of the diagnosis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimated {
+    /// (b0, a1, a0).
+    pub coefficients: [f64; 3],
+    /// Their covariance, for a comparison with a baseline.
+    pub covariance: Matrix3<f64>,
+    /// Grade of the estimate. A rough estimate counts for drifts, not for baselines.
+    pub grade: Grade,
+    /// Whether only the ratios of the coefficients are known, not their common scale.
+    pub ratios_only: bool,
+    /// The ratios of a complete estimate as an estimate of ratios only gives them.
+    pub running: Option<RunningRatios>,
+}
+
+impl Estimated {
+    /// A good estimate of all coefficients.
+    pub fn new(coefficients: [f64; 3], covariance: Matrix3<f64>) -> Self {
+        Self { coefficients, covariance, grade: Grade::Good, ratios_only: false, running: None }
+    }
+
+    fn of(estimate: &Estimate) -> Self {
+        let &Estimate { grade, ratios_only, running, .. } = estimate;
+        let covariance = estimate.drift_covariance(LONGEST_WINDOW);
+        Self { coefficients: estimate.coefficients(), covariance, grade, ratios_only, running }
+    }
+}
+
 impl Observation {
     /// An observation with identity and time only.
     pub fn without_trace(throw: ThrowRef, started_at: Timestamp) -> Self {
@@ -54,15 +74,10 @@ impl Observation {
 
     /// The observation of a throw, from the result of its identification.
     pub fn of(throw: &Throw, found: &Identification) -> Self {
-        let estimate = found.outcome.as_ref().ok();
         Self {
             direction: found.direction,
             direction_contradicted: found.direction_contradicted,
-            estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance(LONGEST_WINDOW))),
-            rejection: found.outcome.as_ref().err().cloned(),
-            grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
-            ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
-            running: estimate.and_then(|estimate| estimate.running),
+            outcome: Some(found.outcome.as_ref().map(Estimated::of).map_err(Clone::clone)),
             features: found.features.clone(),
             temperature_c: throw.temperature_c,
             unused_fields: found.unused_fields.clone(),
@@ -71,43 +86,51 @@ impl Observation {
         }
     }
 
+    /// The estimate, if it was not rejected.
+    pub fn estimate(&self) -> Option<&Estimated> {
+        self.outcome.as_ref()?.as_ref().ok()
+    }
+
+    /// Why the estimate was rejected.
+    pub(super) fn rejection(&self) -> Option<&Rejection> {
+        self.outcome.as_ref()?.as_ref().err()
+    }
+
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub(super) fn is_incomplete(&self) -> bool {
-        self.rejection.as_ref().is_some_and(Rejection::is_incomplete)
+        self.rejection().is_some_and(Rejection::is_incomplete)
     }
 
     /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the movement lasts too
     /// long.
     pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
-        match self.rejection.as_ref()? {
+        match self.rejection()? {
             Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
             reason => reason.faulty_channel().map(Into::into),
         }
     }
 
-    /// Whether the recording begins or ends during the movement; its duration and charge are lower bounds then.
-    pub(super) fn is_cut_off(&self) -> bool {
-        matches!(self.rejection, Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }))
-    }
-
-    /// Whether the recording has a whole throw, which the points completed.
+    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
+    /// duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
-        !self.is_incomplete() && !self.is_cut_off()
+        let is_cut_off =
+            matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
+        !self.is_incomplete() && !is_cut_off
     }
 
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
     pub(super) fn is_undersampled(&self) -> bool {
-        matches!(self.rejection, Some(Rejection::Undersampled { .. }))
+        matches!(self.rejection(), Some(Rejection::Undersampled { .. }))
     }
 
     /// Whether the throw has no position and no estimate: the machine has a current sensor only.
     pub(super) fn has_features_only(&self) -> bool {
-        matches!(self.rejection, Some(Rejection::NoPosition { .. }))
+        matches!(self.rejection(), Some(Rejection::NoPosition { .. }))
     }
 
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
-        self.has_features_only() || self.estimate.is_some() && self.grade == Grade::CurrentOnly
+        self.has_features_only() || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
     }
 }
 
@@ -231,28 +254,28 @@ impl Evaluated {
         /// Largest relative standard deviation of a usable coefficient or ratio; a larger one makes the logarithm
         /// nonlinear. It must not be small, as a change that doubles a1/b0 may double the error of a0/b0.
         const WORST_SD: f64 = 0.5;
-        let (estimate, covariance) = observation.estimate.as_ref()?;
+        let &Estimated { coefficients, covariance, grade, ratios_only, running } = observation.estimate()?;
         let direction = observation.direction?;
-        if observation.is_incomplete() || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
+        if !coefficients.iter().all(|v| v.is_finite() && *v > 0.0) {
             return None;
         }
-        let scale = Matrix3::from_diagonal(&Vector3::from(*estimate).map(f64::recip));
+        let scale = Matrix3::from_diagonal(&Vector3::from(coefficients).map(f64::recip));
         let sensor = scale * covariance * scale;
         // For ratios, the variance of the common scale is an arbitrary large number, so the ratios to b0 are checked.
-        let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
+        let of_scale = |i: usize| if ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
         // Most of the error of ratios is a misfit that is equal in every throw of the machine, and cancels in a
         // comparison; the part that differs shows as scatter.
-        let most = if observation.ratios_only { f64::from(LONGEST_WINDOW) } else { WORST_SD * WORST_SD };
+        let most = if ratios_only { f64::from(LONGEST_WINDOW) } else { WORST_SD * WORST_SD };
         let usable = sensor.iter().all(|v| v.is_finite())
             && sensor.diagonal().iter().all(|v| *v >= 0.0)
             && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < most);
         usable.then(|| Self {
             direction,
-            log: estimate.map(f64::ln),
+            log: coefficients.map(f64::ln),
             sensor: 0.5 * (sensor + sensor.transpose()),
-            grade: observation.grade,
-            ratios_only: observation.ratios_only,
-            running: observation.running.map(|RunningRatios { values: [a1, a0], log_covariance }| {
+            grade,
+            ratios_only,
+            running: running.map(|RunningRatios { values: [a1, a0], log_covariance }| {
                 let mut sensor = Matrix3::zeros();
                 sensor.fixed_view_mut::<2, 2>(1, 1).copy_from(&log_covariance);
                 ([0.0, a1.ln(), a0.ln()], sensor)
@@ -302,11 +325,15 @@ mod tests {
     #[test]
     fn ratios_of_a_complete_estimate_are_those_of_an_estimate_of_ratios() {
         let running = RunningRatios { values: [0.38, 0.037], log_covariance: Matrix2::identity() * 1e-4 };
-        let estimate = Some(([6.0, 6.0 * 0.38, 6.0 * 0.045], Matrix3::identity() * 1e-4));
-        let throw = Observation { direction: Some(Direction::BOTH[0]), estimate, ..Observation::default() };
-        let complete = Evaluated::of(&Observation { running: Some(running), ..throw.clone() }).unwrap();
-        let estimate = Some(([1.0, 0.38, 0.037], Matrix3::identity() * 1e-4));
-        let rough = Evaluated::of(&Observation { estimate, ratios_only: true, ..throw }).unwrap();
+        let evaluated = |estimate: Estimated| {
+            let outcome = Some(Ok(estimate));
+            Evaluated::of(&Observation { direction: Some(Direction::BOTH[0]), outcome, ..Observation::default() })
+                .unwrap()
+        };
+        let estimated = |coefficients| Estimated::new(coefficients, Matrix3::identity() * 1e-4);
+        let complete = Estimated { running: Some(running), ..estimated([6.0, 6.0 * 0.38, 6.0 * 0.045]) };
+        let complete = evaluated(complete);
+        let rough = evaluated(Estimated { ratios_only: true, ..estimated([1.0, 0.38, 0.037]) });
         for shift in [0.0, 0.2] {
             let of = |throw: &Evaluated| throw.clone().without_shift(shift).ratios(true).log;
             let differences: Vec<f64> = of(&complete).iter().zip(of(&rough)).map(|(a, b)| (a - b).abs()).collect();

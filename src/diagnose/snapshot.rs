@@ -100,7 +100,7 @@ impl ConditionOne {
 /// or the sensor of the alarm that it owns.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Stamp {
+pub(super) struct Header {
     pub(super) version: Option<u32>,
     features: Flag<bool>,
     start: Flag<bool>,
@@ -120,7 +120,7 @@ struct Flag<T> {
     alarmed: T,
 }
 
-impl Stamp {
+impl Header {
     /// Sets the owners of the alarms.
     pub(super) fn give_owners(&self, alarms: &mut Alarms) {
         let of_sensor = self.instruments.alarmed.filter(|channel| alarms.faulty_sensor() == Some(*channel));

@@ -21,7 +21,7 @@ use super::{
     features::Features,
     identification::{Estimate, Grade},
     matrix::unit_diagonal,
-    ratios,
+    ratios::{self, Ratios},
     settings::{Motor, Settings},
     trace::{
         movement::{Movement, NEAR_END_SHARE},
@@ -99,22 +99,45 @@ pub(super) fn estimate(
     settings: &Settings,
     features: &mut Features,
 ) -> Result<Estimate, String> {
-    let Movement { current_a: current, interval_s, .. } = *movement;
+    let interval_s = movement.interval_s;
     let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
     let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
     if interval_s * LEAST_RATE_HZ > 1.0001 {
         return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
     }
-    let start = movement.start();
-    let off = end_of_voltage(movement).ok_or(NOT_ENDED)?;
+    let integrals = integrals(movement).ok_or(NOT_ENDED)?;
+    // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
+    let last = integrals[0].len().checked_sub(3).ok_or(NOT_ENDED)?;
+    let from_start_mm = match throw.direction {
+        Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
+        Some(Direction::NormalToReverse) | None => settings.neutral_mm,
+    };
+    let mut window = Window {
+        equilibrium: from_start_mm * settings.radians_per_mm(),
+        from: movement.start(),
+        interval_s,
+        offsets: [window::current_offset_variance(movement), 0.0],
+        rest_a: window::rest(movement),
+        ..Window::default()
+    };
+    let angle = stroke_mm * settings.radians_per_mm();
+    let machine = solve_in_rounds(&integrals, last, (supply_v, angle), &mut window)?;
+    features.resistance_ohm = Some(machine.resistance);
+    features.back_emf_v_s_per_rad = Some(machine.back_emf);
+    Ok(machine.estimate(&window, last))
+}
+
+/// The current from the start of the motor to the end of its supply voltage, and its integrals Q, P and ∫P; `None` if
+/// the recording does not show this end.
+fn integrals(movement: &Movement<'_>) -> Option<[Vec<f64>; 4]> {
     let drive = movement.drive();
-    let amperes: Vec<f64> =
-        current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
+    let current = movement.current_a.get(movement.start()..=end_of_voltage(movement)?)?;
+    let amperes: Vec<f64> = current.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
         let mut sum = 0.0;
         let mut sums = vec![0.0];
         sums.extend(values.array_windows().map(|[before, after]| {
-            sum += 0.5 * (before + after) * interval_s;
+            sum += 0.5 * (before + after) * movement.interval_s;
             sum
         }));
         sums
@@ -122,28 +145,32 @@ pub(super) fn estimate(
     let charge = integral(&amperes);
     let double = integral(&charge);
     let triple = integral(&double);
-    let integrals = [amperes, charge, double, triple];
-    let [amperes, charge, ..] = &integrals;
-    let angle = stroke_mm * settings.radians_per_mm();
-    // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
-    let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
+    Some([amperes, charge, double, triple])
+}
+
+/// Motor and machine as the current shows them.
+struct Solved {
+    resistance: f64,
+    back_emf: f64,
+    b0: f64,
+    ratios: Ratios,
+}
+
+/// Finds motor and machine, with [`ROUNDS`] corrections of the terms with a1 and a0. Fills `window` with the movement
+/// before the sample `last`. `angle`: that of the stroke \[rad\].
+fn solve_in_rounds(
+    integrals: &[Vec<f64>; 4],
+    last: usize,
+    (supply_v, angle): (f64, f64),
+    window: &mut Window,
+) -> Result<Solved, &'static str> {
+    let [amperes, charge, ..] = integrals;
+    let interval_s = window.interval_s;
     let inrush = samples_in(INRUSH_S, interval_s).min(last);
-    let from_start_mm = match throw.direction {
-        Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
-        Some(Direction::NormalToReverse) | None => settings.neutral_mm,
-    };
-    let mut window = Window {
-        equilibrium: from_start_mm * settings.radians_per_mm(),
-        from: start,
-        interval_s,
-        offsets: [window::current_offset_variance(movement), 0.0],
-        rest_a: window::rest(movement),
-        ..Window::default()
-    };
     let (mut a1, mut a0, mut resistance) = (0.0, 0.0, 0.0);
     let mut found = None;
     for _ in 0..ROUNDS {
-        let solved = solve(&integrals, inrush, (supply_v, interval_s), (a0, resistance)).ok_or(NO_ARMATURE)?;
+        let solved = solve(integrals, inrush, (supply_v, interval_s), (a0, resistance)).ok_or(NO_ARMATURE)?;
         let inductance = solved[0];
         resistance = solved[1] - a1 * inductance;
         let late_v_s = solved[4];
@@ -151,43 +178,47 @@ pub(super) fn estimate(
             |k: usize| supply_v * (k as f64 * interval_s) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
-            return Err(NO_ARMATURE.to_owned());
+            return Err(NO_ARMATURE);
         }
         window.output.clear();
         window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
         window.input.clear();
         window.input.extend_from_slice(&amperes[..window.output.len()]);
-        let ratios = ratios::of(&window).ok_or(NO_MODEL)?;
+        let ratios = ratios::of(window).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);
-        found = Some((b0, ratios, back_emf));
+        found = Some(Solved { resistance, back_emf, b0, ratios });
     }
-    let (b0, ratios, back_emf) = found.ok_or(NO_MODEL)?;
-    if !(b0.is_finite() && b0 > 0.0) {
-        return Err(NO_MODEL.to_owned());
+    found.filter(|found| found.b0.is_finite() && found.b0 > 0.0).ok_or(NO_MODEL)
+}
+
+impl Solved {
+    /// The estimate, from the movement in `window`; `last`: first sample after it.
+    fn estimate(&self, window: &Window, last: usize) -> Estimate {
+        let Self { b0, ratios, .. } = self;
+        let [a1, a0] = ratios.values.map(|ratio| ratio * b0);
+        // An error of ln b0 is common to all three; the ratios have additional errors.
+        let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
+            let of_ratios = Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios;
+            ratios::covariance([*b0, a1, a0], scale_sd, of_ratios)
+        };
+        let estimate = ratios.estimate(window, None, None);
+        Estimate {
+            grade: Grade::CurrentOnly,
+            b0: *b0,
+            a1,
+            a0,
+            ratios_only: false,
+            covariance: covariance(SCALE_SD, RATIO_SD, ratios.log_covariance),
+            // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
+            systematic: covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic),
+            // The errors of a1 and a0 were for b0 = 1.
+            offset: estimate.offset.map(|error| b0 * error),
+            end_s: (window.from + last - 1) as f64 * window.interval_s,
+            ..estimate
+        }
     }
-    (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
-    // An error of ln b0 is common to all three; the ratios have additional errors.
-    let covariance = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
-        let of_ratios = Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios;
-        ratios::covariance([b0, a1, a0], scale_sd, of_ratios)
-    };
-    let estimate = ratios.estimate(&window, None, None);
-    Ok(Estimate {
-        grade: Grade::CurrentOnly,
-        b0,
-        a1,
-        a0,
-        ratios_only: false,
-        covariance: covariance(SCALE_SD, RATIO_SD, ratios.log_covariance),
-        // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
-        systematic: covariance(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic),
-        // The errors of a1 and a0 were for b0 = 1.
-        offset: estimate.offset.map(|error| b0 * error),
-        end_s: (start + last - 1) as f64 * interval_s,
-        ..estimate
-    })
 }
 
 /// The reason why the coefficients are not estimated from the current: a missing value, or the kind of motor.

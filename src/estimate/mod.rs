@@ -35,6 +35,7 @@ pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
 pub(crate) use model::{midpoint, modelled_position_mm};
 pub use rejection::Rejection;
+pub(crate) use rejection::RejectionCode;
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;
 pub use sriv::filter::Hold;

@@ -25,8 +25,9 @@ fn likely_unit(travel_mm: f64, stroke_mm: f64) -> String {
 
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
 /// programs.
-#[derive(Debug, Clone, PartialEq, thiserror::Error, strum::IntoStaticStr)]
-#[strum(serialize_all = "snake_case")]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, strum::EnumDiscriminants)]
+#[strum_discriminants(name(RejectionCode), vis(pub(crate)), derive(strum::EnumString, strum::IntoStaticStr))]
+#[strum_discriminants(doc = "The reason without its values.", strum(serialize_all = "snake_case"))]
 pub enum Rejection {
     /// The trace or its window is too short for three coefficients.
     #[error(
@@ -51,7 +52,7 @@ pub enum Rejection {
     },
     /// The message has no toe position, and the coefficients do not follow from current and supply voltage either.
     #[error("{sent}, so only the features of the current are known: {why}")]
-    #[strum(serialize = "current_only")]
+    #[strum_discriminants(strum(serialize = "current_only"))]
     NoPosition {
         /// The content of `position_mm`, which is no toe position, as a clause for the text.
         sent: &'static str,
@@ -370,7 +371,7 @@ fn noise(channel: Channel, measured: f64, configured: f64) -> String {
 impl Rejection {
     /// The code of the reason, as in the column `quality`.
     pub fn code(&self) -> &'static str {
-        self.into()
+        RejectionCode::from(self).into()
     }
 
     /// Changes times and sample of a reason from a trace that begins at the sample `first` of the logger's trace, at

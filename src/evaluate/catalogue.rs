@@ -49,21 +49,18 @@ fn row(depth: Depth, situation: Situation, faults: Vec<(Cause, f64)>, shape: Gro
 }
 
 fn parameter_rows(limits: Limits) -> Vec<Scenario> {
-    let row = |situation, faults, shape, noise, hard| Scenario {
-        noise,
-        hard,
-        ..row(Depth::Parameter, situation, faults, shape)
-    };
+    let row = |situation, faults, shape| row(Depth::Parameter, situation, faults, shape);
     let parts = || Cause::PHYSICAL.into_iter().zip(limits);
     let mut rows = Vec::new();
     for (part, limit) in parts() {
         for shape in [Growth::Step, Growth::Ramp] {
             for multiple in MULTIPLES {
-                let faults = vec![(part, multiple * limit)];
-                rows.push(row(Situation::Plain, faults, shape, Noise::Default, multiple < PLAIN_FROM));
+                let plain = row(Situation::Plain, vec![(part, multiple * limit)], shape);
+                rows.push(Scenario { hard: multiple < PLAIN_FROM, ..plain });
             }
             for (noise, hard) in [(Noise::Low, false), (Noise::High, true)] {
-                rows.push(row(Situation::Plain, vec![(part, PLAIN_FROM * limit)], shape, noise, hard));
+                let plain = row(Situation::Plain, vec![(part, PLAIN_FROM * limit)], shape);
+                rows.push(Scenario { noise, hard, ..plain });
             }
         }
     }
@@ -71,7 +68,7 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
         for second in first + 1..Cause::PHYSICAL.len() {
             for multiple in [2.0, 6.0] {
                 let faults = [first, second].map(|part| (Cause::PHYSICAL[part], multiple * limits[part])).to_vec();
-                rows.push(row(Situation::Pair, faults, Growth::Step, Noise::Default, true));
+                rows.push(row(Situation::Pair, faults, Growth::Step));
             }
         }
     }
@@ -84,11 +81,11 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
     ];
     for situation in alone {
         for (part, limit) in parts() {
-            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Growth::Step, Noise::Default, true));
+            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Growth::Step));
         }
     }
     for shape in [Growth::Step, Growth::Ramp] {
-        rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape, Noise::Default, true));
+        rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape));
     }
     rows
 }

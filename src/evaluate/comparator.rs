@@ -78,7 +78,8 @@ impl<R: Rule + Clone> Comparator<R> {
 
     /// Applies the rule to throw `at` of the machine. A throw without direction or coefficients is left out.
     pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
-        let (Some((theta, _)), Some(direction)) = (observation.estimate, observation.direction) else { return };
+        let (Some(estimate), Some(direction)) = (observation.estimate(), observation.direction) else { return };
+        let theta = estimate.coefficients;
         if theta.iter().any(|coefficient| *coefficient <= 0.0 || coefficient.is_nan()) {
             return;
         }

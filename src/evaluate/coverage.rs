@@ -76,7 +76,7 @@ impl Coverage {
 /// Whether the fault has one true size at each throw. An intermittent fault has two. For wear from the first throw, the
 /// size depends on the throws that became the baseline.
 fn has_one_size(fault: &LifeFault) -> bool {
-    Cause::PHYSICAL.contains(&fault.part) && matches!(fault.shape, Growth::Step | Growth::Ramp | Growth::Accelerating)
+    fault.part.is_part() && matches!(fault.shape, Growth::Step | Growth::Ramp | Growth::Accelerating)
 }
 
 /// The published size and its standard deviation \[%\], if the event raises an alarm about `part`.

@@ -20,8 +20,7 @@ impl Call {
     /// The call of an alarm event at throw `at`. `None` unless the alarm is about a drift, a sensor, the supply or slow
     /// throws, and the event raises it or is critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
-        let named = Cause::PHYSICAL.contains(&event.cause)
-            || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
+        let named = event.cause.is_drift() || matches!(event.cause, Cause::Sensor | Cause::Supply | Cause::SlowThrow);
         let critical = event.severity == Severity::Critical;
         let or_sensor = event.runner_up.is_some_and(|other| other.cause == Cause::Sensor);
         let call = Self { at, cause: event.cause, critical, or_sensor };
@@ -70,10 +69,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
 
 /// Whether the first named part, or one at critical severity, is healthy.
 fn is_wrong(after: &[Call], truth: &[Cause]) -> bool {
-    let mut named = after
-        .iter()
-        .filter(|call| Cause::PHYSICAL.contains(&call.cause) && !leaves_sensor_open(call, truth))
-        .enumerate();
+    let mut named = after.iter().filter(|call| call.cause.is_part() && !leaves_sensor_open(call, truth)).enumerate();
     named.any(|(at, call)| (at == 0 || call.critical) && !truth.contains(&call.cause))
 }
 
@@ -104,7 +100,7 @@ pub(super) fn names_wrongly(calls: &[Call], life: &Timeline) -> bool {
             life.truth().chain(life.lasting()).any(|part| part == call.cause)
         }
     };
-    calls.iter().any(|call| call.critical && Cause::PHYSICAL.contains(&call.cause) && !at_fault(call))
+    calls.iter().any(|call| call.critical && call.cause.is_part() && !at_fault(call))
 }
 
 #[cfg(test)]

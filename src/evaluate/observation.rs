@@ -1,11 +1,10 @@
 //! The observations of a life at parameter depth, and the times of its throws.
 
 use jiff::{SignedDuration, Timestamp};
-use nalgebra::Matrix3;
 
 use super::weather::THROWS_A_DAY;
 use crate::{
-    diagnose::Observation,
+    diagnose::{Estimated, Observation},
     throw::{Direction, ThrowRef},
 };
 
@@ -17,15 +16,11 @@ pub(super) fn started_at(at: usize) -> Timestamp {
 }
 
 /// Observation of throw `at`. The directions alternate; the throws have equal distances in time.
-pub(super) fn observation(
-    at: usize,
-    estimate: Option<([f64; 3], Matrix3<f64>)>,
-    temperature_c: Option<f64>,
-) -> Observation {
+pub(super) fn observation(at: usize, estimate: Option<Estimated>, temperature_c: Option<f64>) -> Observation {
     let throw = ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 };
     Observation {
         direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
-        estimate,
+        outcome: estimate.map(Ok),
         temperature_c,
         ..Observation::without_trace(throw, started_at(at))
     }

@@ -19,7 +19,7 @@ use super::{
     timeline::Timeline,
     trace::TraceMachine,
 };
-use crate::diagnose::{Cause, MachineMonitor, Settings};
+use crate::diagnose::{Cause, Estimated, MachineMonitor, Settings};
 
 /// Numbers of lives and throws to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -261,8 +261,8 @@ fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, 
 fn drawn(random: ChaCha8Rng, noise: Noise, scatter: Scatter, life: &Timeline) -> Source<'_> {
     let mut machine = ParameterMachine::new(random, noise, scatter);
     Box::new(move |at| {
-        let estimate = machine.throw(at % 2, life.displacement(at));
-        observation(at, Some(estimate), life.temperature_c(at))
+        let (coefficients, covariance) = machine.throw(at % 2, life.displacement(at));
+        observation(at, Some(Estimated::new(coefficients, covariance)), life.temperature_c(at))
     })
 }
 

@@ -119,7 +119,7 @@ fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
     assert_eq!(again[0].event_no, 1);
     assert_ne!(again[0].raised_at, raised.raised_at);
     let none = act(&mut machine, &Command::Ack { cause: Cause::Kt, by: by() });
-    assert_eq!(none, Err(CommandError::NoSuchAlarm { cause: Cause::Kt }));
+    assert_eq!(none, Err(CommandError::NoSuchAlarm(Cause::Kt)));
 }
 
 /// The operator who ends a maintenance has not acknowledged the alarm, and its text is as old as before.
@@ -177,7 +177,7 @@ fn shelved_until_a_time_or_a_command() {
     act(&mut machine, &shelve).unwrap();
     let unshelve = Command::Unshelve { cause: Cause::Friction, by: by() };
     assert_eq!(states(&act(&mut machine, &unshelve).unwrap()), [AlarmState::ActiveUnacknowledged]);
-    assert_eq!(act(&mut machine, &unshelve), Err(CommandError::NotShelved { cause: Cause::Friction }));
+    assert_eq!(act(&mut machine, &unshelve), Err(CommandError::NotShelved(Cause::Friction)));
     assert!(matches!(machine.monitor.command(&shelve, until, &settings), Err(CommandError::UntilIsPast { .. })));
     let long = Command::Shelve {
         cause: Cause::Friction,
@@ -302,7 +302,9 @@ proptest! {
         let mut seen = std::collections::BTreeMap::new();
         for jump in jumps {
             let mut observation = machine.throw(Vector3::zeros());
-            observation.rejection = (jump > 0).then_some(Rejection::NoMovement);
+            if jump > 0 {
+                observation.outcome = Some(Err(Rejection::NoMovement));
+            }
             observation.started_at = now() + SignedDuration::from_secs(i64::from(jump % 2));
             let mut events = machine.observe(&observation).events;
             for _ in 0..12 {

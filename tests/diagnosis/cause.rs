@@ -66,7 +66,8 @@ fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
             throw.features.no_load_speed_rad_per_s = changes.speed.map(|change| 17.0 * scattered(change));
             throw.features.duration_s = Some(4.3 * scattered(changes.duration));
             if changes.ratios_only {
-                (throw.ratios_only, throw.grade) = (true, Grade::Rough);
+                let estimate = throw.outcome.as_mut().unwrap().as_mut().unwrap();
+                (estimate.ratios_only, estimate.grade) = (true, Grade::Rough);
             }
             machine.observe(&throw)
         };

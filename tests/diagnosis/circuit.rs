@@ -135,10 +135,10 @@ fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
 fn a_motor_that_a_bad_contact_makes_look_weaker_is_not_named() {
     for (seed, before) in [(60, SOUND), (61, SOUND), (62, OF_RATIOS), (63, OF_RATIOS)] {
         let events = learned(seed, before).events_with(100, State { ohms: 2.0, ..before }, |throw| {
-            if let Some(([b0, a1, a0], covariance)) = throw.estimate {
-                let weaker = Vector3::new(0.925, 1.0, 1.0);
-                let scale = Matrix3::from_diagonal(&weaker);
-                throw.estimate = Some(([weaker.x * b0, a1, a0], scale * covariance * scale));
+            if let Some(Ok(estimate)) = &mut throw.outcome {
+                let scale = Matrix3::from_diagonal(&Vector3::new(0.925, 1.0, 1.0));
+                estimate.coefficients[0] *= scale[(0, 0)];
+                estimate.covariance = scale * estimate.covariance * scale;
             }
         });
         assert_eq!(causes(&events), [Cause::Supply], "seed {seed}: {events:?}");
@@ -193,7 +193,8 @@ fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
 fn events_one_sided(drive: &mut Drive, throws: usize, gain: f64, state: State) -> Vec<AlarmEvent> {
     drive.events_with(throws, state, |throw| {
         read_with(gain, throw);
-        throw.estimate = throw.estimate.filter(|_| throw.direction != Some(Direction::ReverseToNormal));
+        let is_rejected = throw.direction == Some(Direction::ReverseToNormal);
+        throw.outcome.take_if(|outcome| is_rejected && outcome.is_ok());
     })
 }
 

@@ -4,7 +4,7 @@
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{MachineMonitor, Observation, Settings},
+    diagnose::{Estimated, MachineMonitor, Observation, Settings},
     estimate::{Features, Grade, Rejection},
     throw::{Channel, Direction, ThrowRef},
 };
@@ -97,21 +97,16 @@ impl Degenerate {
         let scale = Matrix3::from_diagonal(&Vector3::from(coefficients)) * self.stated;
         let unknown = if ratios_only { Matrix3::repeat(0.01) } else { Matrix3::zeros() };
         let covariance = scale * (estimator_covariance() + unknown) * scale;
+        let estimate = Estimated::new(coefficients, covariance);
+        let (grade, rejection) = match (is_current_only, is_rough) {
+            (true, _) => (Grade::CurrentOnly, Rejection::NoMovement),
+            (_, true) => (Grade::Rough, Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 }),
+            _ => (Grade::Good, Rejection::PoorFit { fit_pct: 80.0, floor_pct: 99.0 }),
+        };
         let turn = Direction::BOTH[usize::from(throw_no.is_multiple_of(2) && !self.is_one_way)];
         Observation {
             direction: Some(turn),
-            estimate: (!is_rejected).then_some((coefficients, covariance)),
-            grade: match (is_current_only, is_rough) {
-                (true, _) => Grade::CurrentOnly,
-                (_, true) => Grade::Rough,
-                _ => Grade::Good,
-            },
-            ratios_only,
-            rejection: is_rejected.then_some(match (is_current_only, is_rough) {
-                (true, _) => Rejection::NoMovement,
-                (_, true) => Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 },
-                _ => Rejection::PoorFit { fit_pct: 80.0, floor_pct: 99.0 },
-            }),
+            outcome: Some(if is_rejected { Err(rejection) } else { Ok(Estimated { grade, ratios_only, ..estimate }) }),
             features,
             temperature_c: self.temperature_c.map(|(mean, sd)| mean + sd * normal(&mut self.rng)),
             ..Observation::without_trace(throw, start + SignedDuration::from_mins(after))

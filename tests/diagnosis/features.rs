@@ -173,7 +173,7 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
         for _ in 0..20 {
             let throw = machine.throw(Vector3::zeros());
             let duration_s = throw.features.duration_s.map(|duration_s| factor * duration_s);
-            let rejected = Observation { estimate: None, features: Features { duration_s, ..throw.features }, ..throw };
+            let rejected = Observation { outcome: None, features: Features { duration_s, ..throw.features }, ..throw };
             named.extend(machine.observe(&rejected).events.into_iter().map(|event| event.cause));
         }
         assert_eq!(named.first(), Some(&cause), "{named:?}");
@@ -192,7 +192,7 @@ fn an_alarm_of_features_stays_while_they_are_changed_in_throws_with_coefficients
         for _ in 0..30 {
             let mut throw = machine.throw(Vector3::zeros());
             throw.features.duration_s = throw.features.duration_s.map(|own| if is_slow { 1.2 * own } else { own });
-            throw.estimate = throw.estimate.filter(|_| has_estimate);
+            throw.outcome = throw.outcome.filter(|_| has_estimate);
             named.extend(machine.observe(&throw).events.into_iter().map(|event| (event.cause, event.state)));
         }
         named
@@ -214,7 +214,7 @@ fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
         let is_there = throw.direction == Some(Direction::NormalToReverse);
         let fault = if at >= 90 && is_there { 1.7 } else { 1.0 };
         if at < 90 && is_there {
-            throw.estimate = None;
+            throw.outcome = None;
         }
         throw.features.running_current_a = Some(0.335 * fault * (0.02 * normal(&mut machine.rng)).exp());
         let verdict = machine.observe(&throw);
@@ -234,7 +234,7 @@ fn a_weak_supply_of_rejected_throws_is_named() {
         let volts = if is_weak { 80.0 } else { 110.0 };
         throw.features.supply_v = Some(volts * (0.01 * normal(&mut machine.rng)).exp());
         if is_weak {
-            throw.estimate = None;
+            throw.outcome = None;
             throw.features.duration_s = throw.features.duration_s.map(|duration_s| 1.3 * duration_s);
         }
         machine.observe(&throw).events
@@ -282,7 +282,7 @@ fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> O
         let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed());
         Observation {
             direction: Some(Direction::BOTH[usize::from(throw.is_multiple_of(2))]),
-            rejection: Some(Rejection::NoPosition { sent: "", why: String::new() }),
+            outcome: Some(Err(Rejection::NoPosition { sent: "", why: String::new() })),
             features: Features {
                 duration_s: of(0, 4.3),
                 running_current_a: of(1, 0.9),

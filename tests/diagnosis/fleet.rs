@@ -13,7 +13,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 pub(crate) use pointsd::evaluate::Scatter;
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, MachineMonitor, Observation, SensorChannel, Settings, Verdict},
+    diagnose::{AlarmEvent, Cause, Estimated, MachineMonitor, Observation, SensorChannel, Settings, Verdict},
     estimate::Features,
     throw::{Direction, ThrowRef},
 };
@@ -147,7 +147,7 @@ impl Machine {
         let throw = ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws };
         Observation {
             direction: Some(self.only.unwrap_or(Direction::BOTH[side])),
-            estimate: Some((estimate.into(), scale * estimator_covariance() * scale)),
+            outcome: Some(Ok(Estimated::new(estimate.into(), scale * estimator_covariance() * scale))),
             features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },
             ..Observation::without_trace(throw, self.started_at)
         }

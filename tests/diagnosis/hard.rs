@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, Observation, Settings, Severity, TemperatureSource, Verdict},
+    diagnose::{AlarmEvent, Cause, Estimated, Observation, Settings, Severity, TemperatureSource, Verdict},
     estimate::Grade,
     throw::Direction,
 };
@@ -281,12 +281,13 @@ fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
 /// The throw with its ratios only. Its covariance has an unknown scale, noise of the ratios, and an error `shared` by
 /// all throws, which the mean of 24 throws does not reduce.
 fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
-    let (estimate, _) = throw.estimate.unwrap();
-    let ratios = estimate.map(|value| value / estimate[0]);
+    let [b0, a1, a0] = throw.estimate().unwrap().coefficients;
+    let ratios = [1.0, a1 / b0, a0 / b0];
     let noise = Matrix3::from_diagonal(&Vector3::new(0.0, 0.005, 0.005).map(|sd| sd * sd));
     let scale = Matrix3::from_diagonal(&Vector3::from(ratios));
-    let estimate = Some((ratios, scale * (Matrix3::repeat(0.2) + noise + shared) * scale));
-    Observation { estimate, grade: Grade::Rough, ratios_only: true, ..throw }
+    let estimate = Estimated::new(ratios, scale * (Matrix3::repeat(0.2) + noise + shared) * scale);
+    let outcome = Some(Ok(Estimated { grade: Grade::Rough, ratios_only: true, ..estimate }));
+    Observation { outcome, ..throw }
 }
 
 /// The events of throws of which some are rough, with an error `shared` by these.

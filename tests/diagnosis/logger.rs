@@ -84,7 +84,7 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
     let many = i64::from(settings.not_monitored_throws);
     // The alarm has another reason now, which is a new event.
-    let unevaluated = feed(&mut machine, many.try_into().unwrap(), |o| o.estimate = None);
+    let unevaluated = feed(&mut machine, many.try_into().unwrap(), |o| o.outcome = None);
     assert_eq!(summary(&unevaluated), [raised]);
     assert!(unevaluated[0].text.contains("could not be evaluated"), "{unevaluated:?}");
     assert_eq!(pass(&mut machine.monitor, &mut now, 5, there), []);

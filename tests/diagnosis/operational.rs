@@ -4,8 +4,8 @@ use jiff::SignedDuration;
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{
-        AlarmEvent, AlarmState, Cause, Command, MachineMonitor, MachineState, Observation, Parameters, SensorChannel,
-        Settings, Severity,
+        AlarmEvent, AlarmState, Cause, Command, Estimated, MachineMonitor, MachineState, Observation, Parameters,
+        SensorChannel, Settings, Severity,
     },
     estimate::{self, Features, Rejection},
     throw::{Channel, Direction},
@@ -22,13 +22,18 @@ pub(crate) fn machine() -> Machine {
 
 /// Makes the throw an incomplete one.
 fn fail(throw: &mut Observation) {
-    (throw.rejection, throw.estimate) = (Some(Rejection::NoMovement), None);
+    throw.outcome = Some(Err(Rejection::NoMovement));
 }
 
 /// Makes the position of the throw useless.
 fn disturb(throw: &mut Observation) {
     let noisy = Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 };
-    (throw.rejection, throw.estimate) = (Some(noisy), None);
+    throw.outcome = Some(Err(noisy));
+}
+
+/// The estimate of an evaluated throw.
+fn estimate_of(throw: &mut Observation) -> &mut Estimated {
+    throw.outcome.as_mut().unwrap().as_mut().unwrap()
 }
 
 pub(crate) fn feed(machine: &mut Machine, throws: usize, change: impl Fn(&mut Observation)) -> Vec<AlarmEvent> {
@@ -91,7 +96,7 @@ fn traces_that_show_nothing_do_not_complete_a_throw() {
     let mut machine = machine();
     let failed = feed(&mut machine, 1, fail);
     assert_eq!(summary(&failed), [raised(Cause::IncompleteThrow)]);
-    let unread = feed(&mut machine, 20, |o| (o.features, o.estimate) = (Features::default(), None));
+    let unread = feed(&mut machine, 20, |o| (o.features, o.outcome) = (Features::default(), None));
     assert!(unread.iter().all(|event| event.cause != Cause::IncompleteThrow), "{unread:?}");
     let failed = feed(&mut machine, 1, fail);
     assert!(
@@ -140,12 +145,12 @@ fn slow_throws_show_even_where_the_coefficients_do_not() {
 #[test]
 fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let mut machine = machine();
-    assert_eq!(summary(&feed(&mut machine, 25, |o| o.estimate = None)), [raised(Cause::NotMonitored)]);
+    assert_eq!(summary(&feed(&mut machine, 25, |o| o.outcome = None)), [raised(Cause::NotMonitored)]);
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
     // One accepted throw among many rejected ones does not end the alarm.
     for _ in 0..5 {
         assert_eq!(feed(&mut machine, 1, |_| {}), []);
-        assert_eq!(feed(&mut machine, 12, |o| o.estimate = None), []);
+        assert_eq!(feed(&mut machine, 12, |o| o.outcome = None), []);
     }
     assert_eq!(summary(&feed(&mut machine, 8, |_| {})), [ended(Cause::NotMonitored)]);
     assert_eq!(machine.monitor.state(), MachineState::Healthy);
@@ -158,12 +163,12 @@ fn impossible_estimates_cause_no_panic_and_are_not_learned() {
     for at in 0..3 {
         for value in [f64::NAN, f64::INFINITY, 0.0, -1.0, f64::MIN_POSITIVE] {
             let mut observation = machine.throw(Vector3::zeros());
-            observation.estimate.as_mut().unwrap().0[at] = value;
+            estimate_of(&mut observation).coefficients[at] = value;
             machine.observe(&observation);
         }
         for value in [f64::NAN, f64::INFINITY, -1.0, 1e9] {
             let mut observation = machine.throw(Vector3::zeros());
-            observation.estimate.as_mut().unwrap().1[(at, at)] = value;
+            estimate_of(&mut observation).covariance[(at, at)] = value;
             machine.observe(&observation);
         }
     }
@@ -177,8 +182,9 @@ fn impossible_estimates_cause_no_panic_and_are_not_learned() {
 fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let mut machine = machine();
     let back = |o: &mut Observation| {
-        o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
-        o.rejection = o.estimate.is_none().then_some(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 });
+        if o.direction != Some(Direction::NormalToReverse) {
+            o.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 }));
+        }
     };
     let events = feed(&mut machine, 60, back);
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
@@ -247,9 +253,9 @@ fn without_evaluated_throws_the_present_size_is_unknown() {
     let mut machine = machine();
     machine.events(30, shift(Cause::Friction, 45.0));
     assert_eq!(machine.monitor.drifts().len(), 1);
-    feed(&mut machine, 23, |o| o.estimate = None);
+    feed(&mut machine, 23, |o| o.outcome = None);
     assert_eq!(machine.monitor.drifts().len(), 1);
-    feed(&mut machine, 1, |o| o.estimate = None);
+    feed(&mut machine, 1, |o| o.outcome = None);
     assert_eq!(machine.monitor.drifts(), []);
     assert!(machine.monitor.open_alarms().iter().any(|alarm| alarm.cause == Cause::Friction));
     machine.feed(shift(Cause::Friction, 45.0));
@@ -261,7 +267,7 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let mut machine = machine();
     let without = |o: &mut Observation| {
         let no_position = Rejection::NoPosition { sent: "", why: String::new() };
-        (o.rejection, o.estimate, o.features.running_current_a) = (Some(no_position), None, Some(2.0));
+        (o.outcome, o.features.running_current_a) = (Some(Err(no_position)), Some(2.0));
     };
     let events = feed(&mut machine, 25, without);
     assert_eq!(events[0].channel, Some(SensorChannel::Position));

@@ -133,7 +133,8 @@ fn unstressed_at(
         let observation = Observation::of(&throw, &identifier.identify(&throw, &settings));
         let verdict = monitor.observe(&observation, &Settings::default());
         causes.extend(verdict.events.iter().map(|event| event.cause));
-        if let Some(([_, a1, _], _)) = observation.estimate.filter(|_| (100..110).contains(&throw_no)) {
+        if let Some(estimate) = observation.estimate().filter(|_| (100..110).contains(&throw_no)) {
+            let [_, a1, _] = estimate.coefficients;
             let baseline = monitor.baseline(observation.direction.unwrap()).unwrap();
             off = off.max((a1 / baseline.center[1] - 1.0).abs());
         }

@@ -2,7 +2,7 @@
 //! coefficients, below only features.
 
 use pointsd::{
-    diagnose::{Cause, MachineState},
+    diagnose::{Cause, Estimated, MachineState},
     throw::Throw,
 };
 
@@ -20,7 +20,7 @@ fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
 
 /// ln(a1/b0) and ln(a0/b0) of a throw with their standard deviations.
 fn ratios(drive: &mut Drive, state: State) -> Option<[(f64, f64); 2]> {
-    let (estimate, covariance) = drive.throw(state).estimate?;
+    let Estimated { coefficients: estimate, covariance, .. } = *drive.throw(state).estimate()?;
     let relative = |i: usize, j: usize| covariance[(i, j)] / (estimate[i] * estimate[j]);
     let ratio = |i: usize| {
         let sd = (relative(0, 0) + relative(i, i) - 2.0 * relative(0, i)).sqrt();

@@ -48,8 +48,10 @@ impl Life {
             ..Throw::recorded(sensors.record(&motion, way, &mut self.random).unwrap().trace)
         };
         let found = self.identifier.identify(&throw, &estimate::Settings::default());
-        let estimate = found.outcome.as_ref().ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance));
-        let observation = Observation { estimate, direction_contradicted: None, ..Observation::of(&throw, &found) };
+        let mut observation = Observation { direction_contradicted: None, ..Observation::of(&throw, &found) };
+        if let (Ok(found), Some(Ok(estimate))) = (&found.outcome, &mut observation.outcome) {
+            estimate.covariance = found.covariance;
+        }
         for event in self.monitor.observe(&observation, &self.settings).events {
             if event.state.is_active() && !self.raised.contains(&event.cause) {
                 self.raised.push(event.cause);

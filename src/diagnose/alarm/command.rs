@@ -92,11 +92,8 @@ pub(crate) struct Maintenance {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// No such alarm is open.
-    #[error("no {cause} alarm is open on this machine")]
-    NoSuchAlarm {
-        /// Cause of the alarm.
-        cause: Cause,
-    },
+    #[error("no {0} alarm is open on this machine")]
+    NoSuchAlarm(Cause),
     /// The alarm is acknowledged already.
     #[error("the {cause} alarm is acknowledged already, by {by}")]
     AlreadyAcknowledged {
@@ -106,11 +103,8 @@ pub enum CommandError {
         by: String,
     },
     /// The alarm is not shelved.
-    #[error("the {cause} alarm is not shelved")]
-    NotShelved {
-        /// Cause of the alarm.
-        cause: Cause,
-    },
+    #[error("the {0} alarm is not shelved")]
+    NotShelved(Cause),
     /// The time is in the past.
     #[error(
         "`until` is {}, but the clock of the daemon is at {}: give a later time, or correct the clock that is wrong",

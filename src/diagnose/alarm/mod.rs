@@ -188,53 +188,51 @@ impl Alarms {
     /// part or whose fault was intermittent, and the evidence of an alarm from before a maintenance is replaced. Returns
     /// whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
-        let cause = event.cause;
-        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::gives_way);
-        if self.is_active(cause) && !takes_over && !self.is_unchecked(cause) {
-            return false;
-        }
-        let index = self.find(cause).unwrap_or_else(|| {
+        let stands = |alarm: &Alarm| !(alarm.is_unchecked || rule == Rule::Usual && alarm.rule.gives_way());
+        !self.find_active(event.cause).is_some_and(stands) && self.raise_anew(rule, event)
+    }
+
+    /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
+    /// Returns true: the alarm changed.
+    pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
             self.open.push(Alarm { state: State::Cleared, rule, is_unchecked: false, last });
             self.open.len() - 1
         });
-        self.activate(Some(index), rule, event)
+        *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+        self.renew(index, rule, event);
+        true
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
     /// another rule, it changes to the new fault if that `is_new`. So one alarm does not hide another fault.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
-        let cause = event.cause;
-        let owner = self.rule(cause);
-        let other = self.find_active(cause).is_some_and(|active| active.channel != event.channel)
-            || cause == Cause::Supply && owner.is_some_and(|owner| owner != rule)
-            || owner == Some(Rule::Offset);
-        let index = self.find(cause).filter(|_| other && is_new);
-        if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
+        let is_other = |alarm: &Alarm| {
+            alarm.last.channel != event.channel
+                || event.cause == Cause::Supply && alarm.rule != rule
+                || alarm.rule == Rule::Offset
+        };
+        let changes = is_new && self.find_active(event.cause).is_some_and(is_other);
+        if changes { self.raise_anew(rule, event) } else { self.raise(rule, event) }
     }
 
     /// The sensor that the active sensor alarm names.
     pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
-        self.find_active(Cause::Sensor)?.channel
+        self.find_active(Cause::Sensor)?.last.channel
     }
 
     /// Escalates an active alarm to the severity of `event`, if that is higher; the alarm needs a new acknowledgement
     /// then. Returns whether it escalated.
     pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
-        self.activate(self.find(event.cause).filter(|_| worse), rule, event)
+        worse && self.raise_anew(rule, event)
     }
 
     /// Raises an alarm that is not active or not checked, and escalates another one.
     pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
-        let stands = self.is_active(event.cause) && !self.is_unchecked(event.cause);
+        let stands = self.find_active(event.cause).is_some_and(|alarm| !alarm.is_unchecked);
         if stands { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
-    }
-
-    /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
-    pub(super) fn raise_anew(&mut self, event: AlarmEvent) -> bool {
-        let active = self.find(event.cause).filter(|_| self.is_active(event.cause));
-        if active.is_some() { self.activate(active, Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
     /// Replaces the evidence of an active alarm, and keeps its state.
@@ -242,14 +240,6 @@ impl Alarms {
         if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
             self.renew(index, Rule::Usual, event);
         }
-    }
-
-    fn activate(&mut self, index: Option<usize>, rule: Rule, event: AlarmEvent) -> bool {
-        if let Some(index) = index {
-            *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
-            self.renew(index, rule, event);
-        }
-        index.is_some()
     }
 
     fn renew(&mut self, index: usize, rule: Rule, event: AlarmEvent) {
@@ -291,7 +281,7 @@ impl Alarms {
 
     /// Acknowledges an alarm; a cleared alarm ends with this.
     pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let Alarm { state, last, .. } = &mut self.open[index];
         match state.beneath_mut() {
             State::Active { acknowledged: Some(before) } => {
@@ -315,7 +305,7 @@ impl Alarms {
         actor: Actor,
         at: Timestamp,
     ) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
         let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
         *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
@@ -325,27 +315,24 @@ impl Alarms {
 
     /// Ends the shelving.
     pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<(), CommandError> {
-        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
-        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved { cause }) };
+        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved(cause)) };
         *state = (**beneath).clone();
         self.event(index, at, actor, None);
         Ok(())
     }
 
-    /// Limits the ends of all shelvings to `latest`.
-    pub(super) fn shelve_until_at_most(&mut self, latest: Timestamp) {
-        for alarm in &mut self.open {
-            if let State::Shelved { until, .. } = &mut alarm.state {
+    /// Limits the ends of all shelvings to `latest`, and ends the shelvings that are due.
+    pub(super) fn unshelve_due(&mut self, now: Timestamp, latest: Timestamp) {
+        let cause_if_due = |alarm: &mut Alarm| match &mut alarm.state {
+            State::Shelved { until, .. } => {
                 *until = latest.min(*until);
+                (*until <= now).then_some(alarm.last.cause)
             }
-        }
-    }
-
-    /// Ends the shelvings that are due.
-    pub(super) fn unshelve_due(&mut self, now: Timestamp) {
-        let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
-        let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
+            _ => None,
+        };
+        let due: Vec<Cause> = self.open.iter_mut().filter_map(cause_if_due).collect();
         for cause in due {
             let _ = self.unshelve(cause, Actor::default(), now);
         }
@@ -376,14 +363,9 @@ impl Alarms {
         self.find_active(cause).is_some()
     }
 
-    /// Whether the active alarm of `cause` is from before a maintenance, and not confirmed since.
-    pub(super) fn is_unchecked(&self, cause: Cause) -> bool {
-        self.active_alarms().any(|alarm| alarm.last.cause == cause && alarm.is_unchecked)
-    }
-
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
-        self.active_alarms().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
+        self.find_active(cause).map(|alarm| alarm.rule)
     }
 
     /// The cause of the active alarm that `rule` owns.
@@ -398,13 +380,14 @@ impl Alarms {
         }
     }
 
-    fn find_active(&self, cause: Cause) -> Option<&AlarmEvent> {
-        self.active().find(|event| event.cause == cause)
+    /// The active alarm of `cause`.
+    pub(super) fn find_active(&self, cause: Cause) -> Option<&Alarm> {
+        self.active_alarms().find(|alarm| alarm.last.cause == cause)
     }
 
     /// Severity of an active alarm.
     pub(super) fn severity(&self, cause: Cause) -> Option<Severity> {
-        self.find_active(cause).map(|event| event.severity)
+        self.find_active(cause).map(|alarm| alarm.last.severity)
     }
 
     fn active_alarms(&self) -> impl Iterator<Item = &Alarm> {

@@ -37,8 +37,7 @@ impl RuleResult {
         match (alarms.owned_by(rule), self) {
             (Some(cause), Self::Nothing) => {
                 let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
-                let text =
-                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
+                let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
                 step.clear(cause, text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))
@@ -73,7 +72,7 @@ pub(crate) fn withdraw_explained(step: &mut Step) {
 /// sensor, which does not change them.
 fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
-    Cause::PHYSICAL.contains(&event.cause)
+    event.cause.is_part()
         || event.cause == Cause::Sensor
             && matches!(event.channel, Some(Current | Position | Clock))
             && alarms.rule(Cause::Sensor) != Some(Rule::Offset)

@@ -53,17 +53,13 @@ impl Neutral {
     /// then the throws until now must not be part of a baseline.
     pub(crate) fn learn(&mut self, throw: &Observation) -> bool {
         let Self::Unknown(sides) = self else { return false };
-        let coefficients = match (&throw.estimate, &throw.rejection) {
-            (Some((estimate, _)), _) => Some(*estimate),
+        let coefficients = match &throw.outcome {
+            Some(Ok(estimate)) => estimate.coefficients,
             // A wrong neutral position may make a1 negative.
-            (None, Some(Rejection::NotPositive { b0, a1, a0 })) => Some([*b0, *a1, *a0]),
-            _ => None,
+            Some(Err(Rejection::NotPositive { b0, a1, a0 })) => [*b0, *a1, *a0],
+            _ => return false,
         };
-        let (Some(coefficients), Some(direction), Some(duration_s)) =
-            (coefficients, throw.direction, throw.features.duration_s)
-        else {
-            return false;
-        };
+        let (Some(direction), Some(duration_s)) = (throw.direction, throw.features.duration_s) else { return false };
         let values = shown(coefficients, duration_s).map(to_f32);
         let side = &mut sides[direction.side()];
         if side.len() < FIRST && values.iter().all(|value| value.is_finite()) {

@@ -161,7 +161,13 @@ impl Temperature {
         });
         let mut fitted = Self { information, product: together.into(), ..none };
         let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
-        fitted.solve(noise, spans && throws.len() >= settings.baseline_throws);
+        if spans && throws.len() >= settings.baseline_throws {
+            fitted.solve(noise);
+        } else {
+            // The unused slopes count as uncertainty.
+            let (slope, variance) = fitted.posterior(noise);
+            fitted.per_k_variance = std::array::from_fn(|i| variance[i] + slope[i].powi(2));
+        }
         fitted
     }
 
@@ -207,7 +213,7 @@ impl Temperature {
             anchor.residuals[i] = keep * anchor.residuals[i] + residual;
             self.product[i] = keep * self.product[i] + from_anchor * residual;
         }
-        self.solve(noise, true);
+        self.solve(noise);
         let change = self.change(self.per_k);
         if !suspicion.is_none() && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt())
         {
@@ -272,14 +278,10 @@ impl Temperature {
         (std::array::from_fn(slope), std::array::from_fn(variance))
     }
 
-    /// Computes the slopes. They are used if there are `enough` throws; otherwise they count as uncertainty.
-    fn solve(&mut self, noise: Vector3<f64>, enough: bool) {
+    /// Computes the slopes.
+    fn solve(&mut self, noise: Vector3<f64>) {
         let (slope, variance) = self.posterior(noise);
-        if enough {
-            (self.source, self.per_k, self.per_k_variance) = (TemperatureSource::Fitted, slope, variance);
-        } else {
-            self.per_k_variance = std::array::from_fn(|i| variance[i] + slope[i].powi(2));
-        }
+        (self.source, self.per_k, self.per_k_variance) = (TemperatureSource::Fitted, slope, variance);
     }
 
     /// Temperature from the reference \[K\]; 0 if one of the two is unknown.

@@ -7,9 +7,9 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent, Known,
-    LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, PLAIN_LEAKS, Reading, Transition, Window,
-    explained, fit, friction_of_sound_motor,
+    AlarmEvidence, Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent,
+    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, Transition, Window, explained,
+    friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
@@ -23,9 +23,6 @@ use crate::{
     throw::{Direction, ThrowRef},
 };
 
-/// The causes that come from a drift, in the order of [`DriftAlarms::conditions`].
-pub(crate) const DRIFTS: [Cause; 5] =
-    [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 /// Part of the limit of T from which a drift is suspected. Its throws are evidence, and are not added to a baseline.
 const SUSPECTED_FROM: f64 = 0.5;
 /// Factor on [`SUSPECTED_FROM`] and [`FORGOTTEN_BELOW`] while a baseline fills: its few throws make the limit high, and
@@ -63,6 +60,7 @@ pub(crate) struct Onset {
 pub(crate) struct DriftAlarms {
     pub(crate) history: History,
     pub(crate) onset: Option<Onset>,
+    /// For each of [`Cause::DRIFTS`].
     pub(crate) conditions: [Condition; 5],
     /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(crate) now: Vec<Drifting>,
@@ -87,11 +85,11 @@ impl DriftAlarms {
         self.history.push(residual, latest.order);
         self.follow_onset(latest, step);
         let weather = self.beside_weather(latest);
-        for (index, cause) in DRIFTS.into_iter().enumerate() {
+        for (index, cause) in Cause::DRIFTS.into_iter().enumerate() {
             let active = severity_of_drift(cause, step.alarms);
-            let reading = self.reading(cause, weather, active, latest, step.alarms);
-            let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
-            let transition = self.conditions[index].step(reading, active, latest.settings);
+            let evidence = self.evidence(cause, weather, active, latest, step.alarms);
+            let direction = if evidence.claim == Claim::Named { latest.direction(cause) } else { None };
+            let transition = self.conditions[index].step(evidence, active, latest.settings);
             let becomes_one_sided = self.becomes_one_sided(index, direction, step.alarms);
             self.apply(cause, transition, becomes_one_sided, latest, step);
         }
@@ -100,43 +98,46 @@ impl DriftAlarms {
 
     /// The evidence of the latest throw for an alarm about `cause`. `weather`: the strongest claim beside the weather;
     /// `active`: the severity of an active alarm about a lasting change of this cause.
-    fn reading(
+    fn evidence(
         &self,
         cause: Cause,
         weather: Claim,
         active: Option<Severity>,
         latest: LatestThrow,
         alarms: &Alarms,
-    ) -> Reading {
+    ) -> AlarmEvidence {
         let LatestThrow { drift, settings, .. } = latest;
-        let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
-        reading.claim = reading.claim.min(self.new_part(cause, latest).unwrap_or(weather));
+        let mut evidence = drift.evidence(cause, settings);
+        let (latest_side, _) = drift.latest;
+        let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
+        evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
+        evidence.claim = evidence.claim.min(self.new_part(cause, latest).unwrap_or(weather));
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
-            reading.patience += LEVELS_FOLLOW;
+            evidence.patience += LEVELS_FOLLOW;
         }
-        reading.unchecked = alarms.is_unchecked(cause);
-        if reading.claim == Claim::Named
+        evidence.unchecked = alarms.find_active(cause).is_some_and(|alarm| alarm.is_unchecked);
+        if evidence.claim == Claim::Named
             && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
         {
             let size = now.relevance(settings);
-            let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
-            reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
+            let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
+            evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
             // The window may contain throws with a larger drift, so the present size decides.
-            reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
+            evidence.undoubted = if size > 1.0 { evidence.undoubted } else { 0.0 };
             let least = 1.0 - settings.deadband_pct / 100.0;
             // A part is named only if its change is significant.
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
             let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
-            reading.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+            evidence.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
-        if is_intermittent && reading.undoubted <= settings.critical_factor {
+        if is_intermittent && evidence.undoubted <= settings.critical_factor {
             // Its text says more than a mean of faulty and sound throws.
-            reading.claim = reading.claim.min(Claim::Counts);
+            evidence.claim = evidence.claim.min(Claim::Counts);
         }
-        reading
+        evidence
     }
 
     /// Applies the transition of a condition to the alarm about `cause`. `becomes_one_sided`: see
@@ -163,7 +164,7 @@ impl DriftAlarms {
                 step.alarms.update(AlarmEvent { text, ..event });
             }
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
-            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(event),
+            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
             // An alarm about an intermittent fault ends by its own rule.
             (Transition::Clear { .. } | Transition::Withdraw, _) if step.alarms.rule(cause) != Some(Rule::Usual) => {}
@@ -171,7 +172,8 @@ impl DriftAlarms {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None => text::cleared(name, cause, at_once),
+                    None if at_once => text::cleared_at_once(name, cause),
+                    None => text::cleared(name, cause),
                 };
                 step.clear(cause, text);
             }
@@ -212,12 +214,12 @@ impl DriftAlarms {
     /// If the active alarm of a cause is about both directions, and the drift is now known to be in one direction only,
     /// the severity of the alarm. The first throws of a drift do not show this.
     fn becomes_one_sided(&mut self, index: usize, direction: Option<Direction>, alarms: &Alarms) -> Option<Severity> {
-        let cause = DRIFTS[index];
+        let cause = Cause::DRIFTS[index];
         let count = &mut self.one_sided[index];
         *count = if direction.is_some() { count.saturating_add(1) } else { 0 };
-        let is_known = *count >= ONE_SIDED_THROWS && alarms.rule(cause) == Some(Rule::Usual);
-        let is_of_both = alarms.active().any(|event| event.cause == cause && event.direction.is_none());
-        alarms.severity(cause).filter(|_| is_known && is_of_both)
+        let of_both =
+            alarms.find_active(cause).filter(|alarm| alarm.rule == Rule::Usual && alarm.last.direction.is_none());
+        of_both.filter(|_| *count >= ONE_SIDED_THROWS).map(|alarm| alarm.last.severity)
     }
 
     /// Applies the departure of a throw from the previous throws, for the alarm about intermittent faults. `excused`: a
@@ -233,7 +235,7 @@ impl DriftAlarms {
             let is_over = self.intermittent.is_over() && !becomes_permanent;
             if is_over { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
-            let found = self.intermittent.found(&departure.of_one_throw, settings.false_alarms_per_throw(), settings);
+            let found = self.intermittent.found(&departure.of_one_throw, settings);
             found.filter(|_| !excused).map_or(RuleResult::Unclear, |found| {
                 let event = step.warning(found.cause, text::intermittent(step.name, &found));
                 RuleResult::Fault(Box::new(event.of_size(found.explanation.level())))
@@ -258,8 +260,9 @@ impl DriftAlarms {
 
     /// Whether the last throws speak for an alarm of the usual rule about `cause`.
     fn counts_for(&self, cause: Cause) -> bool {
-        let condition = DRIFTS.iter().zip(&self.conditions).find(|(own, _)| **own == cause);
-        condition.is_some_and(|(_, condition)| condition.is_beginning())
+        let is_beginning =
+            |condition: &Condition| matches!(condition, Condition::Quiet { onset, .. } if onset.named > 0);
+        Cause::DRIFTS.iter().zip(&self.conditions).any(|(own, condition)| *own == cause && is_beginning(condition))
     }
 
     /// The suspicion of a drift, as a reason not to add the last throw to a baseline.
@@ -331,12 +334,12 @@ impl DriftAlarms {
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let evidence = drift.attribution.map_or(MotorEvidence::NONE, |attribution| attribution.evidence);
-        let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
+        let physical = alarms.active().map(|event| event.cause).filter(|cause| cause.is_part());
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
             let size = |cause: Cause, window: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
-                    return friction_of_sound_motor(&window.mean, &window.covariance);
+                    return friction_of_sound_motor(window);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
                 let together = pair.map(|pair| explained(pair, window, evidence, settings));
@@ -345,11 +348,8 @@ impl DriftAlarms {
             };
             // The size of a single cause that does not explain the drift means nothing, so a drift without a name is
             // fitted with three causes.
-            let free = |Window { mean, covariance, .. }: &Window| {
-                fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
-            };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
-                Cause::Unattributed => free(window),
+                Cause::Unattributed => window.fit(Cause::OF_COEFFICIENTS, settings).parts.to_vec(),
                 cause if window.shows(cause) => vec![size(cause, window)],
                 _ => Vec::new(),
             });
@@ -359,8 +359,7 @@ impl DriftAlarms {
                 named.or_else(|| parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings))));
             let Some(largest) = largest else {
                 // The last throws do not show this cause, so its last known size stays.
-                let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);
-                now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
+                now.extend(self.present(alarm.cause).map(|known| (alarm.severity, 0.0, *known)));
                 continue;
             };
             let direction = latest.direction(alarm.cause);
@@ -377,11 +376,9 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The present direction of the drift of an active alarm; the inner `None` is both directions.
-    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
-    fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
-        let now = self.now.iter().find(|drifting| drifting.cause == cause);
-        alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
+    /// The present drift of an active alarm.
+    fn present(&self, cause: Cause) -> Option<&Drifting> {
+        self.now.iter().find(|drifting| drifting.cause == cause)
     }
 
     fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {
@@ -449,7 +446,7 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
 /// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
 /// if its fault is intermittent.
 fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
-    alarms.severity(cause).filter(|_| !alarms.rule(cause).is_some_and(Rule::gives_way))
+    alarms.find_active(cause).filter(|alarm| !alarm.rule.gives_way()).map(|alarm| alarm.last.severity)
 }
 
 #[cfg(test)]

@@ -12,7 +12,6 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     Explanation, Explanations, Fit, Known, MotorEvidence, Window, direction_of,
     evidence::{CHANGED, CHANGED_SD},
-    single,
 };
 use crate::diagnose::{
     Cause, RunnerUp, Settings,
@@ -216,7 +215,7 @@ impl Attribution {
     /// without a leak and a third cause, but the level shows the leak.
     fn beside_known(self, all: &Explanations, case: &Case) -> Self {
         let Case { known, settings, .. } = *case;
-        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let is_open = |part: &Explanation| known.includes(part);
         let Some(pair) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
         let [a, b] = larger_first(pair, settings);
         let (new, old) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
@@ -241,7 +240,7 @@ impl Attribution {
     /// name, or if one cause explains level and change, so that the known name was wrong.
     fn since_known(self, all: &Explanations, case: &Case) -> Option<Self> {
         let Case { window, known, settings, .. } = *case;
-        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let is_open = |part: &Explanation| known.includes(part);
         let level = known.level?;
         let alone = Known { is_series: known.is_series, ..Known::default() };
         let named = |mean, covariance| {
@@ -274,7 +273,7 @@ impl Attribution {
     /// that explain the rest best. If two other causes contradict the alarm clearly, the attribution stays, which casts
     /// doubt on the alarm.
     fn beside_something(self, all: &Explanations, known: &Known, settings: &Settings) -> Self {
-        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let is_open = |part: &Explanation| known.includes(part);
         let keeps_one = matches!(&self.naming, Naming::Both(a, b) if is_open(a) || is_open(b));
         let mut with_known = all.pairs.iter().filter_map(|pair| match &pair.parts {
             [known, new] | [new, known] if is_open(known) && !is_open(new) => Some((pair.score, *known, *new)),
@@ -410,7 +409,7 @@ fn rule_verdict(
     settings: &Settings,
 ) -> Option<bool> {
     let limit = settings.correlation_limit;
-    let size = single(Cause::Inertia, &window.mean, &window.covariance, settings).size;
+    let size = window.single(Cause::Inertia, settings).size;
     let of_inertia = Correlation::of(of_one_throw, &(direction_of(Cause::Inertia)? * size));
     let says = correlation.indicates_inertia(limit);
     (says || of_inertia.indicates_inertia(limit)).then_some(says)

@@ -49,7 +49,7 @@ pub(crate) enum Claim {
 /// Evidence of a throw for and against an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::struct_excessive_bools, reason = "independent findings about one throw")]
-pub(crate) struct Reading {
+pub(crate) struct AlarmEvidence {
     /// Evidence for the alarm.
     pub(super) claim: Claim,
     /// Size relative to the warning limit if the name is beyond doubt, else 0: a critical alarm must not have a wrong
@@ -69,8 +69,8 @@ pub(crate) struct Reading {
     pub(super) turned: bool,
     /// Whether the alarm is from before a maintenance, and not confirmed since.
     pub(super) unchecked: bool,
-    /// Size in the last few throws relative to the warning limit; `None` if these throws are of the other direction
-    /// than the alarm.
+    /// Size in the last few throws relative to the warning limit; `None` without an alarm, and if these throws are of
+    /// the other direction than the alarm.
     pub(crate) latest: Option<f64>,
 }
 
@@ -152,48 +152,47 @@ impl Default for Condition {
 
 impl Condition {
     /// Applies the evidence of a throw; `active` is the severity of the active alarm.
-    pub(crate) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Transition {
+    pub(crate) fn step(
+        &mut self,
+        evidence: AlarmEvidence,
+        active: Option<Severity>,
+        settings: &Settings,
+    ) -> Transition {
         let (onset, since_raised) = match *self {
             Self::Quiet { onset, since_raised } => (onset, since_raised),
             Self::Raised { onset, since_raised, .. } => (onset, Some(since_raised)),
         };
-        let onset = onset.after(reading, settings);
+        let onset = onset.after(evidence, settings);
         let since_raised = since_raised.map(|throws| throws.saturating_add(1));
-        let delay = settings.on_delay_throws + reading.patience;
-        let is_critical = onset.critical >= delay;
-        let Some(severity) = active else {
-            if reading.claim == Claim::Named && onset.named >= delay {
+        let delay = settings.on_delay_throws + evidence.patience;
+        let is_named = evidence.claim == Claim::Named && onset.named >= delay;
+        let severity = if onset.critical >= delay { Severity::Critical } else { Severity::Warning };
+        let Some(active) = active else {
+            if is_named {
                 // Counters from before the raise must not clear the alarm: the sizes in them follow a step with a
                 // delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
-                let ending = Box::new(Ending { restless, ..Ending::default() });
-                *self = Self::Raised { onset, since_raised: 0, ending };
-                return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
+                *self = Self::Raised { onset, since_raised: 0, ending: Box::new(Ending::new(restless)) };
+                return Transition::Raise(severity);
             }
             *self = Self::Quiet { onset, since_raised };
             return Transition::Stay;
         };
-        let before = if let Self::Raised { ending, .. } = self { **ending } else { Ending::default() };
-        let mut ending = before.after(reading);
+        let mut ending = if let Self::Raised { ending, .. } = self { ending.clone() } else { Box::default() };
+        ending.follow(evidence);
         let transition = if ending.turned >= delay {
-            ending = Ending { restless: ending.restless, ..Ending::default() };
-            Transition::Turn(if is_critical { Severity::Critical } else { Severity::Warning })
-        } else if reading.unchecked && reading.claim == Claim::Named && onset.named >= delay {
-            Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
-        } else if severity == Severity::Warning && is_critical {
+            *ending = Ending::new(ending.restless);
+            Transition::Turn(severity)
+        } else if evidence.unchecked && is_named {
+            Transition::Raise(severity)
+        } else if severity > active {
             Transition::Escalate
         } else {
-            ending.update_level(reading.latest);
+            ending.update_level(evidence.latest);
             ending.transition(settings)
         };
-        let since_raised = since_raised.unwrap_or_default();
-        *self = Self::Raised { onset, since_raised, ending: Box::new(ending) };
+        *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
         transition
-    }
-
-    /// Whether the last throw speaks for an alarm that is not active.
-    pub(crate) fn is_beginning(&self) -> bool {
-        matches!(self, Self::Quiet { onset, .. } if onset.named > 0)
     }
 
     /// Throws since the raise of the active alarm; `None` without one.
@@ -207,29 +206,31 @@ impl Condition {
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
             Self::Raised { since_raised, ref ending, .. } => {
-                let ending = Box::new(Ending { restless: ending.restless, ..Ending::default() });
-                Self::Raised { onset, since_raised, ending }
+                Self::Raised { onset, since_raised, ending: Box::new(Ending::new(ending.restless)) }
             }
         };
     }
 }
 
 impl Beginning {
-    fn after(mut self, reading: Reading, settings: &Settings) -> Self {
-        streak(&mut self.named, reading.claim != Claim::None);
-        streak(&mut self.critical, reading.undoubted > settings.critical_factor);
+    fn after(mut self, evidence: AlarmEvidence, settings: &Settings) -> Self {
+        streak(&mut self.named, evidence.claim != Claim::None);
+        streak(&mut self.critical, evidence.undoubted > settings.critical_factor);
         self
     }
 }
 
 impl Ending {
-    fn after(mut self, reading: Reading) -> Self {
-        streak(&mut self.healthy, reading.plain_health);
-        streak(&mut self.likely_healthy, reading.likely_health);
-        streak(&mut self.below, reading.below);
-        streak(&mut self.other, reading.other_name);
-        streak(&mut self.turned, reading.turned);
-        self
+    fn new(restless: bool) -> Self {
+        Self { restless, ..Self::default() }
+    }
+
+    fn follow(&mut self, evidence: AlarmEvidence) {
+        streak(&mut self.healthy, evidence.plain_health);
+        streak(&mut self.likely_healthy, evidence.likely_health);
+        streak(&mut self.below, evidence.below);
+        streak(&mut self.other, evidence.other_name);
+        streak(&mut self.turned, evidence.turned);
     }
 
     /// Updates the counters that show whether the size falls at once or slowly.
@@ -274,11 +275,11 @@ impl Ending {
 mod tests {
     use super::*;
 
-    /// Number of throws until an alarm clears, if every throw has this reading.
-    fn cleared_after(reading: Reading) -> Option<u32> {
+    /// Number of throws until an alarm clears, if every throw has this evidence.
+    fn cleared_after(evidence: AlarmEvidence) -> Option<u32> {
         let settings = Settings::default();
         let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
-        let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
+        let mut step = || condition.step(evidence, Some(Severity::Warning), &settings);
         (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
     }
 
@@ -289,8 +290,8 @@ mod tests {
         let proposed = |sizes: &[f64]| {
             let mut condition =
                 Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
-            let readings = sizes.iter().map(|size| Reading { latest: Some(*size), ..Reading::default() });
-            let mut transitions = readings.map(|reading| condition.step(reading, Some(Severity::Warning), &settings));
+            let all = sizes.iter().map(|size| AlarmEvidence { latest: Some(*size), ..AlarmEvidence::default() });
+            let mut transitions = all.map(|evidence| condition.step(evidence, Some(Severity::Warning), &settings));
             transitions.any(|transition| transition == Transition::ProposeRebaseline)
         };
         let after = |fallen: f64, rest: f64| [[4.0, 4.0, fallen].as_slice(), &[rest; 60]].concat();
@@ -300,10 +301,10 @@ mod tests {
 
     #[test]
     fn an_alarm_ends_the_sooner_the_plainer_its_machine_is_healthy() {
-        let below = Reading { below: true, latest: Some(0.2), ..Reading::default() };
-        let likely = Reading { likely_health: true, ..below };
-        let plain = Reading { plain_health: true, ..likely };
+        let below = AlarmEvidence { below: true, latest: Some(0.2), ..AlarmEvidence::default() };
+        let likely = AlarmEvidence { likely_health: true, ..below };
+        let plain = AlarmEvidence { plain_health: true, ..likely };
         assert_eq!([plain, likely, below].map(cleared_after), [Some(LEVELS_FOLLOW), Some(LONGEST_WINDOW), Some(200)]);
-        assert_eq!(cleared_after(Reading { below: false, ..below }), None);
+        assert_eq!(cleared_after(AlarmEvidence { below: false, ..below }), None);
     }
 }

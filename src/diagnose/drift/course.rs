@@ -87,7 +87,7 @@ impl Course {
         if points.len() < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
         }
-        let series = Series::new(points, noise);
+        let series = CourseSeries::new(points, noise);
         let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
         let scale = series.values.iter().fold(1.0, |scale: f64, value| scale.max(value.abs() / STEP_SD));
         let mut stages = vec![Stage::undrifted(points[0].age, offset_variance, series.slow_variance)];
@@ -158,7 +158,7 @@ impl Course {
 }
 
 /// The values of a course as parts of the normal value, with the variance of their noise.
-struct Series<'a> {
+struct CourseSeries<'a> {
     points: &'a [Point],
     values: Vec<f64>,
     variances: Vec<f64>,
@@ -166,7 +166,7 @@ struct Series<'a> {
     slow_variance: f64,
 }
 
-impl<'a> Series<'a> {
+impl<'a> CourseSeries<'a> {
     fn new(points: &'a [Point], noise: Noise) -> Self {
         let (values, variances) = without_outliers(points, CLIP_SD * noise.sd.hypot(noise.slow_sd))
             .zip(points)
@@ -225,7 +225,7 @@ impl Stage {
 
     /// Adds a point, by a step of the Kalman filter on the whitened series; `kept` is the part of the slow noise that
     /// is left.
-    fn add(&mut self, series: &Series, at: usize, kept: Option<f64>) {
+    fn add(&mut self, series: &CourseSeries, at: usize, kept: Option<f64>) {
         let age = series.points[at].age;
         let mut x = self.regressors(age);
         let mut value = series.values[at];

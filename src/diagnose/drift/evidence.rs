@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::{LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, fit, single};
+use super::{Explanation, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, Window, single};
 use crate::diagnose::{
     Cause, Settings,
     baseline::{Baseline, usual_friction_over_spring},
@@ -35,6 +35,11 @@ pub(crate) struct Known<'a> {
 }
 
 impl Known<'_> {
+    /// Whether the cause of `part` has an alarm.
+    pub(super) fn includes(&self, part: &Explanation) -> bool {
+        self.causes.contains(&part.cause)
+    }
+
     /// Whether the change `back_emf` decides whether the motor has a part in the drift of `window`. A fault of the
     /// motor may change the torque without the back-EMF, so beside a known or a new fault of the motor a small change
     /// decides nothing. A new fault is a change since the level that is mostly a change of b0.
@@ -54,11 +59,8 @@ impl Known<'_> {
         let motor = |mean: &Vector3<f64>| single(Cause::Kt, mean, &window.covariance, settings).size.abs();
         // Beside a known fault of the motor, another fault looks like a larger one of the motor.
         let before = self.level.filter(|_| is_known).map(|level| motor(&level));
-        let others = self.causes.iter().filter(|cause| Cause::PHYSICAL.contains(cause) && **cause != Cause::Kt);
-        let beside = others.map(|other| {
-            let fit = fit(PLAIN_LEAKS, [Cause::Kt, *other], &window.mean, &window.covariance, settings);
-            fit.size_of(Cause::Kt).abs()
-        });
+        let others = self.causes.iter().filter(|cause| cause.is_part() && **cause != Cause::Kt);
+        let beside = others.map(|other| window.fit([Cause::Kt, *other], settings).size_of(Cause::Kt).abs());
         let motor = beside.chain(before).fold(motor(&window.mean), f64::min);
         let change = back_emf.level.value.abs();
         change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd
@@ -80,9 +82,8 @@ impl MotorEvidence {
 
     pub(super) fn new(back_emf: Option<BackEmf>, known: &Known) -> Self {
         let leaks = match back_emf {
-            Some(back_emf) => {
-                let leaks = LEAKS_BESIDE_GAUGES.beside_spring(usual_friction_over_spring(known.baselines));
-                if back_emf.is_wound_up { leaks.of_wound_up_drive() } else { leaks }
+            Some(BackEmf { is_wound_up, .. }) => {
+                Leaks::beside_gauges(usual_friction_over_spring(known.baselines), is_wound_up)
             }
             None if known.is_series => LEAKS_OF_SERIES,
             None => PLAIN_LEAKS,

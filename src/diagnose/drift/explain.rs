@@ -40,6 +40,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::Window;
 use crate::diagnose::{
     Cause, Settings,
     statistics::{Level, sym3},
@@ -87,10 +88,6 @@ const OF_SERIES_MOTOR: &[Leak] = &[
 /// The leaks on a machine with a series-wound motor.
 pub(super) const LEAKS_OF_SERIES: Leaks =
     Leaks { friction: OF_FRICTION_OF_SERIES, motor: OF_SERIES_MOTOR, ..PLAIN_LEAKS };
-/// All leaks. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges show whether
-/// the motor changed.
-pub(super) const LEAKS_BESIDE_GAUGES: Leaks =
-    Leaks { friction: OF_FRICTION, motor: OF_MOTOR, friction_over_spring: 1.0 };
 /// The setting `model_error` is an upper bound; it counts as this number of standard deviations.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction beside its leak, as part of the model error of other causes.
@@ -154,19 +151,17 @@ pub(crate) struct Leaks {
 }
 
 impl Leaks {
+    /// All leaks on a machine with this ratio of the friction to the force of the spring; `is_wound_up`: its drive is,
+    /// before the toe moves. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges
+    /// show whether the motor changed.
+    pub(super) fn beside_gauges(friction_over_spring: f64, is_wound_up: bool) -> Self {
+        let friction = if is_wound_up { OF_FRICTION_WOUND_UP } else { OF_FRICTION };
+        Self { friction, motor: OF_MOTOR, friction_over_spring }
+    }
+
     /// The leaks on a machine whose motor has kept its speed.
     pub(super) fn at_equal_speed(self) -> Self {
         Self { motor: &self.motor[..1], ..self }
-    }
-
-    /// The leaks on a machine with this ratio of the friction to the force of the spring.
-    pub(super) fn beside_spring(self, friction_over_spring: f64) -> Self {
-        Self { friction_over_spring, ..self }
-    }
-
-    /// The leaks on a machine whose drive is wound up before the toe moves.
-    pub(super) fn of_wound_up_drive(self) -> Self {
-        Self { friction: OF_FRICTION_WOUND_UP, ..self }
     }
 }
 
@@ -186,15 +181,27 @@ pub(crate) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
     fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
 }
 
-/// Explains the drift `m` with covariance `v` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
+impl Window {
+    /// Explains the mean by `causes`, without the leaks that resemble another fault.
+    pub(super) fn fit<const K: usize>(&self, causes: [Cause; K], settings: &Settings) -> Fit<K> {
+        fit(PLAIN_LEAKS, causes, &self.mean, &self.covariance, settings)
+    }
+
+    /// Explains the mean by one cause.
+    pub(super) fn single(&self, cause: Cause, settings: &Settings) -> Explanation {
+        single(cause, &self.mean, &self.covariance, settings)
+    }
+}
+
+/// Explains the drift of `window` by friction, on a machine whose motor has not changed: Kf/KT = a1/b0. Dry
 /// friction takes its part of the torque also when the machine starts, as if b0 were smaller. The ratio a1/b0 has no
 /// such error.
-pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
+pub(super) fn friction_of_sound_motor(window: &Window) -> Explanation {
     let weights = Vector3::new(-1.0, 1.0, 0.0);
-    let variance = (weights.transpose() * v * weights).x;
+    let variance = (weights.transpose() * window.covariance * weights).x;
     Explanation {
         cause: Cause::Friction,
-        size: weights.dot(m),
+        size: weights.dot(&window.mean),
         size_sd: variance.max(0.0).sqrt(),
         weights,
         model_sd: 0.0,

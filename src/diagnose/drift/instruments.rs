@@ -24,10 +24,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Attribution, Awaited, Drift, Explanation, Naming, Origin, PLAIN_LEAKS, SensorFault, Tested, Window, fit, fit_along,
-    single,
-};
+use super::{Attribution, Awaited, Drift, Explanation, Naming, Origin, SensorFault, Tested, Window, fit_along};
 use crate::{
     diagnose::{
         AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
@@ -61,7 +58,7 @@ const LINGERS: u32 = 2 * LONGEST_WINDOW;
 /// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-struct Streaks {
+struct FaultCounts {
     /// Consecutive throws with the fault above its limit.
     named: u32,
     /// Consecutive throws with the measured quantity far below its limit.
@@ -91,13 +88,13 @@ pub(crate) struct Instruments {
     channel: Option<SensorChannel>,
     /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f64,
-    sensor: Streaks,
-    supply: Streaks,
-    circuit: Streaks,
+    sensor: FaultCounts,
+    supply: FaultCounts,
+    circuit: FaultCounts,
     /// For an offset of the current sensor.
-    rest: Streaks,
+    rest: FaultCounts,
     /// For an offset of the position sensor.
-    shift: Streaks,
+    shift: FaultCounts,
 }
 
 /// A sensor, or the clock, that may explain a drift.
@@ -236,7 +233,7 @@ impl Instruments {
         if window.exceeds_supply(&self.gauges) {
             return false;
         }
-        let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
+        let friction = window.single(Cause::Friction, settings);
         let share = friction.size / lost.value;
         let slack = 2.0 * friction.size_sd / lost.value.abs();
         let is_friction = |found: &Explanation| found.cause == Cause::Friction;
@@ -300,7 +297,7 @@ impl Instruments {
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        let seen = match Seen::fault(fault.is_some(), of_drift.is_none() || drift.matters()) {
+        let seen = match Seen::fault(fault.map(|_| of_drift.is_none() || drift.matters())) {
             Seen::Nothing if is_alike => Seen::Alike,
             seen => seen,
         };
@@ -315,7 +312,7 @@ impl Instruments {
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
-            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor, false));
+            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor));
         }
     }
 
@@ -324,18 +321,18 @@ impl Instruments {
     pub(crate) fn judge_offset(&mut self, sensor: Channel, step: &mut Step) {
         let Some((level, size)) = self.gauges.offset(sensor) else { return };
         let channel = sensor.into();
-        let streaks = match sensor {
+        let counts = match sensor {
             Channel::Current => &mut self.rest,
             Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
-        streaks.follow(Seen::fault(size > 1.0, true), Some(size), delay);
+        counts.follow(Seen::fault((size > 1.0).then_some(true)), Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
-        if streaks.named >= delay {
+        if counts.named >= delay {
             let event = step.sensor(channel, text::offset(step.name, sensor, &level));
-            step.alarms.raise_another(Rule::Offset, event, streaks.named == delay);
-        } else if streaks.over >= step.settings.off_delay_throws && is_own() {
+            step.alarms.raise_another(Rule::Offset, event, counts.named == delay);
+        } else if counts.over >= step.settings.off_delay_throws && is_own() {
             step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
         }
     }
@@ -346,17 +343,17 @@ impl Instruments {
     pub(crate) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.gauges.supply_lost(WINDOWS[0]));
-        let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
-        let left = self.gauges.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
+        let of_limit = |lost: Level| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT;
+        let left = self.gauges.supply_change(WINDOWS[0]).map(of_limit);
         let delay = step.settings.on_delay_throws;
-        let seen = Seen::fault(lost.is_some() || explained.is_some(), matters || explained == Some(true));
-        self.supply.follow(seen, left, delay);
+        let matters = lost.map(|lost| of_limit(lost) > 1.0);
+        self.supply.follow(Seen::fault(matters.max(explained)), left, delay);
         // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
-        self.circuit.follow(Seen::fault(circuit.is_some(), true), left, delay);
+        self.circuit.follow(Seen::fault(circuit.map(|_| true)), left, delay);
         let event = |level: Level, text: String| step.warning(Cause::Supply, text).of_size(level);
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
@@ -367,20 +364,19 @@ impl Instruments {
             let lower = Level { value: -level.value, ..level };
             let event = match shown_by {
                 ShownBy::Inrush => event(lower, text::inrush(step.name, &lower)),
-                ShownBy::Resistance => event(level, text::circuit(step.name, &level, true)),
-                ShownBy::SeriesResistance => event(level, text::circuit(step.name, &level, false)),
+                _ => event(level, text::circuit(step.name, &level, shown_by)),
             };
             (self.circuit, Rule::Circuit, event)
         });
         let owner = if step.alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
         let is_over = owner.over >= step.settings.off_delay_throws;
-        for (streaks, rule, event) in of_voltage.into_iter().chain(of_circuit) {
-            if step.alarms.raise_another(rule, event, streaks.named == delay || is_over) {
+        for (counts, rule, event) in of_voltage.into_iter().chain(of_circuit) {
+            if step.alarms.raise_another(rule, event, counts.named == delay || is_over) {
                 return;
             }
         }
         if is_over {
-            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply, false));
+            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply));
         }
     }
 
@@ -391,7 +387,7 @@ impl Instruments {
     }
 }
 
-impl Streaks {
+impl FaultCounts {
     /// Counts a throw. `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
     /// alarm. A fault without an alarm explains no later drift.
     fn follow(&mut self, seen: Seen, left: Option<f64>, delay: u32) {
@@ -405,22 +401,21 @@ impl Streaks {
 }
 
 impl Seen {
-    /// What a fault is that `holds`, and whose size `matters`.
-    fn fault(holds: bool, matters: bool) -> Self {
-        match (holds, matters) {
-            (true, true) => Self::AboveLimit,
-            (true, false) => Self::BelowLimit,
-            (false, _) => Self::Nothing,
+    /// `matters`: `None` without a fault, else whether its size is above the limit.
+    fn fault(matters: Option<bool>) -> Self {
+        match matters {
+            Some(true) => Self::AboveLimit,
+            Some(false) => Self::BelowLimit,
+            None => Self::Nothing,
         }
     }
 }
 
 /// The part that fits drift and gauges best, alone or with a second part, and the misfit.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
-    let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
-    let singles = parts.iter().map(|&cause| scored([cause], window, levels, settings));
-    let pairs =
-        parts.iter().enumerate().flat_map(|(at, &first)| parts[at + 1..].iter().map(move |&second| [first, second]));
+    let singles = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));
+    let singles = singles.map(|part| scored([part], window, levels, settings));
+    let pairs = Cause::PAIRS.into_iter().filter(|pair| pair.iter().all(|part| window.shows(*part)));
     let pairs = pairs.map(|pair| scored(pair, window, levels, settings));
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
@@ -432,7 +427,7 @@ fn scored<const K: usize>(
     levels: &[Option<Level>; 4],
     settings: &Settings,
 ) -> (Cause, f64) {
-    let found = fit(PLAIN_LEAKS, parts, &window.mean, &window.covariance, settings);
+    let found = window.fit(parts, settings);
     // A weaker motor loses torque alone, or its magnets weaken: then back-EMF and duration change too.
     let motor = if parts[0] == Cause::Kt { found.parts[0].size } else { 0.0 };
     let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor);

@@ -72,7 +72,7 @@ pub(crate) struct Intermittent {
 
 /// Frequent departures, with their cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Departures {
+pub(crate) struct IntermittentFault {
     /// Throws per departure.
     pub(crate) one_in: f64,
     /// Mean of the departures, explained by one cause.
@@ -141,13 +141,13 @@ impl Intermittent {
         }
     }
 
-    /// Departures more frequent than the healthy rate; `budget`: false alarms per throw.
-    pub(crate) fn found(&self, of_one_throw: &Matrix3<f64>, budget: f64, settings: &Settings) -> Option<Departures> {
+    /// Departures more frequent than the healthy rate.
+    pub(crate) fn found(&self, of_one_throw: &Matrix3<f64>, settings: &Settings) -> Option<IntermittentFault> {
         if self.past.1 < KNOWN_FROM {
             return None;
         }
         let sizes = [ANY, LARGE];
-        let share = budget * OVERLAP / (sizes.len() * COUNTED.len()) as f64;
+        let share = settings.false_alarms_per_throw() * OVERLAP / (sizes.len() * COUNTED.len()) as f64;
         let mut tests = sizes.into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
         let inverse = sym3::inverse(of_one_throw)?;
         let shows = |(size, throws): (Size, u32)| {
@@ -184,8 +184,9 @@ impl Intermittent {
         };
         parts.sort_by(|a, b| misfit(a).total_cmp(&misfit(b)));
         let [best, second, ..] = parts;
-        let clear = misfit(&second) - misfit(&best) > CLOSE;
-        Some(Departures { one_in, explanation: best, cause: if clear { best.cause } else { Cause::Unattributed } })
+        let is_clear = misfit(&second) - misfit(&best) > CLOSE;
+        let cause = if is_clear { best.cause } else { Cause::Unattributed };
+        Some(IntermittentFault { one_in, explanation: best, cause })
     }
 
     pub(crate) fn has_heavy_tails(&self) -> bool {

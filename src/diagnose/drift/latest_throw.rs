@@ -65,8 +65,7 @@ impl LatestThrow<'_> {
         let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
         let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
         let of_friction = self.drift.strongest.as_ref().filter(|_| is_beside_sound_motor);
-        let part = of_friction
-            .map_or(main, |strongest| friction_of_sound_motor(&strongest.window.mean, &strongest.window.covariance));
+        let part = of_friction.map_or(main, |strongest| friction_of_sound_motor(&strongest.window));
         Some(self.size(&part, direction, history))
     }
 

@@ -18,7 +18,7 @@ mod window;
 
 use nalgebra::{Matrix3, Vector3};
 
-pub(super) use alarms::{DRIFTS, DriftAlarms, Onset};
+pub(super) use alarms::{DriftAlarms, Onset};
 pub(super) use attribution::{Attribution, CLOSE, DECISIVE, Naming, Rival};
 pub(super) use condition::{Beginning, Condition, Ending};
 pub use course::LimitForecast;
@@ -28,7 +28,7 @@ pub(super) use explain::Explanation;
 pub(super) use history::History;
 pub(super) use instruments::Instruments;
 use intermittent::During;
-pub(super) use intermittent::{Departure, Departures, Intermittent};
+pub(super) use intermittent::{Departure, Intermittent, IntermittentFault};
 pub(super) use latest_throw::LatestThrow;
 pub(super) use origin::{Awaited, Origin, SensorFault};
 pub(super) use threshold::Thresholds;
@@ -36,11 +36,11 @@ pub(super) use window::{RecentThrow, RecentThrows, Stream, Tested, UNKNOWN_SCALE
 
 use self::{
     attribution::Case,
-    condition::{Claim, LEVELS_FOLLOW, Reading, Transition},
+    condition::{AlarmEvidence, Claim, LEVELS_FOLLOW, Transition},
     evidence::may_show_weaker_motor,
     explain::{
-        Fit, LEAKS_BESIDE_GAUGES, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside,
-        friction_of_sound_motor, single,
+        Fit, LEAKS_OF_SERIES, Leaks, PLAIN_LEAKS, direction_of, fit, fit_along, fit_beside, friction_of_sound_motor,
+        single,
     },
     ranking::{Explanations, best_single, explained},
 };
@@ -48,7 +48,6 @@ use super::{
     Blindness, Cause, Settings,
     statistics::{LONGEST_WINDOW, Scatter, percent, sym3},
 };
-use crate::throw::Direction;
 
 /// Lead of one name over the others (odds of 150 to 1) from which the name is certain enough that an alarm does not
 /// wait for more throws because of it.
@@ -131,12 +130,9 @@ impl Drift {
         self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
     }
 
-    /// The evidence about `cause`. `alarmed`: `None` without an active alarm about it, else the direction of this alarm
-    /// (inner `None`: both).
-    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
-    pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
+    /// The evidence about `cause`.
+    pub(super) fn evidence(&self, cause: Cause, settings: &Settings) -> AlarmEvidence {
         let excused = self.origin.is_instrument();
-        let is_alarmed = self.attribution.is_some_and(|attribution| self.alarmed.contains(&attribution.cause()));
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
         // A past fault of a sensor or the supply raises no alarm, but it ends none either.
@@ -153,15 +149,11 @@ impl Drift {
         let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
         let extent = |window: &Window| extent(cause, other_part, window, settings);
         let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);
-        let (side, last_few) = &self.latest;
-        let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
-        let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
-        let latest = latest.map(|window| extent(window).0);
+        let last_few = self.latest.1.as_ref();
+        let latest = last_few.filter(|window| self.alarmed.contains(&cause) && window.shows(cause));
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
-        let has_ended =
-            cause == Cause::Unattributed && last_few.as_ref().is_some_and(|window| extent(window).0 < deadband);
-        let is_part = |cause: &Cause| Cause::PHYSICAL.contains(cause);
+        let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window).0 < deadband);
         let claim = match named {
             Some(_) if self.matters() => {
                 // The next throw confirms a step, but not an outlier.
@@ -169,36 +161,48 @@ impl Drift {
                 if is_confirmed && !has_ended { Claim::Named } else { Claim::Counts }
             }
             // The name is not stable yet, so throws with a name count for an alarm without one.
-            _ if cause == Cause::Unattributed && self.matters() && !is_alarmed && !excused => Claim::Counts,
+            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed() && !excused => Claim::Counts,
             _ => Claim::None,
         };
-        Reading {
+        AlarmEvidence {
             claim,
             // The strongest window may be of the direction with the smaller drift.
             undoubted: undoubted.map_or(0.0, |attribution| match attribution.naming {
                 Naming::One(_) => attribution.relevance.max(size),
                 _ => attribution.relevance,
             }),
-            patience: if matches!(self.origin, Origin::Either { waits: Awaited::Throws, .. }) {
-                TOO_CLOSE_PATIENCE
-            } else {
-                0
-            } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
-                // A window with throws from before and after a second fault may look like a fault of a third part.
-                (Naming::One(_), _) if !is_alarmed && self.alarmed.iter().any(is_part) => TOO_CLOSE_PATIENCE,
-                (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
-                (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
-                (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
-                (Naming::Both(..) | Naming::Neither(..), _) => UNNAMED_PATIENCE,
-            }),
+            patience: named.map_or(0, |attribution| self.patience(attribution)),
             plain_health: is_shown && bound < HEALTHY_BELOW,
             likely_health: is_shown && size < HEALTHY_BELOW && bound < 1.0,
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,
             unchecked: false,
-            latest,
+            latest: latest.map(|window| extent(window).0),
         }
+    }
+
+    /// Whether the cause that the drift names has an alarm.
+    fn is_alarmed(&self) -> bool {
+        self.attribution.is_some_and(|attribution| self.alarmed.contains(&attribution.cause()))
+    }
+
+    /// Number of throws for which the alarm named by `attribution` waits in addition to the on delay.
+    fn patience(&self, attribution: &Attribution) -> u32 {
+        let has_other_part = || self.alarmed.iter().any(|cause| cause.is_part());
+        let of_name = match attribution.naming {
+            // A window with throws from before and after a second fault may look like a fault of a third part.
+            Naming::One(_) if !self.is_alarmed() && has_other_part() => TOO_CLOSE_PATIENCE,
+            Naming::One(_) | Naming::Another { .. } if attribution.lead >= SAFE => 0,
+            Naming::One(_) | Naming::Another { .. } => DOUBTED_PATIENCE,
+            Naming::Either(..) | Naming::Beside { .. } => TOO_CLOSE_PATIENCE,
+            // One part alone explains the drift nearly as well as the two.
+            Naming::Both(..) if matches!(attribution.rival, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+            Naming::Both(..) | Naming::Neither(..) => UNNAMED_PATIENCE,
+        };
+        // More throws distinguish the part from a sensor that explains the drift as well.
+        let is_like_sensor = matches!(self.origin, Origin::Either { waits: Awaited::Throws, .. });
+        of_name + if is_like_sensor { TOO_CLOSE_PATIENCE } else { 0 }
     }
 
     /// Standard deviation of the effect of the temperature on (ln b0, ln a1, ln a0) in the last throws.
@@ -215,7 +219,7 @@ impl Drift {
         }
         let parts = windows.flat_map(|window| {
             let shown = alarm_causes(cause).filter(|part| window.shows(*part));
-            shown.map(|part| single(part, &window.mean, &window.covariance, settings))
+            shown.map(|part| window.single(part, settings))
         });
         let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))?;
         Some(largest.weights)
@@ -254,8 +258,8 @@ pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) ->
 fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
         let e = match beside {
-            Some(other) => fit(PLAIN_LEAKS, [cause, other], &window.mean, &window.covariance, settings).parts[0],
-            None => single(cause, &window.mean, &window.covariance, settings),
+            Some(other) => window.fit([cause, other], settings).parts[0],
+            None => window.single(cause, settings),
         };
         let bound = e.size.abs() + 2.0 * e.size_sd;
         (settings.relevance(cause, e.size), settings.relevance(cause, bound))

@@ -39,12 +39,10 @@ pub(super) struct Explanations {
 
 impl Explanations {
     pub(super) fn of(window: &Window, open: &[Cause], evidence: MotorEvidence, settings: &Settings) -> Self {
-        let [a, b, c, d] = Cause::PHYSICAL;
-        let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         Self {
             singles: ranked(Cause::PHYSICAL.map(|cause| [cause]), window, open, evidence, settings),
-            pairs: ranked(pairs, window, open, evidence, settings),
-            any: explained([a, b, c], window, evidence, settings),
+            pairs: ranked(Cause::PAIRS, window, open, evidence, settings),
+            any: explained(Cause::OF_COEFFICIENTS, window, evidence, settings),
         }
     }
 

@@ -7,7 +7,7 @@ use std::ops::Range;
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use super::{Change, Gauge, Gauges, sd_of_mean};
+use super::{Gauge, GaugeChange, Gauges, sd_of_mean};
 use crate::{
     diagnose::{
         Cause, Severity,
@@ -47,9 +47,9 @@ const EARLIER: (SignedDuration, u32) = (SignedDuration::from_hours(7 * 24), 6);
 
 /// Departures of the watched features from their normal values, beyond what supply and temperature explain, each with
 /// its standard deviation; both as logarithms.
-type Departures = [Option<(f32, f32)>; WATCHED.len()];
+type Unexplained = [Option<(f32, f32)>; WATCHED.len()];
 /// Changes of the watched features, as logarithms.
-type Changes = [f32; WATCHED.len()];
+type FeatureChanges = [f32; WATCHED.len()];
 
 /// The changes of a direction at two earlier times. A change by the season comes slowly, so it existed then too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,16 +60,16 @@ struct Earlier {
     /// Number of throws after `since`.
     throws: u32,
     /// Changes at `since`, and at the value of `since` before it.
-    changes: [Changes; 2],
+    changes: [FeatureChanges; 2],
 }
 
 impl Earlier {
-    fn new(at: Timestamp, present: Changes) -> Self {
-        Self { since: at, last: at, throws: 0, changes: [present, Changes::default()] }
+    fn new(at: Timestamp, present: FeatureChanges) -> Self {
+        Self { since: at, last: at, throws: 0, changes: [present, FeatureChanges::default()] }
     }
 
     /// Adds a throw of the direction with these present changes.
-    fn follow(&mut self, at: Timestamp, present: Changes) {
+    fn follow(&mut self, at: Timestamp, present: FeatureChanges) {
         self.throws = self.throws.saturating_add(1);
         self.last = at;
         if self.throws >= EARLIER.1 && self.is_past() {
@@ -83,7 +83,7 @@ impl Earlier {
     }
 
     /// The newest changes that are old enough for a comparison.
-    fn changes(&self) -> &Changes {
+    fn changes(&self) -> &FeatureChanges {
         &self.changes[usize::from(!self.is_past())]
     }
 }
@@ -93,7 +93,7 @@ impl Earlier {
 #[serde(default)]
 pub(crate) struct FeatureWatch {
     /// The last throws of each direction, the newest last.
-    sides: [LastValues<Departures, LEVEL>; 2],
+    sides: [LastValues<Unexplained, LEVEL>; 2],
     /// Number of consecutive throws without a change.
     calm: u32,
     /// Largest change when one was last reported, as a multiple of the change that matters; 0 without a report.
@@ -109,10 +109,10 @@ pub(crate) struct FeatureWatch {
 }
 
 /// The departure of a feature in the last throws of a direction.
-struct Departure {
+struct JudgedChange {
     /// Size as a multiple of the least change that matters and is significant.
     size: f64,
-    change: Change,
+    change: GaugeChange,
     /// Whether the change may come from the season.
     is_slow: bool,
 }
@@ -129,13 +129,14 @@ impl FeatureWatch {
         let side = direction.side();
         self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         self.follow_season(side, celsius, step.at);
-        let levels: Vec<Departure> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
+        let levels: Vec<JudgedChange> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
         let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);
         let seasonal = levels.iter().find(|level| level.is_slow && level.size <= 1.0 && OF_SEASON * level.size > 1.0);
-        let pct = |departure: &Departure| to_f32(percent(departure.change.level.value));
+        let pct = |departure: &JudgedChange| to_f32(percent(departure.change.level.value));
         self.season_pct = seasonal.map(pct);
-        let changes: Vec<Change> = levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
+        let changes: Vec<GaugeChange> =
+            levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         let waits = self.is_new_fall(&changes, step.at) && self.reported == 0.0;
         if let Some(largest) = largest.filter(|_| !changes.is_empty() && !waits) {
             let text = text::features(step.name, &changes, LEVEL);
@@ -174,11 +175,11 @@ impl FeatureWatch {
 
     /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days. The
     /// charge falls with both current and duration, so these two count.
-    fn is_new_fall(&mut self, changes: &[Change], at: Timestamp) -> bool {
-        let is_fall = |change: &Change| change.gauge != Gauge::Travel && change.level.value < 0.0;
-        let is_small = |change: &Change| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;
+    fn is_new_fall(&mut self, changes: &[GaugeChange], at: Timestamp) -> bool {
+        let is_fall = |change: &GaugeChange| change.gauge != Gauge::Travel && change.level.value < 0.0;
+        let is_small = |change: &GaugeChange| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;
         // Weak magnets or a higher voltage shorten the throws too, but the load stays.
-        let is_of_load = |change: &Change| matches!(change.gauge, Gauge::Running | Gauge::Charge);
+        let is_of_load = |change: &GaugeChange| matches!(change.gauge, Gauge::Running | Gauge::Charge);
         let is_of_fall = changes.iter().all(is_fall) && (changes.is_empty() || changes.iter().any(is_of_load));
         if self.calm > 0 || !is_of_fall {
             self.fallen = None;
@@ -199,19 +200,19 @@ impl FeatureWatch {
             self.earlier[side] = None;
             return;
         }
-        let present: Changes = std::array::from_fn(|gauge| {
+        let present: FeatureChanges = std::array::from_fn(|gauge| {
             self.level(side, gauge).map_or(0.0, |departure| to_f32(departure.change.level.value))
         });
         self.earlier[side].get_or_insert_with(|| Box::new(Earlier::new(at, present))).follow(at, present);
     }
 
     /// The departure of a watched feature in the direction with the larger one; `None` if neither is known.
-    fn largest(&self, at: usize) -> Option<Departure> {
+    fn largest(&self, at: usize) -> Option<JudgedChange> {
         [0, 1].into_iter().filter_map(|side| self.level(side, at)).max_by(|a, b| a.size.total_cmp(&b.size))
     }
 
     /// The departure of a watched feature in the last throws of a side; `None` with too few throws.
-    fn level(&self, side: usize, at: usize) -> Option<Departure> {
+    fn level(&self, side: usize, at: usize) -> Option<JudgedChange> {
         let (gauge, limit) = WATCHED[at];
         let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
             let known = self.sides[side].iter().filter_map(|departures| departures[at].as_ref());
@@ -229,7 +230,7 @@ impl FeatureWatch {
             && self.reported == 0.0
             && self.earlier[side].as_ref().is_some_and(|before| f64::from(before.changes()[at]) / size > SLOW_FROM);
         let limit = if is_slow { OF_SEASON * limit } else { limit };
-        let change = Change { gauge, level: Level { value: size, sd: size_sd } };
-        Some(Departure { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })
+        let change = GaugeChange { gauge, level: Level { value: size, sd: size_sd } };
+        Some(JudgedChange { size: size.abs() / limit.max(SIGNIFICANT_SD * sd), change, is_slow })
     }
 }

@@ -2,7 +2,7 @@
 
 use strum::VariantArray;
 
-use crate::{diagnose::statistics::rounded, estimate::Features, throw::POSSIBLE_SUPPLY_V};
+use crate::{diagnose::statistics::to_rounded_f32, estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 /// A quantity of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, VariantArray)]
@@ -102,6 +102,7 @@ pub(super) fn heat(kelvin: f64) -> f64 {
 
 /// The gauges of a throw.
 pub(super) fn values(features: &Features, celsius: Option<f64>) -> Values {
-    let value = |at: usize| Gauge::VARIANTS[at].value(features, celsius).map(rounded).filter(|value| value.is_finite());
+    let value =
+        |at: usize| Gauge::VARIANTS[at].value(features, celsius).map(to_rounded_f32).filter(|value| value.is_finite());
     std::array::from_fn(value)
 }

@@ -21,7 +21,7 @@ const USUAL_CURRENT: f64 = 0.15;
 
 /// A changed gauge.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Change {
+pub(crate) struct GaugeChange {
     pub(crate) gauge: Gauge,
     /// Median change of the last throws, as a logarithm.
     pub(crate) level: Level,

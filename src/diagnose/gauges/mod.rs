@@ -16,7 +16,7 @@ mod supply;
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
 pub(super) use gauge::Gauge;
-pub(super) use levels::{Change, Gauges};
+pub(super) use levels::{GaugeChange, Gauges};
 pub(super) use start::StartWatch;
 
 use self::{

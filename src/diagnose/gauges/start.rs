@@ -40,7 +40,7 @@ pub(crate) struct StartWatch {
 
 /// Changes of the start in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Change {
+struct StartChange {
     /// Change of the delay \[ms\].
     delay: Level,
     /// Change of the logarithm of the acceleration per ampere.
@@ -53,7 +53,7 @@ struct Change {
     lost_inrush: f64,
 }
 
-impl Change {
+impl StartChange {
     /// `None` if a gauge or its normal value is unknown.
     fn of(gauges: &Gauges) -> Option<Self> {
         let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
@@ -78,7 +78,7 @@ impl StartWatch {
     /// Applies a throw with an estimate, which the `gauges` contain already. `explained`: a sensor or the supply
     /// explains the drift. A changed start alone names no part: stiffness in an elastic drive changes it too.
     pub(crate) fn judge(&mut self, gauges: &Gauges, explained: bool, step: &Step) -> RuleResult {
-        let change = Change::of(gauges);
+        let change = StartChange::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
         streak(&mut self.named, is_changed && !explained);

@@ -10,10 +10,10 @@ use super::{
     AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
-    drift::{DRIFTS, DriftAlarms, Instruments},
+    drift::{DriftAlarms, Instruments},
     gauges::{FeatureWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
-    snapshot::{Stamp, VersionOne},
+    snapshot::{Header, VersionOne},
     text,
     track::Tracks,
 };
@@ -90,13 +90,13 @@ impl MachineMonitor {
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
     pub fn from_snapshot(json: &str) -> Result<Self, serde_json::Error> {
-        let stamp: Stamp = serde_json::from_str(json)?;
-        match stamp.version {
+        let header: Header = serde_json::from_str(json)?;
+        match header.version {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
             Some(version) if Version(version) == Version::default() => {
                 let mut monitor: Self = serde_json::from_str(json)?;
                 monitor.tracks.relate_to_b0();
-                stamp.give_owners(&mut monitor.alarms);
+                header.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
                 Ok(replaced.unwrap_or(monitor))
             }
@@ -126,8 +126,7 @@ impl MachineMonitor {
         let now = to_micros(now);
         // Later times show that the clock was set back. Otherwise no throw would count until they are reached.
         let latest = now + settings.longest_shelving();
-        self.alarms.shelve_until_at_most(latest);
-        self.alarms.unshelve_due(now);
+        self.alarms.unshelve_due(now, latest);
         let ends = self.maintenance.as_mut().map(|maintenance| {
             let until = maintenance.until.map_or(latest, |until| until.min(latest));
             *maintenance.until.insert(until)
@@ -394,7 +393,7 @@ impl MachineMonitor {
 impl From<VersionOne> for MachineMonitor {
     fn from(old: VersionOne) -> Self {
         let alarms = Alarms::from(old.board);
-        let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(DRIFTS[at])));
+        let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(Cause::DRIFTS[at])));
         let mut tracks = old.tracks;
         tracks.add_temperature();
         Self {

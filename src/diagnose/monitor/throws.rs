@@ -45,7 +45,8 @@ impl MachineMonitor {
         if reversed {
             // The position is wrong, so neither the estimate nor the direction is known.
             let observation = observation.to_mut();
-            (observation.direction, observation.estimate) = (None, None);
+            observation.direction = None;
+            observation.outcome.take_if(|outcome| outcome.is_ok());
         }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
@@ -56,7 +57,7 @@ impl MachineMonitor {
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_lost_position(observation);
-        self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
+        self.has_position |= observation.estimate().is_some() && !observation.is_without_position();
         self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)

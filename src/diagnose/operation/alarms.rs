@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     diagnose::{
         AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
-        alarm::Step,
+        alarm::{Rule, Step},
         statistics::{is_default, streak, to_f32},
         text,
     },
@@ -57,7 +57,7 @@ pub(super) enum Logger {
 /// never shows in consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub(super) struct Streaks {
+pub(super) struct DirectionCounts {
     incomplete: u32,
     slow: u32,
     very_slow: u32,
@@ -76,7 +76,7 @@ pub(super) struct Streaks {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Operation {
-    pub(super) sides: [Streaks; 2],
+    pub(super) sides: [DirectionCounts; 2],
     incomplete: u32,
     complete: u32,
     fast_enough: u32,
@@ -126,6 +126,15 @@ pub(crate) struct Operation {
     pub(super) calm_s: f64,
 }
 
+/// Why a machine is not monitored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unmonitored {
+    /// No throw arrives, or the logger is gone.
+    Silent,
+    /// The throws cannot be evaluated, or do not show every fault.
+    Unevaluated,
+}
+
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
@@ -147,7 +156,7 @@ impl Operation {
             as_before => as_before,
         };
         // A trace that shows nothing neither completes a throw nor fails.
-        let shows_movement = observation.estimate.is_some() || observation.features.duration_s.is_some();
+        let shows_movement = observation.estimate().is_some() || observation.features.duration_s.is_some();
         let is_known = incomplete || observation.faulty_sensor().is_none() && shows_movement;
         if is_known {
             streak(&mut self.incomplete, incomplete);
@@ -162,7 +171,7 @@ impl Operation {
             if own.incomplete > in_a_row {
                 (in_a_row, in_direction) = (own.incomplete, Some(direction));
             }
-            if let Some(rejection) = &observation.rejection {
+            if let Some(rejection) = observation.rejection() {
                 own.rejected = Some(rejection.code().to_owned());
             }
         }
@@ -249,10 +258,10 @@ impl Operation {
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
         } else if self.unevaluated >= enough {
-            let code = observation.rejection.as_ref().map(Rejection::code);
+            let code = observation.rejection().map(Rejection::code);
             text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
-            let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
+            let DirectionCounts { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
@@ -260,16 +269,17 @@ impl Operation {
             }
             return;
         };
-        self.not_monitored(false, text, step);
+        self.not_monitored(Unmonitored::Unevaluated, text, step);
     }
 
     /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
     /// instead of throws that cannot be evaluated, or the reverse. Returns whether the alarm changed.
-    pub(super) fn not_monitored(&mut self, is_about_silence: bool, text: String, step: &mut Step) -> bool {
+    pub(super) fn not_monitored(&mut self, reason: Unmonitored, text: String, step: &mut Step) -> bool {
         let event = step.warning(Cause::NotMonitored, text);
+        let is_about_silence = reason == Unmonitored::Silent;
         let before = self.is_about_silence.replace(is_about_silence);
         let is_other = before.is_some_and(|before| before != is_about_silence);
-        if is_other { step.alarms.raise_anew(event) } else { step.raise(event) }
+        if is_other { step.alarms.raise_anew(Rule::Usual, event) } else { step.raise(event) }
     }
 
     /// Whether the last throw was not evaluated.
@@ -311,7 +321,7 @@ impl Operation {
     pub(crate) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
-            let Streaks { rejections, rejected, .. } = &self.sides[direction.side()];
+            let DirectionCounts { rejections, rejected, .. } = &self.sides[direction.side()];
             let count = Some(rejections.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
             Some(text::often_rejected(name, direction, count, u32::BITS, rejected.as_ref()?))
         });

@@ -1,6 +1,6 @@
 //! Alarms about silence and lost data: of the logger, its throws, the daemon itself and other daemons.
 
-use super::{Logger, Operation, unix_s};
+use super::{Logger, Operation, Unmonitored, unix_s};
 use crate::{
     diagnose::{Cause, Irregularity, Missing, Settings, Severity, alarm::Step, text},
     throw::without_digits,
@@ -31,7 +31,7 @@ impl Operation {
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let text = text::logger_gone(name, *for_s / 60.0);
-                let is_raised = self.not_monitored(true, text, step);
+                let is_raised = self.not_monitored(Unmonitored::Silent, text, step);
                 if let Logger::Gone { alarmed, .. } = &mut self.logger {
                     *alarmed |= is_raised;
                 }
@@ -39,7 +39,7 @@ impl Operation {
             }
         }
         if self.is_silent(settings) {
-            self.not_monitored(true, text::silent(name, self.silence_s / 3600.0), step);
+            self.not_monitored(Unmonitored::Silent, text::silent(name, self.silence_s / 3600.0), step);
         }
     }
 

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::diagnose::{
     AlarmEvent, Cause,
     alarm::Step,
-    statistics::{LastValues, median, percent, rounded},
+    statistics::{LastValues, median, percent, to_rounded_f32},
     text,
 };
 
@@ -62,8 +62,8 @@ pub(crate) struct Trail {
 impl Trail {
     /// Adds the departure of a throw. `of_one_throw`: covariance of one throw of the machine.
     pub(crate) fn push(&mut self, at: Timestamp, departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>) {
-        self.sd = [0, 1, 2].map(|i| rounded(of_one_throw[(i, i)].sqrt().max(1e-3)));
-        self.last.push((at, [0, 1, 2].map(|i| rounded(departure[i]))));
+        self.sd = [0, 1, 2].map(|i| to_rounded_f32(of_one_throw[(i, i)].sqrt().max(1e-3)));
+        self.last.push((at, [0, 1, 2].map(|i| to_rounded_f32(departure[i]))));
     }
 
     /// The latest departure in the hours before `at`, with the standard deviations of one throw.

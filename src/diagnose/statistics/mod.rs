@@ -21,6 +21,6 @@ pub(super) use level::{Level, percent};
 pub(super) use regression::Series;
 pub(super) use robust::{centre_and_sd, clipped_mean, median, moving_range_sd, skewed_sd};
 pub(super) use scatter::{Factor, Noise, SLOW_LAG1, Scatter, inflation, serial_inflation};
-pub(super) use single::{rounded, to_f32};
+pub(super) use single::{to_f32, to_rounded_f32};
 pub(super) use sparse_values::SparseValues;
 pub(super) use sym3::Sym3;

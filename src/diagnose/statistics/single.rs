@@ -7,6 +7,6 @@ pub(crate) fn to_f32(value: f64) -> f32 {
 }
 
 /// A value rounded to 1e-4, below any relevant scatter of a logarithm: a number of few digits in the snapshot.
-pub(crate) fn rounded(value: f64) -> f32 {
+pub(crate) fn to_rounded_f32(value: f64) -> f32 {
     to_f32((1e4 * value).round() / 1e4)
 }

@@ -2,31 +2,36 @@
 
 use crate::{
     diagnose::{Blindness, HidingTemperature, statistics::percent},
-    estimate::Motor,
+    estimate::{Motor, RejectionCode},
     throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},
 };
 
-/// Text for throws without an estimate, of one direction or of both; `reason`: code of the last rejection.
+/// Text for throws without an estimate, of one direction or of both; `reason`: code of the last rejection, perhaps by
+/// another version of the program.
 pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32, reason: Option<&str>) -> String {
     let (side, what) = match direction {
         None => (String::new(), "the machine is"),
         Some(direction) => (format!(" {direction}"), "this direction is"),
     };
     // A misfit of all throws is nearly always the load of the machine, and seldom a setting.
-    let check = match reason {
-        Some("misfit") => {
+    let check = match reason.and_then(|code| code.parse().ok()) {
+        Some(RejectionCode::Misfit) => {
             "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether \
              current and position are of the same moment, and neutral_mm and motor"
         }
-        Some("undersampled") => "the sampling rate of the logger, and set anti_alias_hz if it has a filter",
-        Some("start_missing" | "onset_missing") => {
+        Some(RejectionCode::Undersampled) => {
+            "the sampling rate of the logger, and set anti_alias_hz if it has a filter"
+        }
+        Some(RejectionCode::StartMissing | RejectionCode::OnsetMissing) => {
             "that the logger records some tenths of a second before the motor starts"
         }
-        Some("end_missing") => "that the logger records until the motor is off, and whether the machine became slow",
-        Some("not_positive") => {
+        Some(RejectionCode::EndMissing) => {
+            "that the logger records until the motor is off, and whether the machine became slow"
+        }
+        Some(RejectionCode::NotPositive) => {
             "neutral_mm, as a wrong one makes the friction of one direction negative, then the machine and its sensors"
         }
-        Some("current_only") => {
+        Some(RejectionCode::NoPosition) => {
             "whether the logger sends position_mm or, without a toe sensor, the direction: a throw without both is not monitored"
         }
         _ => "the machine and its sensors",
@@ -43,7 +48,10 @@ pub(crate) const MONITORED_AGAIN: &str = "it is monitored again.";
 
 /// Text for a machine that is monitored, with many rejected throws.
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
-    let reason = if code == "current_only" { "without a toe position".to_owned() } else { code.replace('_', " ") };
+    let reason = match code.parse() {
+        Ok(RejectionCode::NoPosition) => "without a toe position".to_owned(),
+        _ => code.replace('_', " "),
+    };
     format!(
         "Machine {name}, {direction}: {rejected} of the last throws (at most {of}) were rejected (the last: {reason}), so a \
          fault is detected later. throws_not_evaluated has the reasons."

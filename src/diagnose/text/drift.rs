@@ -4,7 +4,7 @@ use super::sensor::look_at_sensor;
 use crate::{
     diagnose::{
         Cause, RunnerUp, SensorChannel,
-        drift::{Attribution, Awaited, CLOSE, DECISIVE, Departures, Explanation, LimitForecast, Naming, Rival},
+        drift::{Attribution, Awaited, CLOSE, DECISIVE, Explanation, IntermittentFault, LimitForecast, Naming, Rival},
         statistics::percent,
     },
     throw::counted,
@@ -94,8 +94,8 @@ pub(crate) fn one_direction(text: &str) -> String {
 }
 
 /// Text of an intermittent fault.
-pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
-    let Departures { one_in, explanation, cause } = found;
+pub(crate) fn intermittent(name: &str, found: &IntermittentFault) -> String {
+    let IntermittentFault { one_in, explanation, cause } = found;
     let advice = match cause {
         Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
         _ => look_at(explanation.cause, explanation.size),
@@ -112,14 +112,15 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended; `at_once`: within a few throws.
-pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
-    let repair = if at_once {
-        " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
-    } else {
-        ""
-    };
-    format!("Machine {name}: {cause} is back to normal.{repair}")
+/// Text of a drift that has ended.
+pub(crate) fn cleared(name: &str, cause: Cause) -> String {
+    format!("Machine {name}: {cause} is back to normal.")
+}
+
+/// Text of a drift that has ended within a few throws.
+pub(crate) fn cleared_at_once(name: &str, cause: Cause) -> String {
+    cleared(name, cause)
+        + " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
 }
 
 /// Text of a drift that counts as weather now, as other machines of the site have it too.

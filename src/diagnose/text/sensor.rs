@@ -1,7 +1,10 @@
 //! Texts about sensors, supply and the circuit of the motor.
 
 use crate::{
-    diagnose::{SensorChannel, drift::SensorFault, observation::Unusable, operation::Implausible, statistics::Level},
+    diagnose::{
+        SensorChannel, drift::SensorFault, gauges::ShownBy, observation::Unusable, operation::Implausible,
+        statistics::Level,
+    },
     throw::{Channel, POSSIBLE_C, brief, rounded, utc},
 };
 
@@ -75,13 +78,12 @@ pub(crate) fn supply(name: &str, change_pct: f64) -> String {
     )
 }
 
-/// Text about a changed resistance between supply and motor. `knows_back_emf`: the back-EMF is known, which that of a
-/// series-wound motor is not.
-pub(crate) fn circuit(name: &str, level: &Level, knows_back_emf: bool) -> String {
-    let beside = match (knows_back_emf, level.value > 0.0) {
-        (true, _) => "the motor's back-EMF has not changed",
-        (false, true) => "its inrush has fallen",
-        (false, false) => "its inrush has risen",
+/// Text about a changed resistance between supply and motor.
+pub(crate) fn circuit(name: &str, level: &Level, shown_by: ShownBy) -> String {
+    let beside = match shown_by {
+        ShownBy::SeriesResistance if level.value > 0.0 => "its inrush has fallen",
+        ShownBy::SeriesResistance => "its inrush has risen",
+        ShownBy::Resistance | ShownBy::Inrush => "the motor's back-EMF has not changed",
     };
     let (way, what) = if level.value > 0.0 {
         ("up", "A bad contact, worn brushes or a damaged cable do this. Check terminals, brushes, contactor and cable.")

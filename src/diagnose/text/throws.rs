@@ -3,7 +3,7 @@
 use super::subject;
 use crate::{
     diagnose::{
-        gauges::{Change, Gauge},
+        gauges::{Gauge, GaugeChange},
         statistics::Level,
     },
     throw::Direction,
@@ -41,8 +41,8 @@ pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) ->
 pub(crate) const FAST_AGAIN: &str = "throws are as fast as the baseline's again.";
 
 /// Text for changed features of throws without coefficients, over `throws` throws of a direction.
-pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String {
-    let change = |change: &Change| {
+pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize) -> String {
+    let change = |change: &GaugeChange| {
         let what = match change.gauge {
             Gauge::Duration => "duration",
             Gauge::Running => "running current",
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn a_fall_of_the_load_has_advice_of_its_own() {
         let text = |duration: f64, charge: f64| {
-            let change = |gauge, value| Change { gauge, level: Level { value, sd: 0.01 } };
+            let change = |gauge, value| GaugeChange { gauge, level: Level { value, sd: 0.01 } };
             features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6)
         };
         let easier = "if it was cleaned or lubricated";

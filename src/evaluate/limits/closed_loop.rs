@@ -57,7 +57,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
         (20.0, 5.0, Current::Battery),
         (20.0, 5.0, Current::Controller),
     ] {
-        let mut row = Row::new(format!("{}, {noise_um}, {load_pct}", current.as_ref()), throws, true);
+        let mut row = Row::new(format!("{}, {noise_um}, {load_pct}", current.as_ref()), throws);
         let noise = noise_um / 1000.0 * plant.radians_per_mm();
         for _ in 0..throws {
             let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);

@@ -39,9 +39,9 @@ pub struct Row {
 
 impl Row {
     /// A case without estimates yet.
-    pub(super) fn new(label: impl Into<String>, throws: usize, noisy: bool) -> Self {
+    pub(super) fn new(label: impl Into<String>, throws: usize) -> Self {
         let (errors_pct, stated_sd_pct) = (Vec::new(), [0.0; 3]);
-        Self { label: label.into(), throws, noisy, errors_pct, stated_sd_pct, refusal: None }
+        Self { label: label.into(), throws, noisy: true, errors_pct, stated_sd_pct, refusal: None }
     }
 
     /// Mean errors of b0, a1, a0 \[%\]; `None` if every throw was rejected.

@@ -14,16 +14,23 @@ const CUT_OFF_SHARE: f64 = 0.4;
 /// Number of phases of the mains at which the motor starts.
 const PHASES: u32 = 8;
 
+/// Samples of both channels.
+#[derive(Clone, Copy, PartialEq)]
+enum Samples {
+    Raw,
+    RawDeclaredAsFiltered,
+    Filtered,
+}
+
 /// Effect of the sampling rate: raw samples, raw samples declared as filtered, and filtered samples.
 pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
-    let sensors = |rate: f64, filtered: bool| Sensors {
-        anti_alias_hz: filtered.then_some(CUT_OFF_SHARE * rate),
-        ..Sensors::perfect(rate)
-    };
-    let mut table = |name, title, about, filtered: bool, declared: bool| {
+    let mut table = |name, title, about, samples: Samples| {
         let row = |&rate: &f64| {
-            let declared_hz = declared.then_some(CUT_OFF_SHARE * rate);
-            bench.row(format!("{rate}"), &Trial { sensors: sensors(rate, filtered), declared_hz, ..Trial::default() })
+            let cut_off_hz = CUT_OFF_SHARE * rate;
+            let anti_alias_hz = (samples == Samples::Filtered).then_some(cut_off_hz);
+            let declared_hz = (samples != Samples::Raw).then_some(cut_off_hz);
+            let sensors = Sensors { anti_alias_hz, ..Sensors::perfect(rate) };
+            bench.row(format!("{rate}"), &Trial { sensors, declared_hz, ..Trial::default() })
         };
         let rows = RATES_HZ.iter().map(row).collect::<Result<_, _>>()?;
         Ok(Finding { name, title, about, label: "rate [Hz]", rows })
@@ -33,22 +40,19 @@ pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
             "sampling_raw",
             "Raw samples",
             "Error against the true coefficients, without noise; the larger of both directions.",
-            false,
-            false,
+            Samples::Raw,
         )?,
         table(
             "sampling_undeclared",
             "Raw samples, wrongly declared as filtered",
             "The same traces, but the message declares an anti-alias filter that does not exist.",
-            false,
-            true,
+            Samples::RawDeclaredAsFiltered,
         )?,
         table(
             "sampling_filtered",
             "The same anti-alias filter in both channels",
             "4th-order Butterworth at 0.4 of the rate, declared; error against the true coefficients, without noise.",
-            true,
-            true,
+            Samples::Filtered,
         )?,
     ])
 }

@@ -39,7 +39,7 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
     let sensors = Sensors { before_s: 0.0, ..Sensors::default() };
     let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), sensors.step_s())?;
     let radians_per_mm = std::f64::consts::TAU / machine.lead_mm;
-    let empty = |label| Row::new(label, throws, true);
+    let empty = |label| Row::new(label, throws);
     let (mut three, mut four) = (empty("b0, a1, a0"), empty("b0, a1, a0 and the load"));
     for _ in 0..throws {
         let trace = sensors.record(&motion, Direction::NormalToReverse, &mut bench.rng)?.trace;

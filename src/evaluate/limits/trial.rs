@@ -65,8 +65,8 @@ impl Bench {
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or(known.values());
-        let noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
-        let mut row = Row::new(label, 0, noisy);
+        let mut row = Row::new(label, 0);
+        row.noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
         let cases = trial.directions.iter().flat_map(|way| (0..trial.phases).map(move |phase| (way, phase)));
         for (direction, phase) in cases {
             let supply_phase_rad = std::f64::consts::PI * f64::from(phase) / f64::from(trial.phases);
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_row_has_the_reason_why_there_is_no_estimate() {
-        let mut row = Row::new("no current", 1, true);
+        let mut row = Row::new("no current", 1);
         let (current, position) = ([0.0; 100], [1.0; 100]);
         fit::<1, 3>(&mut row, [(&current, Hold::First)], 1e-3, &position, [1.0; 2], [1.0; 3]);
         assert_eq!(row.refusal.as_deref(), Some("singular"));
