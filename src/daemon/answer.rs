@@ -35,7 +35,11 @@ impl Responder {
         while let Some(question) = questions.next().await {
             let dropped = questions.take_dropped();
             if dropped > 0 {
-                seldom!(warn, dropped, "queries refused: the queue is full, or their payload is too large");
+                seldom!(
+                    warn,
+                    dropped,
+                    "queries refused: the queue is full, they waited too long, or their payload is too large"
+                );
             }
             let replies = self.replies(&question).await;
             questions.answer(question, replies).await;
