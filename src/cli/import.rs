@@ -14,13 +14,12 @@ use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt, argument, output, recording,
-    run::{load, located},
-    runtime,
-};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, run::located, runtime};
 use crate::{
-    daemon::{Judged, Offline, clock, config::Monitor},
+    daemon::{
+        Judged, Offline, clock,
+        config::{Config, Monitor},
+    },
     store::Spooled,
     throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
@@ -79,7 +78,7 @@ struct Count {
 type Recorded = Vec<(MachineId, Throw)>;
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let config = load(arguments.config.as_deref())?;
+    let config = Config::load(arguments.config.as_deref()).or_exit(Exit::Config)?;
     if let Some(machine) = &arguments.machine
         && let Some(problem) = config.monitor.reserves(machine)
     {
@@ -215,30 +214,26 @@ impl Recordings<'_> {
 
     /// The machine of a throw that names itself so, or `--machine`. `place`: of the throw, for an error.
     fn machine(&self, names: Option<Names>, place: impl Fn() -> String) -> Result<MachineId, Failure> {
-        let invalid = |problem: anyhow::Error| Failure::new(Exit::Data, problem.context(place()));
-        match (&self.arguments.machine, names) {
-            (None, None) => {
-                let problem = "this throw does not name its machine: give --machine SITE/MACHINE";
-                Err(Failure::new(Exit::Usage, anyhow!(problem).context(place())))
-            }
-            (Some(machine), None) => Ok(machine.clone()),
-            (Some(machine), Some(Names { site, machine: name })) => {
-                if site != machine.site.as_str() || name != machine.machine.as_str() {
-                    return Err(invalid(anyhow!(
-                        "a throw of {site}/{name}, and --machine is {machine}: import each machine alone, or without \
-                         --machine"
-                    )));
-                }
-                Ok(machine.clone())
-            }
-            (None, Some(Names { site, machine })) => {
-                let machine = MachineId::new(&site, &machine).map_err(|problem| invalid(problem.into()))?;
-                match self.monitor.reserves(&machine) {
-                    Some(problem) => Err(invalid(anyhow!("a throw of {machine}: {problem}"))),
+        let Some(Names { site, machine: name }) = names else {
+            let unnamed = || anyhow!("this throw does not name its machine: give --machine SITE/MACHINE");
+            return self.arguments.machine.clone().ok_or_else(unnamed).with_context(place).or_exit(Exit::Usage);
+        };
+        let checked = || {
+            let Some(expected) = &self.arguments.machine else {
+                let machine = MachineId::new(&site, &name)?;
+                return match self.monitor.reserves(&machine) {
+                    Some(problem) => Err(anyhow!("a throw of {machine}: {problem}")),
                     None => Ok(machine),
-                }
+                };
+            };
+            if site != expected.site.as_str() || name != expected.machine.as_str() {
+                bail!(
+                    "a throw of {site}/{name}, and --machine is {expected}: import each machine alone, or without --machine"
+                );
             }
-        }
+            Ok(expected.clone())
+        };
+        checked().with_context(place).or_exit(Exit::Data)
     }
 
     fn read_json(&self, file: &Path) -> Result<Recorded, Failure> {

@@ -11,13 +11,9 @@ use indicatif::ProgressBar;
 use jiff::Timestamp;
 use serde::Serialize;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt as _, database, output,
-    run::{load, start_failure},
-    runtime,
-};
+use super::{Exit, Failure, Outcome, ResultExt as _, database, output, run::start_failure, runtime};
 use crate::{
-    daemon::Offline,
+    daemon::{Offline, config::Config},
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::{MachineId, counted},
@@ -83,7 +79,7 @@ struct Report {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let mut config = load(Some(&arguments.config))?;
+    let mut config = Config::load(Some(&arguments.config)).or_exit(Exit::Config)?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
     let into = arguments.into.clone().unwrap_or_else(|| beside(&from, ".replay"));
     require(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;

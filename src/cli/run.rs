@@ -28,21 +28,12 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let config = load(arguments.config.as_deref())?;
+    let config = Config::load(arguments.config.as_deref()).or_exit(Exit::Config)?;
     runtime::log(&config.log)?;
     for warning in config.warnings() {
         tracing::warn!("{warning}");
     }
     runtime::block_on(run(arguments, config))
-}
-
-/// Loads the configuration from a file, or the built-in defaults.
-pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
-    match file {
-        Some(file) => Config::load(file),
-        None => Config::built_in(),
-    }
-    .or_exit(Exit::Config)
 }
 
 /// Exit code and text of a daemon that cannot start.
@@ -109,11 +100,12 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
 /// Reloads the configuration. An invalid one is not applied, nor one with a file at `store.path` that the next start
 /// would refuse.
 async fn reload(daemon: &Daemon, file: Option<&Path>) {
-    let loaded = match load(file) {
-        Ok(config) => store::refuse_foreign(&config.store.path).await.map(|()| config).or_exit(Exit::Config),
-        Err(failure) => Err(failure),
+    let load = async {
+        let config = Config::load(file)?;
+        store::refuse_foreign(&config.store.path).await?;
+        anyhow::Ok(config)
     };
-    match loaded {
+    match load.await {
         Ok(config) => {
             let waiting = daemon.reload(config);
             tracing::info!("configuration reloaded: diagnosis and machines take effect now");
@@ -121,8 +113,6 @@ async fn reload(daemon: &Daemon, file: Option<&Path>) {
                 tracing::warn!("changes in {} take effect at the next start", waiting.join(", "));
             }
         }
-        Err(Failure::Error { error, .. }) => tracing::error!("configuration not changed: {error:#}"),
-        // Reading a configuration writes nothing to standard output.
-        Err(Failure::ClosedPipe) => {}
+        Err(error) => tracing::error!("configuration not changed: {error:#}"),
     }
 }

@@ -86,11 +86,7 @@ struct Plan {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let document = match &arguments.config {
-        Some(file) => Document::read(file),
-        None => Document::parse("built-in defaults".as_ref(), String::new()),
-    }
-    .or_exit(Exit::Config)?;
+    let document = Document::read_or_empty(arguments.config.as_deref()).or_exit(Exit::Config)?;
     let mut plan = read(&document).or_exit(Exit::Config)?;
     apply(arguments, &mut plan)?;
     runtime::log(&plan.log)?;

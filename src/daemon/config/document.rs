@@ -62,6 +62,14 @@ pub struct Document {
 }
 
 impl Document {
+    /// Reads a file; an empty document without one, for the built-in defaults.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is not text or not TOML.
+    pub fn read_or_empty(file: Option<&Path>) -> Result<Self, ConfigError> {
+        file.map_or_else(|| Self::parse("built-in defaults".as_ref(), String::new()), Self::read)
+    }
+
     /// Reads a file.
     ///
     /// # Errors

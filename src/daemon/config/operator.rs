@@ -39,7 +39,7 @@ pub struct OperatorSession {
 /// # Errors
 /// When the file is invalid, or has no endpoint for a client.
 pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Result<OperatorSession, ConfigError> {
-    let none = Document::parse("built-in defaults".as_ref(), String::new())?;
+    let none = Document::read_or_empty(None)?;
     let document = file.unwrap_or(&none);
     let table: Table = document.deserialize()?;
     let zenoh = section(document)?.unwrap_or_default();
