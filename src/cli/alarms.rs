@@ -2,10 +2,11 @@
 
 use std::{cmp::Reverse, collections::BTreeMap};
 
+use anyhow::anyhow;
 use jiff::Timestamp;
 
 use super::{
-    Exit, Failure, Outcome, argument,
+    Exit, Failure, Outcome, ResultExt as _, argument,
     operator::{self, Connection},
     output,
 };
@@ -94,8 +95,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         }
         if found.is_empty() && problems > 0 {
             let exit = if arguments.check { Exit::Negative } else { Exit::Unavailable };
-            let error = anyhow::anyhow!("no daemon gave a usable answer, which is not the same as no alarms");
-            return Err(Failure::new(exit, error));
+            return Err(anyhow!("no daemon gave a usable answer, which is not the same as no alarms")).or_exit(exit);
         }
         let is_negative =
             problems > 0 || (arguments.check && found.iter().any(|(_, alarm)| !alarm.state.is_silenced()));

@@ -245,10 +245,11 @@ impl Recordings<'_> {
                 "a JSON array: write each throw as an object on a line of its own, without brackets around them";
             return Err(anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
         }
+        let is_one_object = || serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok();
         match wire::decode_throw(Encoding::Json, bytes) {
             Ok(throw) => return Ok(vec![(self.machine(Names::of(bytes), name)?, throw)]),
             // Any other file may have a throw on each line, and an error must name the line.
-            Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
+            Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object() => {
                 return Err(error).with_context(name).or_exit(Exit::Data);
             }
             Err(_) => {}
@@ -262,11 +263,6 @@ impl Recordings<'_> {
             })
             .collect()
     }
-}
-
-/// Whether the bytes are a single JSON object, over one or more lines.
-fn is_one_object(bytes: &[u8]) -> bool {
-    serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok()
 }
 
 /// A line of `throws.csv`, which `pointsd export --traces` wrote.

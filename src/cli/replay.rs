@@ -97,11 +97,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;
         let report = compare(&old, &new, replayed, into).await?;
-        if arguments.json {
-            output::json(&report)?;
-        } else {
-            output::line(sentences(&report))?;
-        }
+        output::result(arguments.json, &report, || sentences(&report))?;
         Ok(Exit::Ok)
     })
 }
@@ -147,8 +143,8 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
 async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
     let Some(since) = replayed.since else {
         let count = replayed.without_trace;
-        let error = anyhow!("the traces of all {count} stored throws were removed: nothing to run");
-        return Err(Failure::new(Exit::Data, error));
+        return Err(anyhow!("the traces of all {count} stored throws were removed: nothing to run"))
+            .or_exit(Exit::Data);
     };
     let mut lists: BTreeMap<_, [Vec<Occurrence>; 2]> = BTreeMap::new();
     for (at, database) in [old, new].into_iter().enumerate() {

@@ -204,6 +204,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::daemon::config::keys;
     use crate::simulate::{Sensor, Stuck};
     use crate::throw::Channel;
 
@@ -213,16 +214,6 @@ mod tests {
 
     fn plan(text: &str) -> Result<Plan, ConfigError> {
         read(&Document::parse(Path::new("pointsim.toml"), text.to_owned())?)
-    }
-
-    fn keys(table: &toml::Table, path: &str, found: &mut Vec<String>) {
-        for (key, value) in table {
-            let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-            if let Some(inner) = value.as_table() {
-                keys(inner, &path, found);
-            }
-            found.push(path);
-        }
     }
 
     #[test]
@@ -247,8 +238,7 @@ mod tests {
         let uncommented =
             |line: &str| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line).to_owned();
         let shown = settings.lines().map(uncommented).collect::<Vec<_>>().join("\n");
-        let mut found = Vec::new();
-        keys(&toml::from_str(&shown).unwrap(), "", &mut found);
+        let shown = keys(&shown);
         let channel = Sensor { full_scale: Some(1.0), bits: Some(12), ..Sensor::default() };
         let mut sections = Sections {
             logger: LoggerSettings {
@@ -263,11 +253,10 @@ mod tests {
         sections.fleet.sensors.position = channel;
         sections.fleet.sensors.anti_alias_hz = Some(1.0);
         sections.fleet.sensors.stuck = Some(Stuck { channel: Channel::Position, from_s: 1.0 });
-        let mut all = Vec::new();
-        keys(&toml::Table::try_from(sections).unwrap(), "", &mut all);
+        let all = keys(&toml::Table::try_from(sections).unwrap().to_string());
         assert!(all.len() > 70, "{all:?}");
         for key in all.iter().filter(|key| !matches!(key.as_str(), "fleet.faults" | "fleet.incidents")) {
-            assert!(found.contains(key), "config/pointsim.toml does not show {key}");
+            assert!(shown.contains(key), "config/pointsim.toml does not show {key}");
         }
     }
 

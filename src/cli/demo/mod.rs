@@ -149,8 +149,8 @@ fn database(arguments: &Arguments) -> Result<(PathBuf, Option<TempDir>), Failure
     };
     let database = folder.join("points.db");
     if database.exists() {
-        let error = anyhow!("{} exists already: name another folder", database.display());
-        return Err(Failure::new(Exit::CannotCreate, error));
+        let problem = anyhow!("{} exists already: name another folder", database.display());
+        return Err(problem).or_exit(Exit::CannotCreate);
     }
     Ok((database, temporary))
 }

@@ -212,6 +212,13 @@ fn collect(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
     }
 }
 
+/// The keys in a text, with their sections.
+#[cfg(test)]
+pub(crate) fn keys(text: &str) -> Vec<String> {
+    let document = Document::parse("keys".as_ref(), text.to_owned()).unwrap();
+    document.places.into_iter().map(|place| place.path).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

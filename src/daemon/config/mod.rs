@@ -14,12 +14,14 @@ use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 
+#[cfg(test)]
+pub(crate) use document::keys;
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
-pub(crate) use zenoh::{check_endpoint, overlay};
+pub(crate) use zenoh::{check_endpoint, overlay, set};
 
 use crate::{
     bus::intersect,

@@ -70,6 +70,14 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
     }
 }
 
+/// Sets the value at a path of keys, in tables that are created if needed.
+pub(crate) fn set(table: &mut Table, path: &[&str], value: Value) {
+    let nested = path.iter().rfold(value, |inner, key| Table::from_iter([((*key).to_owned(), inner)]).into());
+    if let Value::Table(nested) = nested {
+        overlay(table, &nested);
+    }
+}
+
 /// The value at a path of keys.
 pub(super) fn find<'a>(table: &'a Table, path: &[&str]) -> Option<&'a Value> {
     let (last, above) = path.split_last()?;
