@@ -65,11 +65,10 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     arguments.connection.with(async |client| {
-        let present = bus::monitors(&client.session).await.map_err(operator::failure)?;
+        let present = bus::monitors(&client.session).await?;
         let answers = client.ask(&selector(arguments)).await?;
-        if answers.messages.is_empty() && answers.errors.is_empty() {
-            let monitored = bus::require_monitored(&client.session, arguments.machine.as_ref()).await;
-            monitored.map_err(operator::failure)?;
+        if answers.is_empty() {
+            bus::require_monitored(&client.session, arguments.machine.as_ref()).await?;
         }
         let daemons = client.ask(operator::EVERY_STATUS).await?;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();

@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 use jiff::Timestamp;
 use serde::Serialize;
 
-use super::{Exit, Failure, Outcome, ResultExt as _, database, output, run::start_failure, runtime};
+use super::{Exit, Failure, Outcome, ResultExt as _, database, output, runtime};
 use crate::{
     daemon::{Offline, config::Config},
     diagnose::{Cause, Severity},
@@ -92,7 +92,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         // Checked before the new database is created, so that an error leaves no file behind.
         let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
         require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;
-        let mut new = Offline::open(config).await.map_err(start_failure)?;
+        let mut new = Offline::open(config).await?;
         let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;

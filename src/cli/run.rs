@@ -36,26 +36,27 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(run(arguments, config))
 }
 
-/// Exit code and text of a daemon that cannot start.
-pub(super) fn start_failure(error: StartError) -> Failure {
-    let exit = match &error {
-        StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
-        StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
-        StartError::Bus(error) if !error.is_temporary() => Exit::Config,
-        StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
-    };
-    Failure::new(exit, error)
+impl From<StartError> for Failure {
+    fn from(error: StartError) -> Self {
+        let exit = match &error {
+            StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
+            StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
+            StartError::Bus(error) if !error.is_temporary() => Exit::Config,
+            StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
+        };
+        Self::new(exit, error)
+    }
 }
 
-/// The exit code and text for an error at the start, as in [`start_failure`]. If the database belongs to another
-/// program, the text also names file, line and key of the configuration.
+/// The failure of a start. If the database belongs to another program, the text also names file, line and key of the
+/// configuration.
 pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {
         return Failure::new(Exit::Config, document.error_at("store.path", foreign.to_string()));
     }
-    start_failure(error)
+    error.into()
 }
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {

@@ -133,7 +133,7 @@ async fn run(plan: Plan) -> Outcome {
             return Ok(Exit::Ok);
         }
     };
-    let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
+    let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await?;
     tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
     let machine = logger.machines()[0].clone();
     let outcome = tokio::select! {
@@ -175,7 +175,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
 
 /// Waits until all throws are published, and judged by a daemon.
 async fn complete(logger: &mut Logger) -> Outcome {
-    let throws = logger.finished().await.map_err(failure)?;
+    let throws = logger.finished().await?;
     tracing::info!(published = logger.published(), "all throws are published");
     if logger.judged(throws).await {
         tracing::info!("all throws are judged");
@@ -185,13 +185,15 @@ async fn complete(logger: &mut Logger) -> Outcome {
     Ok(Exit::Negative)
 }
 
-pub(super) fn failure(error: LoggerError) -> Failure {
-    let exit = match &error {
-        LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
-        LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
-        LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
-    };
-    Failure::new(exit, error)
+impl From<LoggerError> for Failure {
+    fn from(error: LoggerError) -> Self {
+        let exit = match &error {
+            LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
+            LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
+            LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
+        };
+        Self::new(exit, error)
+    }
 }
 
 /// A new boot identifier: start time and process number.
