@@ -91,7 +91,9 @@ fn client_of(zenoh: &Table) -> Table {
     }
     let login = ["user", "password"].map(|key| ["transport", "auth", "usrpwd", key]);
     if login.iter().all(|path| find(zenoh, path).is_some()) {
-        login.iter().for_each(|path| copy(path, path));
+        for path in &login {
+            copy(path, path);
+        }
     }
     client
 }
