@@ -211,20 +211,18 @@ impl Recordings<'_> {
             let unnamed = || anyhow!("this throw does not name its machine: give --machine SITE/MACHINE");
             return self.arguments.machine.clone().ok_or_else(unnamed).with_context(place).or_exit(Exit::Usage);
         };
-        let checked = || {
-            let Some(expected) = &self.arguments.machine else {
+        let checked = || match &self.arguments.machine {
+            Some(machine) if site == machine.site.as_str() && name == machine.machine.as_str() => Ok(machine.clone()),
+            Some(machine) => bail!(
+                "a throw of {site}/{name}, and --machine is {machine}: import each machine alone, or without --machine"
+            ),
+            None => {
                 let machine = MachineId::new(&site, &name)?;
-                return match self.monitor.reserves(&machine) {
-                    Some(problem) => Err(anyhow!("a throw of {machine}: {problem}")),
+                match self.monitor.reserves(&machine) {
+                    Some(problem) => bail!("a throw of {machine}: {problem}"),
                     None => Ok(machine),
-                };
-            };
-            if site != expected.site.as_str() || name != expected.machine.as_str() {
-                bail!(
-                    "a throw of {site}/{name}, and --machine is {expected}: import each machine alone, or without --machine"
-                );
+                }
             }
-            Ok(expected.clone())
         };
         checked().with_context(place).or_exit(Exit::Data)
     }
