@@ -53,10 +53,22 @@ impl Inbox {
     ) -> Result<(Self, mpsc::Receiver<String>), BusError> {
         let (dropped, dropped_keys) = mpsc::channel(DROPPED_KEYS);
         let counters = Arc::<InboxCounters>::default();
-        let callback = Callback { dropped, counters: Arc::clone(&counters), max_payload_bytes };
+        let counting = Arc::clone(&counters);
+        // It runs in the threads of zenoh, so it never waits.
+        let on_sample = move |sample: Sample| {
+            counting.received.fetch_add(1, Relaxed);
+            let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
+            let memory = kept(sample.payload().len(), max_payload_bytes) + key.len() + content_type.len();
+            if counting.queue.push(key, memory, || Message::of(&sample, max_payload_bytes)) {
+                return counting.queued.notify_one();
+            }
+            counting.dropped.fetch_add(1, Relaxed);
+            // A key that does not fit may be lost: see `DROPPED_KEYS`.
+            let _ = dropped.try_send(key.to_owned());
+        };
         let subscriber = session
             .declare_subscriber(key_expression.to_owned())
-            .callback(move |sample| callback.on_sample(&sample))
+            .callback(on_sample)
             .await
             .map_err(BusError::new(format!("subscribe to {key_expression}")))?;
         Ok((Self { subscriber: Some(subscriber), counters }, dropped_keys))
@@ -92,26 +104,5 @@ impl Inbox {
         {
             tracing::warn!(%error, "undeclaring the subscription failed");
         }
-    }
-}
-
-/// The callback of the subscription. It runs in the threads of zenoh, so it never waits.
-struct Callback {
-    dropped: mpsc::Sender<String>,
-    counters: Arc<InboxCounters>,
-    max_payload_bytes: usize,
-}
-
-impl Callback {
-    fn on_sample(&self, sample: &Sample) {
-        self.counters.received.fetch_add(1, Relaxed);
-        let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
-        let memory = kept(sample.payload().len(), self.max_payload_bytes) + key.len() + content_type.len();
-        if self.counters.queue.push(key, memory, || Message::of(sample, self.max_payload_bytes)) {
-            return self.counters.queued.notify_one();
-        }
-        self.counters.dropped.fetch_add(1, Relaxed);
-        // A key that does not fit may be lost: see `DROPPED_KEYS`.
-        let _ = self.dropped.try_send(key.to_owned());
     }
 }

@@ -85,6 +85,11 @@ pub struct Answers {
 }
 
 impl Answers {
+    /// Whether no daemon replied.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.messages.is_empty() && self.errors.is_empty()
+    }
+
     /// The messages, if no daemon replied with an error.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ use tokio::{
         OwnedSemaphorePermit, Semaphore,
         mpsc::{self, error::TrySendError},
     },
+    time::Instant,
 };
 use zenoh::{
     Session, Wait,
@@ -18,20 +19,21 @@ use zenoh::{
     query::{Query, Queryable},
 };
 
-use super::error::BusError;
+use super::{error::BusError, operator::ANSWER_TIMEOUT};
 
 /// Capacity of the queue \[queries\]: a dashboard sends a few queries per second.
 const QUEUE: usize = 64;
 /// Number of queries whose replies are sent at the same time: a client on a slow link does not delay the others.
 const SENDING: usize = 8;
-/// Error reply to a query that found the queue full.
+/// Error reply to a query that found the queue full, or waited in it for longer than [`ANSWER_TIMEOUT`].
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest payload of a query \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
 /// A queryable with a bounded queue of queries.
 pub struct QueryQueue {
-    waiting: mpsc::Receiver<Query>,
+    /// The queries, each with the time of its arrival.
+    waiting: mpsc::Receiver<(Instant, Query)>,
     dropped: Arc<AtomicU64>,
     /// A permit for each query whose replies are being sent.
     sending: Arc<Semaphore>,
@@ -56,12 +58,9 @@ impl QueryQueue {
                     counter.fetch_add(1, Relaxed);
                     return;
                 }
-                if let Err(TrySendError::Full(question)) = sender.try_send(query) {
+                if let Err(TrySendError::Full((_, query))) = sender.try_send((Instant::now(), query)) {
                     counter.fetch_add(1, Relaxed);
-                    // While slow links use all permits, the query ends without a reply.
-                    if let Ok(permit) = Arc::clone(&permits).try_acquire_owned() {
-                        send(&runtime, question, Err(BUSY.to_owned()), permit);
-                    }
+                    refuse(&runtime, query, &permits);
                 }
             })
             .await
@@ -69,14 +68,23 @@ impl QueryQueue {
         Ok(Self { waiting, dropped, sending, _queryable: queryable })
     }
 
-    /// Number of queries refused since the last call: the queue was full, or their payload too large.
+    /// Number of queries refused since the last call: the queue was full, they waited too long, or their payload was too
+    /// large.
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. Cancel safe.
+    /// The next query; `None` when the session is closed. Queries that waited for longer than the programs of operators
+    /// do are refused: nobody would receive their answer, and an expired command must not be applied. Cancel safe.
     pub async fn next(&mut self) -> Option<Query> {
-        self.waiting.recv().await
+        loop {
+            let (arrived, query) = self.waiting.recv().await?;
+            if arrived.elapsed() < ANSWER_TIMEOUT {
+                return Some(query);
+            }
+            self.dropped.fetch_add(1, Relaxed);
+            refuse(&Handle::current(), query, &self.sending);
+        }
     }
 
     /// Replies to a query with JSON messages, each on its key, or with one error text. Returns before the replies are
@@ -86,6 +94,13 @@ impl QueryQueue {
         if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
             send(&Handle::current(), question, replies, permit);
         }
+    }
+}
+
+/// Replies with [`BUSY`]. While slow links use all permits, the query ends without a reply.
+fn refuse(runtime: &Handle, query: Query, permits: &Arc<Semaphore>) {
+    if let Ok(permit) = Arc::clone(permits).try_acquire_owned() {
+        send(runtime, query, Err(BUSY.to_owned()), permit);
     }
 }
 
@@ -104,4 +119,30 @@ fn send(runtime: &Handle, query: Query, replies: Result<Vec<(String, Vec<u8>)>, 
             Err(problem) => query.reply_err(problem).encoding(Encoding::TEXT_PLAIN).wait().unwrap_or_else(failed),
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_query_that_waited_too_long_is_refused() {
+        let mut config = zenoh::Config::default();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        config.insert_json5("listen/endpoints", "[]").unwrap();
+        let session = zenoh::open(config).await.unwrap();
+        let mut queue = QueryQueue::declare(&session, "points/v1/north/21B/health").await.unwrap();
+        let (sender, waiting) = mpsc::channel(2);
+        let mut arriving = std::mem::replace(&mut queue.waiting, waiting);
+        let ask = async |selector: &str| session.get(selector.to_owned()).await.unwrap();
+        let late = ask("points/v1/north/21B/health?late").await;
+        let (arrived, query) = arriving.recv().await.unwrap();
+        sender.try_send((arrived.checked_sub(ANSWER_TIMEOUT).unwrap(), query)).unwrap();
+        let fresh = ask("points/v1/north/21B/health?fresh").await;
+        sender.try_send(arriving.recv().await.unwrap()).unwrap();
+        assert_eq!(queue.next().await.unwrap().parameters().as_str(), "fresh");
+        let reply = late.recv_async().await.unwrap();
+        assert_eq!(reply.result().unwrap_err().payload().try_to_string().unwrap(), BUSY);
+        assert!(fresh.is_empty() && queue.take_dropped() == 1);
+    }
 }

@@ -2,10 +2,11 @@
 
 use std::{cmp::Reverse, collections::BTreeMap};
 
+use anyhow::anyhow;
 use jiff::Timestamp;
 
 use super::{
-    Exit, Failure, Outcome, argument,
+    Exit, Failure, Outcome, ResultExt as _, argument,
     operator::{self, Connection},
     output,
 };
@@ -64,11 +65,10 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     arguments.connection.with(async |client| {
-        let present = bus::monitors(&client.session).await.map_err(operator::failure)?;
+        let present = bus::monitors(&client.session).await?;
         let answers = client.ask(&selector(arguments)).await?;
-        if answers.messages.is_empty() && answers.errors.is_empty() {
-            let monitored = bus::require_monitored(&client.session, arguments.machine.as_ref()).await;
-            monitored.map_err(operator::failure)?;
+        if answers.is_empty() {
+            bus::require_monitored(&client.session, arguments.machine.as_ref()).await?;
         }
         let daemons = client.ask(operator::EVERY_STATUS).await?;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
@@ -94,8 +94,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         }
         if found.is_empty() && problems > 0 {
             let exit = if arguments.check { Exit::Negative } else { Exit::Unavailable };
-            let error = anyhow::anyhow!("no daemon gave a usable answer, which is not the same as no alarms");
-            return Err(Failure::new(exit, error));
+            return Err(anyhow!("no daemon gave a usable answer, which is not the same as no alarms")).or_exit(exit);
         }
         let is_negative =
             problems > 0 || (arguments.check && found.iter().any(|(_, alarm)| !alarm.state.is_silenced()));

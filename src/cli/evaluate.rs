@@ -57,11 +57,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     if let Some(path) = &arguments.out {
         output::file(path, picture(path, &report))?;
     }
-    if arguments.json {
-        output::json(&report)?;
-    } else {
-        output::line(tables(&report))?;
-    }
+    output::result(arguments.json, &report, || tables(&report))?;
     let shortfalls = report.shortfalls();
     for shortfall in &shortfalls {
         eprintln!("goal not met: {shortfall}");

@@ -139,33 +139,19 @@ fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
 fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serde_json::Result<Value> {
     let estimate = found.outcome.as_ref().ok();
     let scaled = estimate.filter(|estimate| !estimate.ratios_only);
-    let coefficients = scaled.map_or([None; 3], |estimate| estimate.coefficients().map(Some));
-    let sd = scaled.map_or([None; 3], |estimate| estimate.sd().map(Some));
+    let [b0, a1, a0] = scaled.map_or([None; 3], |estimate| estimate.coefficients().map(Some));
+    let [b0_sd, a1_sd, a0_sd] = scaled.map_or([None; 3], |estimate| estimate.sd().map(Some));
     let covariance = scaled.map(|estimate| <[[f64; 3]; 3]>::from(estimate.total_covariance()));
     let fit = estimate.and_then(|estimate| estimate.fit);
-    let ratios = estimate.map_or([None; 2], |estimate| estimate.ratios().map(Some));
-    let ratios_sd = estimate.map_or([None; 2], |estimate| estimate.ratios_sd().map(Some));
+    let [a1_per_b0, a0_per_b0] = estimate.map_or([None; 2], |estimate| estimate.ratios().map(Some));
+    let [a1_per_b0_sd, a0_per_b0_sd] = estimate.map_or([None; 2], |estimate| estimate.ratios_sd().map(Some));
     let mut report = json!({
-        "accepted": estimate.is_some(),
-        "reason": reason,
-        "quality": found.quality(),
-        "b0": coefficients[0],
-        "a1": coefficients[1],
-        "a0": coefficients[2],
-        "b0_sd": sd[0],
-        "a1_sd": sd[1],
-        "a0_sd": sd[2],
-        "covariance": covariance,
-        "a1_per_b0": ratios[0],
-        "a1_per_b0_sd": ratios_sd[0],
-        "a0_per_b0": ratios[1],
-        "a0_per_b0_sd": ratios_sd[1],
-        "fit_pct": fit.map(|fit| fit.pct),
-        "iterations": fit.map(|fit| fit.iterations),
-        "start_s": estimate.map(|e| e.start_s),
-        "end_s": estimate.map(|e| e.end_s),
-        "direction": found.direction.map(Direction::as_str),
-        "resampled": resampled,
+        "accepted": estimate.is_some(), "reason": reason, "quality": found.quality(),
+        "b0": b0, "a1": a1, "a0": a0, "b0_sd": b0_sd, "a1_sd": a1_sd, "a0_sd": a0_sd, "covariance": covariance,
+        "a1_per_b0": a1_per_b0, "a1_per_b0_sd": a1_per_b0_sd, "a0_per_b0": a0_per_b0, "a0_per_b0_sd": a0_per_b0_sd,
+        "fit_pct": fit.map(|fit| fit.pct), "iterations": fit.map(|fit| fit.iterations),
+        "start_s": estimate.map(|e| e.start_s), "end_s": estimate.map(|e| e.end_s),
+        "direction": found.direction.map(Direction::as_str), "resampled": resampled,
     });
     if let (Some(report), Value::Object(features)) = (report.as_object_mut(), serde_json::to_value(&found.features)?) {
         report.extend(features);

@@ -14,13 +14,12 @@ use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt, argument, output, recording,
-    run::{load, located},
-    runtime,
-};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, run::located, runtime};
 use crate::{
-    daemon::{Judged, Offline, clock, config::Monitor},
+    daemon::{
+        Judged, Offline, clock,
+        config::{Config, Monitor},
+    },
     store::Spooled,
     throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
@@ -79,7 +78,7 @@ struct Count {
 type Recorded = Vec<(MachineId, Throw)>;
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let config = load(arguments.config.as_deref())?;
+    let config = Config::load(arguments.config.as_deref()).or_exit(Exit::Config)?;
     if let Some(machine) = &arguments.machine
         && let Some(problem) = config.monitor.reserves(machine)
     {
@@ -190,13 +189,6 @@ struct Names {
     machine: String,
 }
 
-impl Names {
-    /// `None` without both fields, or with other values in them than texts.
-    fn of(json: &[u8]) -> Option<Self> {
-        serde_json::from_slice(json).ok()
-    }
-}
-
 /// Reads the files.
 struct Recordings<'a> {
     arguments: &'a Arguments,
@@ -209,51 +201,87 @@ impl Recordings<'_> {
         if is_json(file) {
             return self.read_json(file);
         }
-        let (names, throw) = read_csv(self.arguments, number, file, &mut self.exports)?;
+        let (names, throw) = self.read_csv(number, file)?;
         Ok(vec![(self.machine(names, || file.display().to_string())?, throw)])
     }
 
     /// The machine of a throw that names itself so, or `--machine`. `place`: of the throw, for an error.
     fn machine(&self, names: Option<Names>, place: impl Fn() -> String) -> Result<MachineId, Failure> {
-        let invalid = |problem: anyhow::Error| Failure::new(Exit::Data, problem.context(place()));
-        match (&self.arguments.machine, names) {
-            (None, None) => {
-                let problem = "this throw does not name its machine: give --machine SITE/MACHINE";
-                Err(Failure::new(Exit::Usage, anyhow!(problem).context(place())))
-            }
-            (Some(machine), None) => Ok(machine.clone()),
-            (Some(machine), Some(Names { site, machine: name })) => {
-                if site != machine.site.as_str() || name != machine.machine.as_str() {
-                    return Err(invalid(anyhow!(
-                        "a throw of {site}/{name}, and --machine is {machine}: import each machine alone, or without \
-                         --machine"
-                    )));
-                }
-                Ok(machine.clone())
-            }
-            (None, Some(Names { site, machine })) => {
-                let machine = MachineId::new(&site, &machine).map_err(|problem| invalid(problem.into()))?;
+        let Some(Names { site, machine: name }) = names else {
+            let unnamed = || anyhow!("this throw does not name its machine: give --machine SITE/MACHINE");
+            return self.arguments.machine.clone().ok_or_else(unnamed).with_context(place).or_exit(Exit::Usage);
+        };
+        let checked = || match &self.arguments.machine {
+            Some(machine) if site == machine.site.as_str() && name == machine.machine.as_str() => Ok(machine.clone()),
+            Some(machine) => bail!(
+                "a throw of {site}/{name}, and --machine is {machine}: import each machine alone, or without --machine"
+            ),
+            None => {
+                let machine = MachineId::new(&site, &name)?;
                 match self.monitor.reserves(&machine) {
-                    Some(problem) => Err(invalid(anyhow!("a throw of {machine}: {problem}"))),
+                    Some(problem) => bail!("a throw of {machine}: {problem}"),
                     None => Ok(machine),
                 }
             }
+        };
+        checked().with_context(place).or_exit(Exit::Data)
+    }
+
+    /// The throw in a CSV file, with the names in its line of `throws.csv`.
+    fn read_csv(&mut self, number: usize, file: &Path) -> Result<(Option<Names>, Throw), Failure> {
+        // Read once: the content of a pipe is gone then.
+        let content = recording::bytes(file)?;
+        let recording = recording::from_content(file, &content)?;
+        let first_start = self.arguments.started_at;
+        if first_start.is_none()
+            && let Some(line) = self.exports.line(file).or_exit(Exit::Data)?
+        {
+            let names = Names { site: line.site.clone(), machine: line.machine.clone() };
+            let throw = Throw {
+                id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
+                started_at: line.started_at,
+                direction: line.direction.parse().ok(),
+                trace: recording.trace.with_exact_rate(line.sample_rate_hz),
+                temperature_c: line.temperature_c,
+                supply_v: line.supply_v,
+                anti_alias_hz: line.anti_alias_hz,
+            };
+            return Ok((Some(names), throw));
         }
+        let started_at = if let Some(first) = first_start {
+            let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
+            first.checked_add(later).or_exit(Exit::Usage)?
+        } else {
+            let modified = fs::metadata(file).and_then(|file| file.modified());
+            let modified = modified.with_context(|| format!("cannot read {}", file.display()));
+            Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
+        };
+        let throw = Throw {
+            // Boot and number depend only on the content, so that a repeated import of the file is a duplicate.
+            id: ThrowRef {
+                boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()),
+                throw_no: 1,
+            },
+            started_at,
+            ..Throw::recorded(recording.trace)
+        };
+        Ok((None, throw))
     }
 
     fn read_json(&self, file: &Path) -> Result<Recorded, Failure> {
         let name = || file.display().to_string();
-        let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+        let bytes = recording::bytes(file)?;
         let bytes = wire::without_byte_order_mark(&bytes);
         if bytes.trim_ascii_start().starts_with(b"[") {
             let problem =
                 "a JSON array: write each throw as an object on a line of its own, without brackets around them";
             return Err(anyhow!("{}: {problem}", name())).or_exit(Exit::Data);
         }
+        let is_one_object = || serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok();
         match wire::decode_throw(Encoding::Json, bytes) {
-            Ok(throw) => return Ok(vec![(self.machine(Names::of(bytes), name)?, throw)]),
+            Ok(throw) => return Ok(vec![(self.machine(serde_json::from_slice(bytes).ok(), name)?, throw)]),
             // Any other file may have a throw on each line, and an error must name the line.
-            Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(bytes) => {
+            Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object() => {
                 return Err(error).with_context(name).or_exit(Exit::Data);
             }
             Err(_) => {}
@@ -263,15 +291,10 @@ impl Recordings<'_> {
             .map(|(at, line)| {
                 let place = || format!("{}, line {}", name(), at + 1);
                 let throw = wire::decode_throw(Encoding::Json, line).with_context(place).or_exit(Exit::Data)?;
-                Ok((self.machine(Names::of(line), place)?, throw))
+                Ok((self.machine(serde_json::from_slice(line).ok(), place)?, throw))
             })
             .collect()
     }
-}
-
-/// Whether the bytes are a single JSON object, over one or more lines.
-fn is_one_object(bytes: &[u8]) -> bool {
-    serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok()
 }
 
 /// A line of `throws.csv`, which `pointsd export --traces` wrote.
@@ -339,48 +362,6 @@ fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
         }
     }
     Ok(lines)
-}
-
-/// The throw in a CSV file, with the names in its line of `throws.csv`.
-fn read_csv(
-    arguments: &Arguments,
-    number: usize,
-    file: &Path,
-    exports: &mut Exports,
-) -> Result<(Option<Names>, Throw), Failure> {
-    let unreadable = || format!("cannot read {}", file.display());
-    // Read once: the content of a pipe is gone then.
-    let content = recording::bytes(file).with_context(unreadable).or_exit(Exit::NoInput)?;
-    let recording =
-        recording::from_content(&content).with_context(|| file.display().to_string()).or_exit(Exit::Data)?;
-    let line = if arguments.started_at.is_none() { exports.line(file).or_exit(Exit::Data)? } else { None };
-    if let Some(line) = line {
-        let names = Names { site: line.site.clone(), machine: line.machine.clone() };
-        let throw = Throw {
-            id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
-            started_at: line.started_at,
-            direction: line.direction.parse().ok(),
-            trace: recording.trace.with_exact_rate(line.sample_rate_hz),
-            temperature_c: line.temperature_c,
-            supply_v: line.supply_v,
-            anti_alias_hz: line.anti_alias_hz,
-        };
-        return Ok((Some(names), throw));
-    }
-    let started_at = if let Some(first) = arguments.started_at {
-        let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
-        first.checked_add(later).or_exit(Exit::Usage)?
-    } else {
-        let modified = fs::metadata(file).and_then(|file| file.modified()).with_context(unreadable);
-        Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
-    };
-    let throw = Throw {
-        // Boot and number depend only on the content, so that a repeated import of the file is a duplicate.
-        id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
-        started_at,
-        ..Throw::recorded(recording.trace)
-    };
-    Ok((None, throw))
 }
 
 /// Prints a line. A closed pipe does not end the import.

@@ -41,11 +41,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     if let Some(folder) = &arguments.out {
         output::figures(folder, findings.iter().map(|finding| (format!("limits_{}", finding.name), picture(finding))))?;
     }
-    if arguments.json {
-        output::json(&findings)?;
-    } else {
-        findings.iter().try_for_each(|finding| output::line(text(finding)))?;
-    }
+    output::result(arguments.json, &findings, || findings.iter().map(text).collect::<Vec<_>>().join("\n"))?;
     Ok(Exit::Ok)
 }
 

@@ -69,7 +69,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let session = client.session.clone();
         // Publishing may block on the link, so it has its own thread.
         let task = tokio::task::spawn_blocking(move || load.run(&session, &simulate_run::boot_id(), PATIENCE));
-        task.await.or_exit(Exit::Software)?.map_err(simulate_run::failure)
+        Ok(task.await.or_exit(Exit::Software)??)
     })?;
     report(throws, rate, &loaded, arguments.json)
 }

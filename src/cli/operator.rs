@@ -43,7 +43,7 @@ pub(super) struct Client {
 impl Client {
     /// The answers of all daemons.
     pub(super) async fn ask(&self, selector: &str) -> Result<Answers, Failure> {
-        bus::ask(&self.session, selector, None, bus::ANSWER_TIMEOUT).await.map_err(failure)
+        Ok(bus::ask(&self.session, selector, None, bus::ANSWER_TIMEOUT).await?)
     }
 
     /// Closes the session. An error does not matter, as the end of the process closes the link.
@@ -96,7 +96,7 @@ impl Connection {
             && let Err(error) = bus::require_running(&client.session, monitor).await
         {
             client.close().await;
-            return Err(failure(error));
+            return Err(error.into());
         }
         Ok(client)
     }
@@ -149,13 +149,11 @@ pub(super) fn silent<'a>(present: &'a [MachineId], answers: &Answers) -> Vec<&'a
     silent.inspect(|daemon| terminal::complain(format_args!("no answer of the daemon {daemon}"))).collect()
 }
 
-/// Exit code and text of a failed query or command.
-pub(super) fn failure(error: OperatorError) -> Failure {
-    let exit = match &error {
-        OperatorError::Refused(_) => Exit::Negative,
-        _ => Exit::Unavailable,
-    };
-    Failure::new(exit, error)
+impl From<OperatorError> for Failure {
+    fn from(error: OperatorError) -> Self {
+        let exit = if matches!(error, OperatorError::Refused(_)) { Exit::Negative } else { Exit::Unavailable };
+        Self::new(exit, error)
+    }
 }
 
 /// The arguments of commands that change something: machine, name of the operator, connection, and format of the
@@ -185,7 +183,7 @@ impl Sender {
     /// Sends a command to the daemon of the machine and prints the reply.
     pub(super) fn send(&self, command: &Command) -> Outcome {
         let answer = self.connection.with(async |Client { session, monitor }| {
-            bus::command(session, &self.machine, monitor.as_ref(), json_bytes(command)).await.map_err(failure)
+            Ok(bus::command(session, &self.machine, monitor.as_ref(), json_bytes(command)).await?)
         })?;
         let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
         if self.json {

@@ -37,6 +37,11 @@ pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
     line(serde_json::to_string_pretty(value).context("cannot write JSON").or_exit(Exit::Software)?)
 }
 
+/// Prints the result of a command `as_json`, or as text.
+pub(super) fn result(as_json: bool, value: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+    if as_json { json(value) } else { line(text()) }
+}
+
 /// The exit code of a command after its output. A reader that closes the pipe, as in `pointsd alarms --check | head
 /// -1`, does not change the result of the check.
 pub(super) fn after(printed: Result<(), Failure>, result: Exit) -> Outcome {

@@ -51,27 +51,26 @@ struct Columns {
 /// # Errors
 /// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
-    let bytes = bytes(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
-    from_content(&bytes).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+    from_content(path, &bytes(path)?)
 }
 
 /// The recorded throw in the content of a file.
-pub(super) fn from_content(bytes: &[u8]) -> anyhow::Result<Recording> {
-    parse(without_byte_order_mark(bytes)).and_then(Columns::evenly)
+pub(super) fn from_content(path: &Path, bytes: &[u8]) -> Result<Recording, Failure> {
+    let recording = parse(without_byte_order_mark(bytes)).and_then(Columns::evenly);
+    recording.with_context(|| path.display().to_string()).or_exit(Exit::Data)
 }
 
 /// The content of a file, or of standard input for `-`.
-pub(super) fn bytes(path: &Path) -> io::Result<Vec<u8>> {
+pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, Failure> {
     let mut bytes = Vec::new();
-    if path == Path::new("-") {
-        io::stdin().take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
+    let read = if path == Path::new("-") {
+        io::stdin().take(MAX_BYTES + 1).read_to_end(&mut bytes)
     } else {
-        fs::File::open(path)?.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
-    }
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(io::Error::other(format!("it has more than {} MiB: divide it", MAX_BYTES >> 20)));
-    }
-    Ok(bytes)
+        fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
+    };
+    let too_large = || io::Error::other(format!("it has more than {} MiB: divide it", MAX_BYTES >> 20));
+    let read = read.and_then(|_| if bytes.len() as u64 > MAX_BYTES { Err(too_large()) } else { Ok(bytes) });
+    read.with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)
 }
 
 fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {

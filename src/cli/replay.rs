@@ -11,13 +11,9 @@ use indicatif::ProgressBar;
 use jiff::Timestamp;
 use serde::Serialize;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt as _, database, output,
-    run::{load, start_failure},
-    runtime,
-};
+use super::{Exit, Failure, Outcome, ResultExt as _, database, output, runtime};
 use crate::{
-    daemon::Offline,
+    daemon::{Offline, config::Config},
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::{MachineId, counted},
@@ -83,7 +79,7 @@ struct Report {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let mut config = load(Some(&arguments.config))?;
+    let mut config = Config::load(Some(&arguments.config)).or_exit(Exit::Config)?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
     let into = arguments.into.clone().unwrap_or_else(|| beside(&from, ".replay"));
     require(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;
@@ -96,16 +92,12 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         // Checked before the new database is created, so that an error leaves no file behind.
         let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
         require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;
-        let mut new = Offline::open(config).await.map_err(start_failure)?;
+        let mut new = Offline::open(config).await?;
         let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;
         let report = compare(&old, &new, replayed, into).await?;
-        if arguments.json {
-            output::json(&report)?;
-        } else {
-            output::line(sentences(&report))?;
-        }
+        output::result(arguments.json, &report, || sentences(&report))?;
         Ok(Exit::Ok)
     })
 }
@@ -151,8 +143,8 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
 async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
     let Some(since) = replayed.since else {
         let count = replayed.without_trace;
-        let error = anyhow!("the traces of all {count} stored throws were removed: nothing to run");
-        return Err(Failure::new(Exit::Data, error));
+        return Err(anyhow!("the traces of all {count} stored throws were removed: nothing to run"))
+            .or_exit(Exit::Data);
     };
     let mut lists: BTreeMap<_, [Vec<Occurrence>; 2]> = BTreeMap::new();
     for (at, database) in [old, new].into_iter().enumerate() {

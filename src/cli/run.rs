@@ -28,7 +28,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let config = load(arguments.config.as_deref())?;
+    let config = Config::load(arguments.config.as_deref()).or_exit(Exit::Config)?;
     runtime::log(&config.log)?;
     for warning in config.warnings() {
         tracing::warn!("{warning}");
@@ -36,35 +36,27 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(run(arguments, config))
 }
 
-/// Loads the configuration from a file, or the built-in defaults.
-pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
-    match file {
-        Some(file) => Config::load(file),
-        None => Config::built_in(),
+impl From<StartError> for Failure {
+    fn from(error: StartError) -> Self {
+        let exit = match &error {
+            StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
+            StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
+            StartError::Bus(error) if !error.is_temporary() => Exit::Config,
+            StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
+        };
+        Self::new(exit, error)
     }
-    .or_exit(Exit::Config)
 }
 
-/// Exit code and text of a daemon that cannot start.
-pub(super) fn start_failure(error: StartError) -> Failure {
-    let exit = match &error {
-        StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
-        StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
-        StartError::Bus(error) if !error.is_temporary() => Exit::Config,
-        StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
-    };
-    Failure::new(exit, error)
-}
-
-/// The exit code and text for an error at the start, as in [`start_failure`]. If the database belongs to another
-/// program, the text also names file, line and key of the configuration.
+/// The failure of a start. If the database belongs to another program, the text also names file, line and key of the
+/// configuration.
 pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ StoreError::Foreign(_)), Some(file)) = (&error, file)
         && let Ok(document) = Document::read(file)
     {
         return Failure::new(Exit::Config, document.error_at("store.path", foreign.to_string()));
     }
-    start_failure(error)
+    error.into()
 }
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
@@ -109,11 +101,12 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
 /// Reloads the configuration. An invalid one is not applied, nor one with a file at `store.path` that the next start
 /// would refuse.
 async fn reload(daemon: &Daemon, file: Option<&Path>) {
-    let loaded = match load(file) {
-        Ok(config) => store::refuse_foreign(&config.store.path).await.map(|()| config).or_exit(Exit::Config),
-        Err(failure) => Err(failure),
+    let load = async {
+        let config = Config::load(file)?;
+        store::refuse_foreign(&config.store.path).await?;
+        anyhow::Ok(config)
     };
-    match loaded {
+    match load.await {
         Ok(config) => {
             let waiting = daemon.reload(config);
             tracing::info!("configuration reloaded: diagnosis and machines take effect now");
@@ -121,8 +114,6 @@ async fn reload(daemon: &Daemon, file: Option<&Path>) {
                 tracing::warn!("changes in {} take effect at the next start", waiting.join(", "));
             }
         }
-        Err(Failure::Error { error, .. }) => tracing::error!("configuration not changed: {error:#}"),
-        // Reading a configuration writes nothing to standard output.
-        Err(Failure::ClosedPipe) => {}
+        Err(error) => tracing::error!("configuration not changed: {error:#}"),
     }
 }

@@ -86,11 +86,7 @@ struct Plan {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let document = match &arguments.config {
-        Some(file) => Document::read(file),
-        None => Document::parse("built-in defaults".as_ref(), String::new()),
-    }
-    .or_exit(Exit::Config)?;
+    let document = Document::read_or_empty(arguments.config.as_deref()).or_exit(Exit::Config)?;
     let mut plan = read(&document).or_exit(Exit::Config)?;
     apply(arguments, &mut plan)?;
     runtime::log(&plan.log)?;
@@ -137,7 +133,7 @@ async fn run(plan: Plan) -> Outcome {
             return Ok(Exit::Ok);
         }
     };
-    let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
+    let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await?;
     tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
     let machine = logger.machines()[0].clone();
     let outcome = tokio::select! {
@@ -179,7 +175,7 @@ async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
 
 /// Waits until all throws are published, and judged by a daemon.
 async fn complete(logger: &mut Logger) -> Outcome {
-    let throws = logger.finished().await.map_err(failure)?;
+    let throws = logger.finished().await?;
     tracing::info!(published = logger.published(), "all throws are published");
     if logger.judged(throws).await {
         tracing::info!("all throws are judged");
@@ -189,13 +185,15 @@ async fn complete(logger: &mut Logger) -> Outcome {
     Ok(Exit::Negative)
 }
 
-pub(super) fn failure(error: LoggerError) -> Failure {
-    let exit = match &error {
-        LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
-        LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
-        LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
-    };
-    Failure::new(exit, error)
+impl From<LoggerError> for Failure {
+    fn from(error: LoggerError) -> Self {
+        let exit = match &error {
+            LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
+            LoggerError::Bus(_) | LoggerError::NoSubscriber(_) => Exit::Unavailable,
+            LoggerError::Spawn { .. } | LoggerError::Thread => Exit::Software,
+        };
+        Self::new(exit, error)
+    }
 }
 
 /// A new boot identifier: start time and process number.
@@ -208,6 +206,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::daemon::config::keys;
     use crate::simulate::{Sensor, Stuck};
     use crate::throw::Channel;
 
@@ -217,16 +216,6 @@ mod tests {
 
     fn plan(text: &str) -> Result<Plan, ConfigError> {
         read(&Document::parse(Path::new("pointsim.toml"), text.to_owned())?)
-    }
-
-    fn keys(table: &toml::Table, path: &str, found: &mut Vec<String>) {
-        for (key, value) in table {
-            let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-            if let Some(inner) = value.as_table() {
-                keys(inner, &path, found);
-            }
-            found.push(path);
-        }
     }
 
     #[test]
@@ -251,8 +240,7 @@ mod tests {
         let uncommented =
             |line: &str| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line).to_owned();
         let shown = settings.lines().map(uncommented).collect::<Vec<_>>().join("\n");
-        let mut found = Vec::new();
-        keys(&toml::from_str(&shown).unwrap(), "", &mut found);
+        let shown = keys(&shown);
         let channel = Sensor { full_scale: Some(1.0), bits: Some(12), ..Sensor::default() };
         let mut sections = Sections {
             logger: LoggerSettings {
@@ -267,11 +255,10 @@ mod tests {
         sections.fleet.sensors.position = channel;
         sections.fleet.sensors.anti_alias_hz = Some(1.0);
         sections.fleet.sensors.stuck = Some(Stuck { channel: Channel::Position, from_s: 1.0 });
-        let mut all = Vec::new();
-        keys(&toml::Table::try_from(sections).unwrap(), "", &mut all);
+        let all = keys(&toml::Table::try_from(sections).unwrap().to_string());
         assert!(all.len() > 70, "{all:?}");
         for key in all.iter().filter(|key| !matches!(key.as_str(), "fleet.faults" | "fleet.incidents")) {
-            assert!(found.contains(key), "config/pointsim.toml does not show {key}");
+            assert!(shown.contains(key), "config/pointsim.toml does not show {key}");
         }
     }
 

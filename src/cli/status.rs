@@ -74,11 +74,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             if arguments.watch && io::stdout().is_terminal() {
                 output::clear()?;
             }
-            let shown = show(client, arguments).await;
+            let fleet = gather(client, arguments.site.as_ref()).await;
             if !arguments.watch {
-                return shown.and_then(|(result, printed)| output::after(printed, result));
+                return fleet.and_then(|fleet| output::after(fleet.print(arguments), fleet.verdict()));
             }
-            match shown.and_then(|(_, printed)| printed) {
+            match fleet.and_then(|fleet| fleet.print(arguments)) {
                 Err(Failure::ClosedPipe) => return Err(Failure::ClosedPipe),
                 // Not the end: a daemon may be restarting, for example.
                 Err(Failure::Error { error, .. }) => terminal::complain(format_args!("{error:#}")),
@@ -90,16 +90,6 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             }
         }
     })
-}
-
-/// Prints the answers of the daemons once. Returns the exit code for these answers, and the result of printing them.
-async fn show(client: &Client, arguments: &Arguments) -> Result<(Exit, Result<(), Failure>), Failure> {
-    let fleet = gather(client).await?;
-    if let Some(site) = arguments.site.as_ref().filter(|site| !fleet.has_site(site)) {
-        let problem = unknown_site(site, &operator::answered(&fleet.daemons), &fleet.silent, &fleet.alarms);
-        return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
-    }
-    Ok((fleet.verdict(), fleet.print(arguments)))
 }
 
 /// The answers of all daemons.
@@ -121,15 +111,15 @@ struct Fleet {
     problems: usize,
 }
 
-/// Queries all daemons. Problems of single daemons are printed on stderr.
-async fn gather(client: &Client) -> Result<Fleet, Failure> {
+/// Queries all daemons, of which one must know a machine of `site`. Problems of single daemons are printed on stderr.
+async fn gather(client: &Client, site: Option<&Name>) -> Result<Fleet, Failure> {
     let session = &client.session;
-    let present = bus::monitors(session).await.map_err(operator::failure)?;
+    let present = bus::monitors(session).await?;
     let daemons = client.ask(operator::EVERY_STATUS).await?;
     let of_machines = client.ask(&wire::every_key(Kind::Health)).await?;
     let events = client.ask(&wire::every_key(Kind::Alarm)).await?;
-    if daemons.messages.is_empty() && daemons.errors.is_empty() {
-        return Err(operator::failure(OperatorError::NoDaemon));
+    if daemons.is_empty() {
+        return Err(OperatorError::NoDaemon.into());
     }
     let (reports, daemon_problems) = operator::read::<StatusReport>(&daemons);
     let reports = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
@@ -138,7 +128,12 @@ async fn gather(client: &Client) -> Result<Fleet, Failure> {
     let twice = served_twice(session, &health).await?;
     let silent: Vec<MachineId> = operator::silent(&present, &daemons).into_iter().cloned().collect();
     let problems = daemon_problems + health_problems + alarm_problems + silent.len();
-    Ok(Fleet { daemons, of_machines, events, reports, health, alarms, silent, twice, problems })
+    let fleet = Fleet { daemons, of_machines, events, reports, health, alarms, silent, twice, problems };
+    if let Some(site) = site.filter(|site| !fleet.has_site(site)) {
+        let problem = unknown_site(site, &operator::answered(&fleet.daemons), &fleet.silent, &fleet.alarms);
+        return Err(Failure::new(Exit::Unavailable, anyhow::anyhow!(problem)));
+    }
+    Ok(fleet)
 }
 
 impl Fleet {
@@ -164,17 +159,11 @@ impl Fleet {
         self.reports.iter().flat_map(|(_, report)| &report.windows)
     }
 
-    /// The health of each machine.
-    fn machines(&self) -> BTreeMap<&MachineId, Vec<&Health>> {
-        let mut machines: BTreeMap<_, Vec<&Health>> = BTreeMap::new();
+    fn print(&self, arguments: &Arguments) -> Result<(), Failure> {
+        let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
         for row in &self.health {
             machines.entry(&row.machine).or_default().push(row);
         }
-        machines
-    }
-
-    fn print(&self, arguments: &Arguments) -> Result<(), Failure> {
-        let machines = self.machines();
         let is_filtered = arguments.state.is_some() || arguments.site.is_some();
         let is_of_site = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| machine.site == *site);
         let is_selected = |machine: &MachineId| {
@@ -229,7 +218,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     let twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
-        let daemons = bus::serving(session, machine).await.map_err(operator::failure)?;
+        let daemons = bus::serving(session, machine).await?;
         let names: BTreeSet<&String> = daemons.iter().collect();
         let advice = if names.len() == daemons.len() {
             "correct subscribe.key of all but one"

@@ -55,11 +55,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let as_expected = results
         .iter()
         .all(|result| result.verdict() == Some(result.case.cause) && result.tests.iter().all(is_as_expected));
-    if arguments.json {
-        output::json(&report(&results))?;
-    } else {
-        output::line(tables(&results, &study))?;
-    }
+    output::result(arguments.json, &report(&results), || tables(&results, &study))?;
     Ok(if as_expected { Exit::Ok } else { Exit::Negative })
 }
 

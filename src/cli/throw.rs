@@ -12,7 +12,7 @@ use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
 use super::{Exit, Failure, Outcome, ResultExt, argument, output};
-use crate::daemon::config::{Document, overlay};
+use crate::daemon::config::{Document, overlay, set};
 use crate::simulate::{Coefficients, Condition, Conditions, Parameters, Recording, Sensors};
 use crate::throw::{Direction, OutOfRange};
 
@@ -186,13 +186,7 @@ fn apply(table: &mut toml::Table, change: &str) -> anyhow::Result<()> {
         .ok()
         .and_then(|mut parsed| parsed.remove("v"))
         .unwrap_or_else(|| toml::Value::String(text.to_owned()));
-    let nested = key.rsplit('.').fold(value, |inner, part| {
-        let mut outer = toml::Table::new();
-        outer.insert(part.to_owned(), inner);
-        toml::Value::Table(outer)
-    });
-    let toml::Value::Table(nested) = nested else { bail!("--set {change}: the key is empty") };
-    overlay(table, &nested);
+    set(table, &key.split('.').collect::<Vec<_>>(), value);
     Ok(())
 }
 

@@ -35,7 +35,11 @@ impl Responder {
         while let Some(question) = questions.next().await {
             let dropped = questions.take_dropped();
             if dropped > 0 {
-                seldom!(warn, dropped, "queries refused: the queue is full, or their payload is too large");
+                seldom!(
+                    warn,
+                    dropped,
+                    "queries refused: the queue is full, they waited too long, or their payload is too large"
+                );
             }
             let replies = self.replies(&question).await;
             questions.answer(question, replies).await;
@@ -48,14 +52,14 @@ impl Responder {
             Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, status, .. } => alarm_replies(question, reader, status).await,
             Self::Commands { sender, itself } => {
-                takes_only(question, &["session"])?;
+                wire::check_parameters(question.parameters().as_str(), &["session"])?;
                 match question.parameters().get("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
                     _ => command_reply(question, sender, itself).await,
                 }
             }
             Self::Status { key, sources } => {
-                takes_only(question, &[])?;
+                wire::check_parameters(question.parameters().as_str(), &[])?;
                 Ok(vec![(key.clone(), wire::json_bytes(&sources.answer().await))])
             }
         }
@@ -67,13 +71,8 @@ fn asks_about(question: &Query, key: &str) -> bool {
     bus::intersect(question.key_expr(), key)
 }
 
-/// Refuses a query with a parameter that is not in `known`.
-fn takes_only(question: &Query, known: &[&str]) -> Result<(), String> {
-    wire::check_parameters(question.parameters().as_str(), known).map_err(|error| error.to_string())
-}
-
 async fn health_replies(question: &Query, reader: &Reader) -> Replies {
-    let rows = match HistoryQuery::parse(question.parameters().as_str()).map_err(|error| error.to_string())? {
+    let rows = match HistoryQuery::parse(question.parameters().as_str())? {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
     };
@@ -82,7 +81,7 @@ async fn health_replies(question: &Query, reader: &Reader) -> Replies {
 }
 
 async fn alarm_replies(question: &Query, reader: &Reader, status: &Status) -> Replies {
-    let rows = match HistoryQuery::parse(question.parameters().as_str()).map_err(|error| error.to_string())? {
+    let rows = match HistoryQuery::parse(question.parameters().as_str())? {
         HistoryQuery::Current => {
             reader.open_alarms(&selector(question)).await.map(|stored| status.with_uncommitted(stored))
         }
@@ -114,8 +113,8 @@ async fn command_reply(question: &Query, sender: &CommandSender, itself: &Comman
     if payload.is_empty() {
         return Ok(vec![(key, wire::json_bytes(itself))]);
     }
-    let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
-    Ok(vec![(key, wire::json_bytes(&sender.apply(machine, command).await?))])
+    let reply = sender.apply(machine, wire::decode_command(&payload)?).await?;
+    Ok(vec![(key, wire::json_bytes(&reply))])
 }
 
 /// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]

@@ -9,7 +9,7 @@ use super::{
     clock,
     config::Config,
     error::StartError,
-    judge::{Judge, Judged},
+    judge::{Batch, Judge, Judged},
     supervision::lock::DatabaseLock,
 };
 use crate::{
@@ -86,11 +86,11 @@ impl Offline {
         self.waiting = 0;
         let mut all = Vec::new();
         loop {
-            let pending = self.judge.pending().await?;
-            if pending.is_empty() {
+            let Batch { throws, .. } = self.judge.pending().await?;
+            if throws.is_empty() {
                 return Ok(all);
             }
-            let judgements = self.judge.judge(&pending).await;
+            let judgements = self.judge.judge(&throws).await;
             self.store.judge_all(Arc::clone(&judgements)).await?;
             all.extend(judgements.iter().map(Judged::from));
         }

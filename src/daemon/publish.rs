@@ -56,7 +56,8 @@ impl Publisher {
             let since = start.elapsed();
             let waited = since >= AUDIENCE_LIMIT;
             let may_begin = self.is_first || since >= RECONNECT_WAIT;
-            if reaches && may_begin && (stopping || waited || self.has_audience().await) {
+            let has_audience = async || self.audience.matching_status().await.is_ok_and(|status| status.matching());
+            if reaches && may_begin && (stopping || waited || has_audience().await) {
                 last = self.publish(last, &mut accepted).await;
             }
             self.remove_settled(&mut accepted).await;
@@ -70,11 +71,6 @@ impl Publisher {
                 _ = beat.tick() => {}
             }
         }
-    }
-
-    /// Whether any subscriber to alarms is connected now.
-    async fn has_audience(&self) -> bool {
-        self.audience.matching_status().await.is_ok_and(|status| status.matching())
     }
 
     /// Publishes the messages after the row `last`; returns the last row that zenoh accepted.

@@ -125,7 +125,9 @@ impl Daemon {
         let (sender, commands) = CommandSender::new();
         let (outlet, publishing) = Outlet::start(session);
 
-        start.start_webhook().await?;
+        if let Some(notifier) = Notifier::new(Arc::clone(&shared)).await? {
+            start.tasks.spawn("webhook", notifier.run());
+        }
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;
@@ -220,8 +222,6 @@ impl Starting {
         self.shared.config.subscribe.key.key_expression(kind)
     }
 
-    /// Starts the publishing loop. `is_first` is true for a new database: no earlier process published from it, so no
-    /// subscriber has to reconnect before the first alarm.
     async fn start_publisher(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             shared: Arc::clone(&self.shared),
@@ -230,14 +230,6 @@ impl Starting {
             is_first,
         };
         self.tasks.spawn(PUBLISH, publisher.run());
-        Ok(())
-    }
-
-    /// Starts the loop that sends alarm events to the webhook, if one is configured.
-    async fn start_webhook(&mut self) -> Result<(), StartError> {
-        if let Some(notifier) = Notifier::new(Arc::clone(&self.shared)).await? {
-            self.tasks.spawn("webhook", notifier.run());
-        }
         Ok(())
     }
 

@@ -15,6 +15,7 @@ use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use serde::de::DeserializeOwned;
 use zenoh::{
     Session, Wait, bytes::Encoding as ContentType, key_expr::KeyExpr, pubsub::Subscriber, qos::CongestionControl,
     sample::Sample,
@@ -112,7 +113,15 @@ impl LoadTest {
     pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<LoadResult, LoggerError> {
         let prepared = self.prepare()?;
         let (healths, alarms) = (Shared::default(), Shared::default());
-        let _subscribers = subscribe(session, boot_id, &healths, &alarms)?;
+        let own_boot = boot_id.to_owned();
+        let of_health = move |Health { machine, throw, .. }: Health| {
+            (throw.boot_id == own_boot).then_some((machine, throw.throw_no))
+        };
+        let of_alarm = |Alarm { machine, event, .. }: Alarm| Some((machine, event.last_throw?.throw_no));
+        let _subscribers = [
+            subscribe(session, Kind::Health, &healths, of_health)?,
+            subscribe(session, Kind::Alarm, &alarms, of_alarm)?,
+        ];
         let keys = self.keys(session, patience)?;
         let mut noise = Noise::new(self.seed);
         let start = clock::monotonic();
@@ -173,35 +182,22 @@ impl LoadTest {
     }
 }
 
-/// Subscribes to the health and the alarms of all machines.
-fn subscribe(
+/// Subscribes to the messages of one kind of all machines. `throw`: the throw of a message; `None` if it does not count.
+fn subscribe<M: DeserializeOwned>(
     session: &Session,
-    boot_id: &str,
-    healths: &Shared,
-    alarms: &Shared,
-) -> Result<[Subscriber<()>; 2], LoggerError> {
-    let (boot_id, healths, alarms) = (boot_id.to_owned(), Arc::clone(healths), Arc::clone(alarms));
-    let on_health = move |sample: Sample| {
+    kind: Kind,
+    tracking: &Shared,
+    throw: impl Fn(M) -> Option<(MachineId, u64)> + Send + Sync + 'static,
+) -> Result<Subscriber<()>, BusError> {
+    let tracking = Arc::clone(tracking);
+    let on_message = move |sample: Sample| {
         let now = clock::monotonic();
-        if let Ok(Health { machine, throw, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
-            && throw.boot_id == boot_id
-        {
-            healths.lock().on_message(&(machine, throw.throw_no), now);
+        if let Some(throw) = serde_json::from_slice(&sample.payload().to_bytes()).ok().and_then(&throw) {
+            tracking.lock().on_message(&throw, now);
         }
     };
-    let on_alarm = move |sample: Sample| {
-        let now = clock::monotonic();
-        if let Ok(Alarm { machine, event, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
-            && let Some(throw) = event.last_throw
-        {
-            alarms.lock().on_message(&(machine, throw.throw_no), now);
-        }
-    };
-    let subscribed = || BusError::new("subscribe to the answers of the daemons");
-    Ok([
-        session.declare_subscriber(wire::every_key(Kind::Health)).callback(on_health).wait().map_err(subscribed())?,
-        session.declare_subscriber(wire::every_key(Kind::Alarm)).callback(on_alarm).wait().map_err(subscribed())?,
-    ])
+    let subscribed = session.declare_subscriber(wire::every_key(kind)).callback(on_message).wait();
+    subscribed.map_err(BusError::new("subscribe to the answers of the daemons"))
 }
 
 /// Waits until every published throw has its message, or no message has arrived for `patience`. Returns the time of

@@ -3,7 +3,7 @@
 use std::{path::Path, sync::Arc};
 
 use jiff::Timestamp;
-use tokio::task;
+use tokio::task::{self, JoinError};
 
 use super::{
     dropped::DropCounts,
@@ -221,8 +221,26 @@ impl Store {
 /// Compresses throws, on a blocking thread. A throw on which the compression panics is refused, as it would panic again.
 async fn compress(throws: Vec<ReceivedThrow>) -> Result<Vec<Spool>, StoreError> {
     let compress = move || throws.into_iter().map(Spool::new).collect();
-    task::spawn_blocking(compress).await.map_err(|error| {
-        let failed = || StoreError::Refused("its compression failed: please report it".to_owned());
-        if error.is_panic() { failed() } else { StoreError::Closed }
-    })
+    task::spawn_blocking(compress).await.map_err(|error| failed(&error))
+}
+
+/// The error of a compression that did not end: it panicked, or the runtime shuts down.
+fn failed(error: &JoinError) -> StoreError {
+    let refused = || StoreError::Refused("its compression failed: please report it".to_owned());
+    if error.is_panic() { refused() } else { StoreError::Closed }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Any other error would be retried for ever.
+    #[tokio::test]
+    async fn a_throw_on_which_the_compression_panics_is_refused() {
+        let panicked = task::spawn_blocking(|| panic!("a defect of the compressor")).await;
+        assert!(matches!(failed(&panicked.unwrap_err()), StoreError::Refused(_)));
+        let aborted = tokio::spawn(std::future::pending::<()>());
+        aborted.abort();
+        assert!(matches!(failed(&aborted.await.unwrap_err()), StoreError::Closed));
+    }
 }

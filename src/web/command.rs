@@ -39,7 +39,7 @@ pub(super) async fn post(
     // The response is the page again, with the typed values in the form. If it cannot be made, the response is the
     // refusal.
     let form = Form { refused: Some(refused.message.clone()), fields };
-    let page = time::timeout(LIMIT, machine::page_with(&web, &machine, form)).await;
+    let page = time::timeout(LIMIT, machine::show(&web, &machine, None, form)).await;
     let Ok(Ok(page)) = page else { return Err(refused) };
     Ok((refused.status, page).into_response())
 }

@@ -144,15 +144,12 @@ pub(super) async fn page(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Failure> {
     let Path(machine) = machine?;
-    show(&web, &machine, Span::from_query(query.as_deref())?, Form::default()).await
+    show(&web, &machine, query.as_deref(), Form::default()).await
 }
 
-/// The page after a refused command, with its form.
-pub(super) async fn page_with(web: &Web, machine: &MachineId, form: Form) -> Result<Response, Failure> {
-    show(web, machine, Span::from_query(None)?, form).await
-}
-
-async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<Response, Failure> {
+/// The page of a machine with a form, which is not empty after a refused command.
+pub(super) async fn show(web: &Web, machine: &MachineId, query: Option<&str>, form: Form) -> Result<Response, Failure> {
+    let span = Span::from_query(query)?;
     let trouble = web.trouble().await;
     let _permit = web.read_permit().await?;
     let config = web.view.config();

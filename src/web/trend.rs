@@ -69,34 +69,23 @@ pub(super) fn coefficients(
     // The larger scatter of both directions.
     let scatter = directions.iter().filter_map(|(direction, _)| scatter_pct(baselines, *direction));
     let scatter = scatter.reduce(|one, other| [0, 1, 2].map(|at| one[at].max(other[at])));
-    let shown = [
-        ("motor (b0)", "b0", settings.kt_limit_pct, 0),
-        ("friction (a1)", "a1", settings.friction_limit_pct, 1),
-        ("stiffness (a0)", "a0", settings.stiffness_limit_pct, 2),
-    ];
-    let mut pictures: Vec<Picture> = shown
-        .into_iter()
-        .map(|(title, name, limit, at)| {
-            let band = scatter.map(|scatter| scatter[at]);
-            let limits = (limit, limit * settings.critical_factor);
-            let caption = format!(
-                "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
-                band.map(|band| format!("The band of ± {band:.1} % is the scatter of this machine. "))
-                    .unwrap_or_default(),
-                limits.1
-            );
-            Picture::new(change(title, limits, band, directions, marks, |row| Some(row.change_pct?[at])), caption)
-        })
-        .collect();
-    let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
-    let caption = format!(
-        "The change of inertia, which changes b0, a1 and a0 alike: from the middle one of the three, as a fault of \
-         another part changes one of them. Warning at {} %, critical at {} %.",
-        limits.0, limits.1
-    );
-    let inertia = change("inertia", limits, None, directions, marks, |row| Some(inertia_pct(row.change_pct?)));
-    pictures.push(Picture::new(inertia, caption));
-    pictures
+    let picture = |title: &str, about: &str, limit: f64, at: Option<usize>| {
+        let limits = (limit, limit * settings.critical_factor);
+        let band = scatter.zip(at).map(|(scatter, at)| scatter[at]);
+        let scatter = band.map(|band| format!("The band of ± {band:.1} % is the scatter of this machine. "));
+        let scatter = scatter.unwrap_or_default();
+        let caption = format!("{about}. {scatter}Warning at {limit} %, critical at {} %.", limits.1);
+        let of_row = |row: &Health| row.change_pct.map(|pct| at.map_or_else(|| inertia_pct(pct), |at| pct[at]));
+        Picture::new(change(title, limits, band, directions, marks, of_row), caption)
+    };
+    let inertia = "The change of inertia, which changes b0, a1 and a0 alike: from the middle one of the three, as a fault of \
+                   another part changes one of them";
+    vec![
+        picture("motor (b0)", "Change of b0 from the baseline", settings.kt_limit_pct, Some(0)),
+        picture("friction (a1)", "Change of a1 from the baseline", settings.friction_limit_pct, Some(1)),
+        picture("stiffness (a0)", "Change of a0 from the baseline", settings.stiffness_limit_pct, Some(2)),
+        picture("inertia", inertia, settings.inertia_limit_pct, None),
+    ]
 }
 
 /// The change of inertia J \[%\], from the median of the changes of the three coefficients: all three are proportional

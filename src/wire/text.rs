@@ -7,6 +7,12 @@ use serde::Serialize;
 #[error("{0}")]
 pub struct Invalid(pub(super) String);
 
+impl From<Invalid> for String {
+    fn from(Invalid(reason): Invalid) -> Self {
+        reason
+    }
+}
+
 /// JSON without the byte order mark that some clients write, and that a reader may ignore (RFC 8259, section 8.1).
 pub fn without_byte_order_mark(payload: &[u8]) -> &[u8] {
     payload.strip_prefix("\u{feff}".as_bytes()).unwrap_or(payload)

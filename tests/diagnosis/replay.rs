@@ -33,7 +33,7 @@ async fn record(config: &Path) {
     let fleet =
         FleetSettings { machines: 1, faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
     let mut machine = fleet.build(3).unwrap().pop().unwrap();
-    let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
+    let mut pipeline = Offline::open(Config::load(Some(config)).unwrap()).await.unwrap();
     let id = MachineId::new("north", "21B").unwrap();
     for throw_no in 1..=THROWS.0 + THROWS.1 + MISDATED {
         let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
@@ -101,7 +101,7 @@ async fn a_missing_source_or_an_existing_target_is_reported() {
     assert_eq!(nothing.status.code(), Some(66));
     assert!(String::from_utf8_lossy(&nothing.stderr).contains("--from"));
 
-    Offline::open(Config::load(&config).unwrap()).await.unwrap().close().await.unwrap();
+    Offline::open(Config::load(Some(&config)).unwrap()).await.unwrap().close().await.unwrap();
     let empty = replay(&config, &into, &[]);
     assert_eq!(empty.status.code(), Some(65), "{}", String::from_utf8_lossy(&empty.stderr));
     assert!(!into.exists(), "a database was left");

@@ -15,7 +15,6 @@ use tokio::sync::broadcast::error::RecvError;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, output,
-    run::start_failure,
     runtime::{self, Signals},
     simulate_run::boot_id,
 };
@@ -70,7 +69,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let (database, temporary) = database(arguments)?;
     let listening = Listening::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
     let url = listening.url();
-    let mut daemon = Daemon::start(config(&database)?).await.map_err(start_failure)?;
+    let mut daemon = Daemon::start(config(&database)?).await?;
     daemon.adopt("the dashboard", web::serve(listening, daemon.view()));
     let endpoint = daemon.locators().await.into_iter().next().unwrap_or_default();
     output::line(format_args!(
@@ -149,8 +148,8 @@ fn database(arguments: &Arguments) -> Result<(PathBuf, Option<TempDir>), Failure
     };
     let database = folder.join("points.db");
     if database.exists() {
-        let error = anyhow!("{} exists already: name another folder", database.display());
-        return Err(Failure::new(Exit::CannotCreate, error));
+        let problem = anyhow!("{} exists already: name another folder", database.display());
+        return Err(problem).or_exit(Exit::CannotCreate);
     }
     Ok((database, temporary))
 }

@@ -35,14 +35,9 @@ impl std::error::Error for ConfigError {}
 
 impl std::fmt::Display for ConfigError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}", self.file.display())?;
-        if let Some(line) = self.line {
-            write!(f, ":{line}")?;
-        }
-        if let Some(key) = &self.key {
-            write!(f, ": {key}")?;
-        }
-        write!(f, ": {}", self.problem)
+        let line = self.line.map(|line| format!(":{line}")).unwrap_or_default();
+        let key = self.key.as_ref().map(|key| format!(": {key}")).unwrap_or_default();
+        write!(f, "{}{line}{key}: {}", self.file.display(), self.problem)
     }
 }
 
@@ -62,6 +57,14 @@ pub struct Document {
 }
 
 impl Document {
+    /// Reads a file; an empty document without one, for the built-in defaults.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is not text or not TOML.
+    pub fn read_or_empty(file: Option<&Path>) -> Result<Self, ConfigError> {
+        file.map_or_else(|| Self::parse("built-in defaults".as_ref(), String::new()), Self::read)
+    }
+
     /// Reads a file.
     ///
     /// # Errors
@@ -202,6 +205,13 @@ fn collect(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
         }),
         _ => {}
     }
+}
+
+/// The keys in a text, with their sections.
+#[cfg(test)]
+pub(crate) fn keys(text: &str) -> Vec<String> {
+    let document = Document::parse("keys".as_ref(), text.to_owned()).unwrap();
+    document.places.into_iter().map(|place| place.path).collect()
 }
 
 #[cfg(test)]

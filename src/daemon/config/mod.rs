@@ -14,12 +14,14 @@ use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 
+#[cfg(test)]
+pub(crate) use document::keys;
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
-pub(crate) use zenoh::{check_endpoint, overlay};
+pub(crate) use zenoh::{check_endpoint, overlay, set};
 
 use crate::{
     bus::intersect,
@@ -188,17 +190,12 @@ pub struct Config {
 }
 
 impl Config {
-    /// The built-in configuration.
-    pub(crate) fn built_in() -> Result<Self, ConfigError> {
-        Self::from_document(&Document::parse(Path::new("built-in defaults"), String::new())?)
-    }
-
-    /// Loads and checks a file.
+    /// Loads and checks a file, or the built-in defaults without one.
     ///
     /// # Errors
     /// The first error, with file, line and key.
-    pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        Self::from_document(&Document::read(file)?)
+    pub fn load(file: Option<&Path>) -> Result<Self, ConfigError> {
+        Self::from_document(&Document::read_or_empty(file)?)
     }
 
     /// Warnings about settings that are valid and have no effect.

@@ -5,7 +5,7 @@ use toml::{Table, Value};
 
 use super::{
     Config, ConfigError, DAEMON_SECTIONS, Document, section,
-    zenoh::{self as sessions, find},
+    zenoh::{self as sessions, find, set},
 };
 use crate::throw::MachineId;
 
@@ -39,7 +39,7 @@ pub struct OperatorSession {
 /// # Errors
 /// When the file is invalid, or has no endpoint for a client.
 pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Result<OperatorSession, ConfigError> {
-    let none = Document::parse("built-in defaults".as_ref(), String::new())?;
+    let none = Document::read_or_empty(None)?;
     let document = file.unwrap_or(&none);
     let table: Table = document.deserialize()?;
     let zenoh = section(document)?.unwrap_or_default();
@@ -55,7 +55,7 @@ pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Resul
         (None, None) => (Table::new(), Ok(vec!["tcp/127.0.0.1:7447".to_owned()])),
     };
     let endpoints = connect.map_or(endpoints, |endpoint| Ok(vec![endpoint.to_owned()]))?;
-    set(&mut client, "connect", "endpoints", endpoints.clone().into());
+    set(&mut client, &["connect", "endpoints"], endpoints.clone().into());
     Ok(OperatorSession {
         zenoh: sessions::session_config(sessions::CLIENT, Some(&client), document)?,
         endpoints,
@@ -78,25 +78,22 @@ fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
 /// The `[zenoh]` section for a client of a daemon, made from the section of the daemon.
 fn client_of(zenoh: &Table) -> Table {
     let mut client = Table::new();
-    if let Some(link) = find(zenoh, &["transport", "link"]).and_then(Value::as_table) {
-        let mut kept: Table =
-            ["protocols", "rx"].iter().filter_map(|key| Some(((*key).to_owned(), link.get(*key)?.clone()))).collect();
-        if let Some(tls) = link.get("tls").and_then(Value::as_table) {
-            let shared = SHARED_TLS.iter().map(|key| (*key, tls.get(*key)));
-            let own =
-                CLIENT_TLS.iter().map(|(connect, listen)| (*connect, tls.get(*connect).or_else(|| tls.get(*listen))));
-            let tls: Table =
-                shared.chain(own).filter_map(|(key, value)| Some((key.to_owned(), value?.clone()))).collect();
-            kept.insert("tls".to_owned(), tls.into());
+    let mut copy = |path: &[&str], from: &[&str]| {
+        if let Some(value) = find(zenoh, path).or_else(|| find(zenoh, from)) {
+            set(&mut client, path, value.clone());
         }
-        set(&mut client, "transport", "link", kept.into());
+    };
+    for key in ["protocols", "rx"] {
+        copy(&["transport", "link", key], &["transport", "link", key]);
     }
-    let login = find(zenoh, &["transport", "auth", "usrpwd"]).and_then(Value::as_table);
-    if let (Some(user), Some(password)) =
-        (login.and_then(|login| login.get("user")), login.and_then(|login| login.get("password")))
-    {
-        let login = Table::from_iter([("user".to_owned(), user.clone()), ("password".to_owned(), password.clone())]);
-        set(&mut client, "transport", "auth", Table::from_iter([("usrpwd".to_owned(), login.into())]).into());
+    for (key, of_daemon) in SHARED_TLS.map(|key| (key, key)).into_iter().chain(CLIENT_TLS) {
+        copy(&["transport", "link", "tls", key], &["transport", "link", "tls", of_daemon]);
+    }
+    let login = ["user", "password"].map(|key| ["transport", "auth", "usrpwd", key]);
+    if login.iter().all(|path| find(zenoh, path).is_some()) {
+        for path in &login {
+            copy(path, path);
+        }
     }
     client
 }
@@ -155,13 +152,6 @@ fn from_here(endpoint: &str) -> Option<String> {
         host => host,
     };
     (port != "0").then(|| format!("{protocol}/{host}:{port}"))
-}
-
-fn set(table: &mut Table, section: &str, key: &str, value: Value) {
-    let section = table.entry(section).or_insert_with(|| Table::new().into());
-    if let Some(section) = section.as_table_mut() {
-        section.insert(key.to_owned(), value);
-    }
 }
 
 #[cfg(test)]

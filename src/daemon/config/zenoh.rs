@@ -50,7 +50,9 @@ pub(super) fn session_config(
     let mut merged = base(kind).map_err(|error| invalid(error.to_string()))?;
     if let Some(section) = section {
         overlay(&mut merged, section);
-        check_files(section, document)?;
+        check_each_file(section, document, |_, file| {
+            if Path::new(file).is_file() { Ok(()) } else { Err(format!("there is no file {file:?}")) }
+        })?;
     }
     zenoh::Config::from_deserializer(Value::Table(merged)).map_err(|failure| match failure {
         Ok(_) => invalid("zenoh rejects the combination of values in this section".to_owned()),
@@ -67,6 +69,14 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
                 base.insert(key.clone(), value.clone());
             }
         }
+    }
+}
+
+/// Sets the value at a path of keys, in tables that are created if needed.
+pub(crate) fn set(table: &mut Table, path: &[&str], value: Value) {
+    let nested = path.iter().rfold(value, |inner, key| Table::from_iter([((*key).to_owned(), inner)]).into());
+    if let Value::Table(nested) = nested {
+        overlay(table, &nested);
     }
 }
 
@@ -92,12 +102,6 @@ fn check_each_file(
         check(key, file).map_err(|problem| document.error_at(&format!("zenoh.transport.link.tls.{key}"), problem))?;
     }
     Ok(())
-}
-
-fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {
-    check_each_file(section, document, |_, file| {
-        if Path::new(file).is_file() { Ok(()) } else { Err(format!("there is no file {file:?}")) }
-    })
 }
 
 /// Reads the certificates and private keys. Zenoh would fail with a damaged one only at the start of the session.

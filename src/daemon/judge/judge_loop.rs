@@ -14,7 +14,7 @@ use tokio::{
     time,
 };
 
-use super::{Judge, Judged, budget::Budget, commands::PendingCommand, monitors::TICK};
+use super::{Batch, Judge, Judged, budget::Budget, commands::PendingCommand, monitors::TICK};
 use crate::{
     bus::Outlet,
     daemon::{
@@ -49,6 +49,17 @@ struct PendingDaemonAlarm {
     raised: Instant,
     /// Whether it was published already.
     published: bool,
+}
+
+/// Why a command is not applied.
+#[derive(Debug, thiserror::Error)]
+enum NotApplied {
+    /// The reason is for the operator.
+    #[error("{0}")]
+    Refused(String),
+    /// The daemon must end.
+    #[error(transparent)]
+    Store(#[from] StoreError),
 }
 
 /// Changes that are stored in one transaction, with retries.
@@ -142,9 +153,9 @@ impl JudgeLoop {
         if !self.daemon_alarms.is_empty() {
             self.update_daemon_alarms().await?;
         }
-        let pending = match self.judge.pending().await {
-            Ok(pending) if pending.is_empty() => return Ok(false),
-            Ok(pending) => pending,
+        let Batch { throws, may_be_followed } = match self.judge.pending().await {
+            Ok(batch) if batch.throws.is_empty() => return Ok(false),
+            Ok(batch) => batch,
             Err(StoreError::Closed) => return Err(StoreError::Closed),
             Err(error) => {
                 seldom!(error, %error, "reading pending throws failed; retrying");
@@ -155,7 +166,7 @@ impl JudgeLoop {
         // After the throws are read, so that their monitors know every gap before them. A throw without a gap before it
         // shows that no data was lost.
         self.report_gaps().await?;
-        let judgements = self.judge.judge(&pending).await;
+        let judgements = self.judge.judge(&throws).await;
         self.shared.status.heartbeats.beat(TaskName::Identify);
         match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
             Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
@@ -163,7 +174,7 @@ impl JudgeLoop {
             Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
             Err(error) => return Err(error),
         }
-        Ok(self.judge.more)
+        Ok(may_be_followed)
     }
 
     /// Stores the judgements of a batch that the database rejects, each in its own transaction. If the database rejects
@@ -268,10 +279,21 @@ impl JudgeLoop {
         }
     }
 
-    /// Advances the time of the monitors, and reports gaps that no backlog will fill.
+    /// The periodic work. The alarms about the daemon itself come first, as the other steps wait while the database
+    /// accepts no writes. The time of the monitors is advanced before the other alarms, which depend on whether a
+    /// shelving or a maintenance has ended. The report is last, as it shows the result.
     async fn on_tick(&mut self) -> Result<(), StoreError> {
-        let (config, now) = (self.judge.config(), clock::now());
         self.update_daemon_alarms().await?;
+        self.advance_monitors().await?;
+        self.report_gaps().await?;
+        self.report_invalid_messages().await?;
+        self.update_peer_alarm().await?;
+        self.update_report();
+        Ok(())
+    }
+
+    async fn advance_monitors(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.shared.loggers.borrow().clone();
         let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, &self.own_machine);
@@ -279,29 +301,38 @@ impl JudgeLoop {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
         }
-        self.report_gaps().await?;
+        Ok(())
+    }
+
+    /// Reports consecutive invalid messages to the monitors of their machines, or in the status for unknown machines.
+    async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
-            let invalid = Irregularity::Invalid { count, reason: &reason };
-            let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
-            if let Some(outcome) = self.judge.monitors.update(&machine, false, now, report) {
-                self.record(outcome).await?;
-            } else if !self.judge.monitors.knows(&machine)
-                && (self.refused.len() < NAMED || self.refused.contains_key(&machine))
-            {
+            if self.judge.monitors.knows(&machine) {
+                let invalid = Irregularity::Invalid { count, reason: &reason };
+                let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
+                if let Some(outcome) = self.judge.monitors.update(&machine, now, report) {
+                    self.record(outcome).await?;
+                }
+            } else if self.refused.len() < NAMED || self.refused.contains_key(&machine) {
                 self.refused.insert(machine, (reason, clock::monotonic()));
             }
         }
+        Ok(())
+    }
+
+    /// Updates the alarm about watched daemons that are not reachable, if they changed.
+    async fn update_peer_alarm(&mut self) -> Result<(), StoreError> {
         let away = self.links.peers.away();
         let away = away.map(|daemons| Away { daemons, has_link: self.shared.status.edit().connected });
-        if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
-            let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
-            let outcome = self.judge.monitors.update(&self.own_machine, !away.daemons.is_empty(), now, update);
-            self.away = Some(away);
-            if let Some(outcome) = outcome {
-                self.record(outcome).await?;
-            }
+        let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) else { return Ok(()) };
+        let (config, now) = (self.judge.config(), clock::now());
+        let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
+        let outcome = self.judge.monitors.update(&self.own_machine, now, update);
+        self.away = Some(away);
+        if let Some(outcome) = outcome {
+            self.record(outcome).await?;
         }
-        self.update_report();
         Ok(())
     }
 
@@ -357,7 +388,7 @@ impl JudgeLoop {
         let trouble = self.judge.store.trouble(self.shared.status.trouble(config.subscribe.max_machines));
         let text = trouble.as_ref().map(|(severity, text)| (*severity, text.as_str()));
         let update = |monitor: &mut MachineMonitor| monitor.trouble(text, now, &config.diagnosis);
-        let new = self.judge.monitors.update(&self.own_machine, text.is_some(), now, update);
+        let new = self.judge.monitors.update(&self.own_machine, now, update);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
         while let Some(alarm) = self.daemon_alarms.pop_front() {
@@ -408,9 +439,16 @@ impl JudgeLoop {
             return Ok(());
         }
         let (config, now) = (self.judge.config(), clock::now());
-        let (done, text) = match self.budget.take(clock::monotonic()) {
-            Err(wait) => (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
-            Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
+        let applied = match self.budget.take(clock::monotonic()) {
+            Err(wait) => {
+                Err(NotApplied::Refused(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)))
+            }
+            Ok(()) => self.apply_command(&machine, &command, now, &config).await,
+        };
+        let (done, text) = match applied {
+            Ok(confirmation) => (true, confirmation),
+            Err(NotApplied::Refused(reason)) => (false, reason),
+            Err(NotApplied::Store(error)) => return Err(error),
         };
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
         // Fails if the operator stopped waiting.
@@ -418,39 +456,32 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Applies a command; returns whether it was applied, and a sentence for the operator.
+    /// Applies a command; returns a confirmation for the operator.
     async fn apply_command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         config: &Config,
-    ) -> Result<(bool, String), StoreError> {
+    ) -> Result<String, NotApplied> {
         let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
         if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
-            return Ok((false, text));
+            return Err(NotApplied::Refused(text));
         }
         if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
-            return Ok((false, text));
+            return Err(NotApplied::Refused(text));
         }
-        let (outcome, confirmation) = match self.judge.monitors.apply_command(machine, command, now, &config.diagnosis)
-        {
-            None => {
-                let text = format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
-                return Ok((false, text));
-            }
-            Some(Err(error)) => return Ok((false, error.to_string())),
-            Some(Ok(applied)) => applied,
-        };
+        let applied = self.judge.monitors.apply_command(machine, command, now, &config.diagnosis);
+        let (outcome, confirmation) = applied.map_err(NotApplied::Refused)?;
         let is_stored = self.record(outcome).await?;
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
             let text = "the database did not store the command, which is in effect until the daemon restarts";
-            return Ok((false, text.to_owned()));
+            return Err(NotApplied::Refused(text.to_owned()));
         }
         tracing::info!(%machine, ?command, "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
@@ -463,7 +494,7 @@ impl JudgeLoop {
         } else {
             ""
         };
-        Ok((true, confirmation + late))
+        Ok(confirmation + late)
     }
 
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.

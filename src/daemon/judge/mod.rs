@@ -52,9 +52,15 @@ pub(super) struct Judge {
     pub(super) config: watch::Receiver<Arc<Config>>,
     /// The machine of the last throw in the last batch, if that batch was full. The next batch begins with the other
     /// machines.
-    pub(super) last: Option<MachineId>,
-    /// Whether further throws may have been pending when the last batch was read.
-    pub(super) more: bool,
+    last: Option<MachineId>,
+}
+
+/// Throws to judge together.
+pub(super) struct Batch {
+    /// Empty if no throw is pending.
+    pub(super) throws: Vec<StoredThrow>,
+    /// Whether further throws may be pending.
+    pub(super) may_be_followed: bool,
 }
 
 impl Judge {
@@ -69,7 +75,7 @@ impl Judge {
             monitors.restore(page);
         }
         let threads = identify::threads(config.borrow().identify.threads);
-        Ok(Self { store, monitors, threads, config, last: None, more: false })
+        Ok(Self { store, monitors, threads, config, last: None })
     }
 
     /// Adopts the open alarms that no monitor has; returns the outcomes to store.
@@ -83,13 +89,13 @@ impl Judge {
         Arc::clone(&self.config.borrow())
     }
 
-    /// The next batch to judge; empty if no throw is pending.
-    pub(super) async fn pending(&mut self) -> Result<Vec<StoredThrow>, StoreError> {
+    /// The next batch to judge.
+    pub(super) async fn pending(&mut self) -> Result<Batch, StoreError> {
         let wait = self.backlog_wait();
         let (throws, is_full) = self.store.reader().to_judge(self.last.as_ref(), BATCH, clock::now(), wait).await?;
-        self.more = is_full || self.last.is_some();
+        let may_be_followed = is_full || self.last.is_some();
         self.last = throws.last().filter(|_| is_full).map(|stored| stored.machine.clone());
-        Ok(throws)
+        Ok(Batch { throws, may_be_followed })
     }
 
     /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next

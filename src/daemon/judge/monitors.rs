@@ -15,8 +15,7 @@ use super::{
 use crate::{
     daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Missing, Parameters,
-        Settings, Verdict,
+        AlarmEvent, AlarmState, Command, Common, Irregularity, MachineMonitor, Missing, Parameters, Settings, Verdict,
     },
     estimate::{Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -171,16 +170,15 @@ impl Monitors {
         let dated = monitor.date(&stored.id, stored.started_at, received_at, is_behind, settings);
         // The store puts throws with a repeated number into a boot of their own, which is no boot of the logger.
         let boot_at = received_at.filter(|_| !stored.renumbered);
-        let (two_loggers, new_baseline, logger_events) =
-            monitor.boot(&stored.id, stored.started_at, boot_at, dated.at, settings);
-        let withheld = two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
+        let boot = monitor.boot(&stored.id, stored.started_at, boot_at, dated.at, settings);
+        let withheld = boot.two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
         let identification = identification.filter(|_| withheld.is_none());
         let mut observation = observation(stored, identification.as_ref());
         observation.started_at = dated.at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
         let (configured, configuration_events) = monitor.configured(parameters, observation.started_at).unzip();
-        let command = configured.or(new_baseline);
+        let command = configured.or(boot.command);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
@@ -189,16 +187,16 @@ impl Monitors {
         } else {
             monitor.observe_beside(&observation, &common, settings)
         };
-        verdict.events.extend(dated.event);
+        verdict.events.extend(dated.events);
         let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
         let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
         for irregularity in repeated_trace.into_iter().chain(repeated_number) {
-            let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
-            verdict.events.extend(event);
+            let events = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
+            verdict.events.extend(events);
             verdict.present.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut events = [logger_events, configuration_events.unwrap_or_default()].concat();
+        let mut events = [boot.events, configuration_events.unwrap_or_default()].concat();
         events.append(&mut verdict.events);
         let outcome = Outcome { command, ..outcome(&stored.machine, is_last.then_some(&*monitor), at, events) };
         // Only for throws without changes of the coefficients: their health has the changes of the ratios.
@@ -303,21 +301,23 @@ impl Monitors {
         (!events.is_empty()).then_some((id, events))
     }
 
-    /// Applies a change that may raise an event, and returns the outcome to store; `None` without an event. A machine
-    /// without a monitor gets one if it `is_needed`; otherwise the result is `None`.
+    /// Applies a change that may raise events, and returns the outcome to store; `None` without an event. A machine
+    /// without a monitor then has none afterwards.
     pub(super) fn update(
         &mut self,
         machine: &MachineId,
-        is_needed: bool,
         now: Timestamp,
-        change: impl FnOnce(&mut MachineMonitor) -> Option<AlarmEvent>,
+        change: impl FnOnce(&mut MachineMonitor) -> Vec<AlarmEvent>,
     ) -> Option<Outcome> {
-        if !is_needed && !self.of_machines.contains_key(machine) {
+        let is_new = !self.knows(machine);
+        let events = change(self.monitor(machine));
+        if events.is_empty() {
+            if is_new {
+                self.of_machines.remove(machine);
+            }
             return None;
         }
-        let monitor = self.monitor(machine);
-        let event = change(monitor)?;
-        Some(outcome(machine, Some(monitor), now, vec![event]))
+        Some(self.outcome(machine, now, events))
     }
 
     /// Reports missing throws to the monitor of a machine.
@@ -333,26 +333,24 @@ impl Monitors {
         outcome(machine, Some(monitor), at, events)
     }
 
-    /// Applies an operator's command. Returns the outcome to store and a confirmation for the operator; `None` if the
-    /// machine has no monitor. The command `retire` removes the monitor.
+    /// Applies an operator's command. Returns the outcome to store and a confirmation for the operator, or the reason
+    /// for a refusal. The command `retire` removes the monitor.
     pub(super) fn apply_command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         settings: &Settings,
-    ) -> Option<Result<(Outcome, String), CommandError>> {
-        let monitor = self.of_machines.get_mut(machine)?;
+    ) -> Result<(Outcome, String), String> {
+        let unknown = || format!("no machine {machine} is known here: it has sent no throw yet, or was retired");
+        let monitor = self.of_machines.get_mut(machine).ok_or_else(unknown)?;
         let confirmation = command.confirmation(machine, monitor.learning(settings));
-        let events = match monitor.command(command, now, settings) {
-            Ok(events) => events,
-            Err(error) => return Some(Err(error)),
-        };
+        let events = monitor.command(command, now, settings).map_err(|error| error.to_string())?;
         let confirmation = confirmation + &command.consequence(&events);
         if matches!(command, Command::Retire { .. }) {
             self.of_machines.remove(machine);
         }
-        Some(Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation)))
+        Ok((Outcome { command: Some(command.clone()), ..self.outcome(machine, now, events) }, confirmation))
     }
 }
 

@@ -385,8 +385,8 @@ fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Rec
     if *bytes > limit {
         return Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"));
     }
-    let (machine, _) = wire::parse_key(key).map_err(|error| error.to_string())?;
-    let throw = wire::decode_throw(encoding(message), payload).map_err(|error| error.to_string())?;
+    let (machine, _) = wire::parse_key(key)?;
+    let throw = wire::decode_throw(encoding(message), payload)?;
     Ok(ReceivedThrow { machine, throw, received_at })
 }
 

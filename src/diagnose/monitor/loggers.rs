@@ -20,15 +20,27 @@ pub struct Dated {
     pub at: Timestamp,
     /// Whether the throw is one for [`MachineMonitor::observe_outdated`].
     pub is_outdated: bool,
-    /// The raised or cleared alarm about the clock.
-    pub event: Option<AlarmEvent>,
+    /// Events of the alarm about the clock.
+    pub events: Vec<AlarmEvent>,
+}
+
+/// The effect of the boot of a throw.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct BootCheck {
+    /// A sentence about two loggers that publish as this machine: the throw is no evidence about the machine. `None`
+    /// for one logger.
+    pub two_loggers: Option<String>,
+    /// The command of a new baseline, if one was started.
+    pub command: Option<Command>,
+    /// Events of the alarm about two loggers.
+    pub events: Vec<AlarmEvent>,
 }
 
 impl MachineMonitor {
     /// Applies the liveliness of the logger, `there`: whether its token exists. A logger that never declared a token
     /// raises no alarm. Call it before each [`Self::tick`].
-    pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step)).pop()
+    pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
+        self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step))
     }
 
     /// Whether the logger has declared a token, even if the token is gone now.
@@ -66,7 +78,7 @@ impl MachineMonitor {
         }
         let is_outdated = |since| self.clock.is_before(since, started_at, received_at);
         let is_outdated = self.in_service_since.is_some_and(is_outdated);
-        Dated { at, is_outdated, event: self.alarms.take_events().pop() }
+        Dated { at, is_outdated, events: self.alarms.take_events() }
     }
 
     /// Whether throws that the logger makes before a new baseline, and sends after it, will be recognised.
@@ -81,16 +93,15 @@ impl MachineMonitor {
         throw: Option<&ThrowRef>,
         at: Timestamp,
         settings: &Settings,
-    ) -> Option<AlarmEvent> {
+    ) -> Vec<AlarmEvent> {
         if self.maintenance.is_some() {
-            return None;
+            return Vec::new();
         }
-        self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step)).pop()
+        self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step))
     }
 
-    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. If two loggers publish as
-    /// this machine, returns a sentence about it, and the throw is no evidence about the machine. Also returns the
-    /// command of a new baseline if one was started, and the events.
+    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation: shows whether two loggers
+    /// publish as this machine.
     ///
     /// Without `received_at` the clock of this computer is not trusted, and two loggers cannot be detected.
     pub fn boot(
@@ -100,7 +111,7 @@ impl MachineMonitor {
         received_at: Option<Timestamp>,
         at: Timestamp,
         settings: &Settings,
-    ) -> (Option<String>, Option<Command>, Vec<AlarmEvent>) {
+    ) -> BootCheck {
         let had_two = self.boots.two().is_some();
         if let Some(received_at) = received_at {
             self.boots.follow(throw, started_at, received_at);
@@ -110,11 +121,11 @@ impl MachineMonitor {
             if had_two {
                 self.operation.reset();
             }
-            return (None, None, Vec::new());
+            return BootCheck::default();
         };
         let command = if had_two { None } else { self.forget_since(since, at, settings) };
-        let sentence = self.two_loggers();
-        let text = sentence.clone().filter(|_| self.maintenance.is_none());
+        let two_loggers = self.two_loggers();
+        let text = two_loggers.clone().filter(|_| self.maintenance.is_none());
         let events = self.step(at, Some(throw), settings, |_, step| {
             let Some(text) = text else { return };
             // An active alarm with another reason gets this sentence as a remark.
@@ -122,7 +133,7 @@ impl MachineMonitor {
                 step.remark(Cause::NotMonitored, text);
             }
         });
-        (sentence, command, events)
+        BootCheck { two_loggers, command, events }
     }
 
     /// The sentence about two loggers that publish as this machine; `None` for one logger.

@@ -165,14 +165,14 @@ impl MachineMonitor {
         trouble: Option<(Severity, &str)>,
         now: Timestamp,
         settings: &Settings,
-    ) -> Option<AlarmEvent> {
-        self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step)).pop()
+    ) -> Vec<AlarmEvent> {
+        self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step))
     }
 
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
-    pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+    pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        self.step(now, None, settings, |_, step| on_peers(text, step)).pop()
+        self.step(now, None, settings, |_, step| on_peers(text, step))
     }
 
     /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
