@@ -272,6 +272,18 @@ fn a_lost_torque_with_sound_magnets_points_to_the_gear() {
     }
 }
 
+/// At a lower speed dry friction looks larger, but the motor does not lose torque.
+#[test]
+fn a_loss_of_torque_behind_a_weak_supply_is_named() {
+    let weak = State { volts: 0.8, ..State::SOUND };
+    for seed in [2, 14, 270] {
+        let mut drive = Drive::after(110, seed, Voltage::Published);
+        assert_eq!(causes(&drive.events(60, weak)), [Cause::Supply], "seed {seed}");
+        let events = drive.events(24, State { torque: 0.78, ..weak });
+        assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::Kt), "seed {seed}: {events:#?}");
+    }
+}
+
 /// The throws of the dip stay in the windows for a while, and are no evidence that a friction has ended.
 #[test]
 fn a_dip_of_the_supply_does_not_end_an_alarm_about_a_part() {

@@ -12,7 +12,7 @@ use pointsd::{
 
 use crate::{
     climate::{Climate, PER_KELVIN},
-    fleet::{Machine, Scatter, normal, shift},
+    fleet::{Machine, Scatter, assert_nine_of_ten, in_parallel, normal, shift, sizes_held},
 };
 
 /// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in
@@ -78,6 +78,33 @@ fn a_fault_of_winter_lasts_through_the_summer() {
         let now = last.present.drifts[0].change_pct;
         assert!((now - 25.0).abs() < 7.5, "seed {seed}: {now} %");
     }
+}
+
+/// Winter and summer within 23 days: the learned effect of the temperature lags behind, so a small drift is suspected
+/// before the fault begins.
+#[test]
+fn a_fault_is_not_learned_as_an_effect_of_the_temperature() {
+    const FAULT: u64 = 360;
+    let climate = Climate { season_c: (-10.0, 30.0), change: (0, 460), day_k: 4.0 };
+    let held = in_parallel(100, |seed| {
+        let mut machine = Machine::in_field(48_000 + seed, Scatter::USUAL);
+        let mut weather_k = 0.0;
+        let mut verdicts = Vec::new();
+        for throw in 0..660 {
+            weather_k = 0.9 * weather_k + 0.44 * normal(&mut machine.rng);
+            let celsius = climate.celsius(throw) + weather_k;
+            let fault = if throw < FAULT { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
+            let verdict = machine.feed_at(Vector3::from(PER_KELVIN) * (celsius - 10.0) + fault, celsius);
+            if throw >= FAULT {
+                verdicts.push(verdict);
+            }
+        }
+        let is_named = |verdict: &Verdict| verdict.present.drifts.iter().any(|drift| drift.cause == Cause::Friction);
+        let unnamed = verdicts.iter().skip(24).position(|verdict| !is_named(verdict));
+        assert_eq!(unnamed, None, "seed {seed}");
+        sizes_held(Cause::Friction, 40.0, verdicts.into_iter())
+    });
+    assert_nine_of_ten(&held.concat(), 25_000, "friction +40 %");
 }
 
 #[test]
