@@ -30,9 +30,7 @@ pub(crate) const NAMED: usize = 20;
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    /// The fields that the loops write; [`StatusSources::report`] sets the others. `received` has only the messages from
-    /// backlogs, as the inbox counts the live ones.
-    loops: Mutex<StatusReport>,
+    loops: Mutex<LoopStatus>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
     invalid: Mutex<InvalidByMachine>,
@@ -45,6 +43,33 @@ pub(crate) struct Status {
     stored_losses: Mutex<StoredLosses>,
     pub(crate) machines_refused: RecentCount,
     pub(crate) alarm_events_lost: RecentCount,
+}
+
+/// The part of a [`StatusReport`] that the loops write, under the same names. [`StatusSources::report`] adds the rest.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct LoopStatus {
+    pub connected: bool,
+    pub loggers: usize,
+    pub without_throw: Vec<String>,
+    pub refused: Vec<String>,
+    pub not_served: Vec<String>,
+    pub loggers_ahead: usize,
+    pub loggers_behind: usize,
+    /// Messages received from backlogs. The inbox counts the others.
+    pub received_from_backlogs: u64,
+    pub ignored: u64,
+    pub backlog: u64,
+    pub stored: u64,
+    pub duplicates: u64,
+    pub quarantined: u64,
+    pub lost: u64,
+    pub judged: u64,
+    pub not_evaluated: u64,
+    pub alarm_events: u64,
+    pub webhook_fails: bool,
+    pub webhook_refused: u64,
+    /// Renewed every few seconds and after every command.
+    pub fleet_counts: FleetCounts,
 }
 
 /// Numbers of messages that are added to the counters of the database.
@@ -175,7 +200,7 @@ pub struct StatusReport {
     pub webhook_refused: u64,
     /// Names of the loops without a fresh heartbeat.
     pub silent: Vec<String>,
-    /// States of the machines, renewed every few seconds and after every command: `machines` and `shelved_alarms` in JSON.
+    /// States of the machines: `machines` and `shelved_alarms` in JSON.
     #[serde(flatten)]
     pub fleet_counts: FleetCounts,
     /// Open maintenance windows and shelvings; only in the reply to a `status` query.
@@ -184,8 +209,8 @@ pub struct StatusReport {
 }
 
 impl Status {
-    /// The fields that the loops write. They are locked until the returned guard is dropped.
-    pub(crate) fn edit(&self) -> MutexGuard<'_, StatusReport> {
+    /// The part that the loops write. It is locked until the returned guard is dropped.
+    pub(crate) fn edit(&self) -> MutexGuard<'_, LoopStatus> {
         self.loops.lock()
     }
 
@@ -301,14 +326,33 @@ impl StatusSources {
             disk: self.store.disk_level(),
             copying,
             wal_bytes: self.store.wal_bytes(),
-            received: self.inbox.received.load(Relaxed) + loops.received,
+            connected: loops.connected,
+            loggers: loops.loggers,
+            without_throw: loops.without_throw,
+            refused: loops.refused,
+            not_served: loops.not_served,
+            loggers_ahead: loops.loggers_ahead,
+            loggers_behind: loops.loggers_behind,
+            received: self.inbox.received.load(Relaxed) + loops.received_from_backlogs,
             dropped: self.inbox.dropped.load(Relaxed),
+            ignored: loops.ignored,
+            backlog: loops.backlog,
+            stored: loops.stored,
+            duplicates: loops.duplicates,
+            quarantined: loops.quarantined,
+            lost: loops.lost,
             machines_refused: status.machines_refused.count(),
+            judged: loops.judged,
+            not_evaluated: loops.not_evaluated,
+            alarm_events: loops.alarm_events,
             alarm_events_lost: status.alarm_events_lost.count(),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
+            webhook_fails: loops.webhook_fails,
+            webhook_refused: loops.webhook_refused,
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
-            ..loops
+            fleet_counts: loops.fleet_counts,
+            windows: Vec::new(),
         }
     }
 
