@@ -55,6 +55,25 @@ fn a_large_intermittent_fault_needs_fewer_throws() {
     }
 }
 
+/// The mean of all throws would say that a fault in every fifth throw is hardly there.
+#[test]
+fn the_present_size_of_an_intermittent_fault_is_that_of_its_throws() {
+    for (cause, pct) in [(Cause::Friction, 60.0), (Cause::Kt, -15.0), (Cause::Stiffness, 40.0)] {
+        let mut machine = Machine::after(200, 61_500, Scatter::USUAL);
+        let mut seen = 0;
+        for throw in 0..150 {
+            let fault = if throw % 5 == 0 { shift(cause, pct) } else { Vector3::zeros() };
+            for drift in machine.feed(fault).present.drifts {
+                let (size, sd) = (drift.change_pct, drift.change_pct_sd);
+                assert_eq!(drift.cause, cause);
+                assert!((size - pct).abs() < 4.0 * sd && sd < 8.0, "{cause}, throw {throw}: {size} ± {sd}");
+                seen += 1;
+            }
+        }
+        assert!(seen > 60, "{cause}: {seen}");
+    }
+}
+
 #[test]
 fn an_intermittent_fault_that_is_mended_clears() {
     let mut machine = Machine::in_field(61_000, Scatter::USUAL);

@@ -17,7 +17,7 @@ use crate::{
         alarm::{Alarms, Rule, RuleResult, Step},
         baseline::Suspicion,
         gauges::Gauges,
-        statistics::{LONGEST_WINDOW, percent, to_f32},
+        statistics::{LONGEST_WINDOW, Level, percent, to_f32},
         text,
     },
     throw::{Direction, ThrowRef},
@@ -337,6 +337,10 @@ impl DriftAlarms {
         let physical = alarms.active().map(|event| event.cause).filter(|cause| cause.is_part());
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
+            if alarms.rule(alarm.cause) == Some(Rule::Intermittent) {
+                now.push((alarm.severity, 0.0, self.of_faulty_throws(alarm, latest)));
+                continue;
+            }
             let size = |cause: Cause, window: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(window);
@@ -374,6 +378,24 @@ impl DriftAlarms {
             now.push((alarm.severity, size.relevance(settings), drifting));
         }
         self.now = worst_first(now);
+    }
+
+    /// The drift of the faulty throws behind an alarm about an intermittent fault. The mean of all throws would say that
+    /// the fault is small.
+    fn of_faulty_throws(
+        &self,
+        alarm: &AlarmEvent,
+        LatestThrow { drift, tracks, settings, .. }: LatestThrow,
+    ) -> Drifting {
+        let of_one_throw = tracks.of_one_throw(Direction::BOTH[drift.latest.0]);
+        let size = of_one_throw.and_then(|of_one| self.intermittent.size(alarm.cause, &of_one, settings));
+        Drifting {
+            cause: alarm.cause,
+            change_pct: size.map(Level::pct).or(alarm.change_pct).unwrap_or_default(),
+            change_pct_sd: size.map(Level::sd_pct).or(alarm.change_pct_sd).unwrap_or_default(),
+            direction: alarm.direction,
+            limit_in_throws: None,
+        }
     }
 
     /// The present drift of an active alarm.

@@ -13,7 +13,7 @@ use statrs::function::beta::checked_beta_reg;
 use super::{CLOSE, Explanation, direction_of, single};
 use crate::diagnose::{
     Cause, Settings,
-    statistics::{LastValues, SparseValues, is_default, sym3, to_f32},
+    statistics::{LastValues, Level, SparseValues, is_default, sym3, to_f32},
 };
 
 /// Lengths of the two windows of departures \[throws\].
@@ -187,6 +187,20 @@ impl Intermittent {
         let is_clear = misfit(&second) - misfit(&best) > CLOSE;
         let cause = if is_clear { best.cause } else { Cause::Unattributed };
         Some(IntermittentFault { one_in, explanation: best, cause })
+    }
+
+    /// Size of a fault by `cause` in the last departures that it explains; `None` without one, or without a part.
+    pub(super) fn size(&self, cause: Cause, of_one_throw: &Matrix3<f64>, settings: &Settings) -> Option<Level> {
+        let departures = self.recent.last(COUNTED[1]).map(|(_, d)| Vector3::from(d.map(f64::from)));
+        let is_of_cause = |departure: &Vector3<f64>| {
+            let part = |cause| single(cause, departure, of_one_throw, settings).relevance(settings);
+            let largest = Cause::PHYSICAL.into_iter().max_by(|a, b| part(*a).total_cmp(&part(*b)));
+            largest == Some(cause)
+        };
+        let faulty: Vec<_> = departures.filter(is_of_cause).collect();
+        let count = faulty.len() as f64;
+        let mean = faulty.iter().sum::<Vector3<f64>>() / count;
+        (!faulty.is_empty()).then(|| single(cause, &mean, &(of_one_throw / count), settings).level())
     }
 
     pub(crate) fn has_heavy_tails(&self) -> bool {
