@@ -12,6 +12,7 @@ use pointsd::{
 
 use crate::{
     drive::{Drive, State, Voltage, with_positions},
+    fleet::channels,
     operational::{ended, feed, machine, raised, summary},
 };
 
@@ -251,6 +252,26 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
         machine.monitor.caveats().len()
     };
     assert_eq!([named(4, true), named(1, true), named(1, false)], [0, 1, 0]);
+}
+
+/// Throws do not show whether a clock is right, so a new baseline and the end of a maintenance change nothing.
+#[test]
+fn an_alarm_about_a_clock_stays_at_a_new_baseline() {
+    let mut machine = machine();
+    let last = machine.throw(Vector3::zeros());
+    let (now, settings) = (last.started_at, Settings::default());
+    let date =
+        |monitor: &mut MachineMonitor| monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(now), false, &settings);
+    let raised: Vec<_> = (0..3).flat_map(|_| date(&mut machine.monitor).events).collect();
+    assert_eq!(channels(&raised), [(Cause::Sensor, Some(SensorChannel::Clock))]);
+    let by = "A. Person".to_owned();
+    let command = Command::Rebaseline { by: by.clone(), why: "new motor".to_owned() };
+    assert_eq!(machine.monitor.command(&command, now, &settings).unwrap(), []);
+    let until = now + SignedDuration::from_hours(1);
+    let commands =
+        [Command::MaintenanceStart { until, by: by.clone(), why: "grease".into() }, Command::MaintenanceEnd { by }];
+    let states = commands.map(|command| machine.monitor.command(&command, now, &settings).unwrap().remove(0).state);
+    assert_eq!(states, [AlarmState::OutOfService, AlarmState::ActiveUnacknowledged]);
 }
 
 /// A logger that always names the other direction is no fault. A throw without a movement says nothing about its names.

@@ -186,9 +186,9 @@ impl Command {
             Self::Rebaseline { .. } if !ended.is_empty() => {
                 let in_maintenance = events.iter().any(|event| event.state == AlarmState::OutOfService);
                 let when = if in_maintenance { " when the maintenance ends" } else { "" };
-                format!(". This ends the alarms {ended}{when}; a fault that still exists is learned as normal")
+                format!(". Alarms that this ends{when}: {ended}. A fault that still exists is learned as normal")
             }
-            Self::Retire { .. } if !ended.is_empty() => format!(". This ends the alarms {ended}"),
+            Self::Retire { .. } if !ended.is_empty() => format!(". Alarms that this ends: {ended}"),
             Self::MaintenanceEnd { .. } if !active.is_empty() => {
                 format!(". Alarms from before: {active}; the next throws show whether they are over")
             }

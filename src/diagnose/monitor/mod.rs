@@ -272,7 +272,9 @@ impl MachineMonitor {
     fn end_rules(&mut self, now: Timestamp) {
         let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
-        for cause in [Cause::Sensor, Cause::Supply].into_iter().chain(of_rules) {
+        // Throws do not show whether the clock of the logger is right; their dates do.
+        let sensor = self.alarms.owned_by(Rule::Dates).is_none().then_some(Cause::Sensor);
+        for cause in sensor.into_iter().chain([Cause::Supply]).chain(of_rules) {
             self.alarms.clear(cause, text::machine(&self.name, text::CHECKED_ANEW), now);
         }
     }
