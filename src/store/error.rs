@@ -95,32 +95,28 @@ impl StoreError {
 
     /// Turns an error of SQLite into that of an operator's statement.
     pub(super) fn statement(source: sqlx::Error) -> Self {
-        /// `SQLITE_IOERR_LOCK`: a change of the journal mode locks the file for writing. Reading has worked before.
-        const LOCK: i32 = 3850;
-        let Some(error) = source.as_database_error() else { return Self::read(source) };
-        match (code(&source), primary_code(&source)) {
-            (_, Some(1)) => Self::Statement(error.message().to_owned()),
+        match (primary_code(&source), source.as_database_error().map(|error| error.message())) {
+            (Some(1), Some(message)) => Self::Statement(message.to_owned()),
             // `SQLITE_READONLY`.
-            (Some(LOCK), _) | (_, Some(8)) => {
-                Self::Statement("it writes to the database, which only the daemon may do".to_owned())
-            }
+            (Some(8), Some(_)) => Self::writes(),
             // `SQLITE_CANTOPEN`, with this message of the statement ATTACH.
-            (_, Some(14)) if error.message().starts_with("unable to open database: ") => {
-                Self::Statement(format!("{}; this command only reads, and creates no file", error.message()))
+            (Some(14), Some(message)) if message.starts_with("unable to open database: ") => {
+                Self::Statement(format!("{message}; this command only reads, and creates no file"))
             }
             _ => Self::read(source),
         }
     }
-}
 
-/// The extended result code of an SQLite error.
-fn code(error: &sqlx::Error) -> Option<i32> {
-    error.as_database_error()?.code()?.parse().ok()
+    /// An operator's statement that writes.
+    pub(super) fn writes() -> Self {
+        Self::Statement("it writes to the database, which only the daemon may do".to_owned())
+    }
 }
 
 /// The primary result code of an SQLite error.
 fn primary_code(error: &sqlx::Error) -> Option<i32> {
-    Some(code(error)? & 0xff)
+    let code: i32 = error.as_database_error()?.code()?.parse().ok()?;
+    Some(code & 0xff)
 }
 
 /// `SQLITE_FULL`, or an I/O error because no space is left.

@@ -54,7 +54,7 @@ async fn sql_answers_in_three_forms_and_never_writes() {
         ["VACUUM", "SELECT 1; vacuum", "/**/VACUUM/**/"].map(|start| format!("{start} INTO '{}'", copy.display()));
     for (refused, says) in [
         ("DELETE FROM throw", "it writes to the database"),
-        ("PRAGMA journal_mode = DELETE", "it writes to the database"),
+        ("PRAGMA main.journal_mode = DELETE", "it writes to the database"),
         (&attach, &format!("unable to open database: {}; this command only reads", copy.display())),
         ("SELECT wrong FROM nowhere", "no such table: nowhere"),
         ("", "the query is empty"),
