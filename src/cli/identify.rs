@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, terminal};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
     throw::{Direction, Throw},
@@ -71,6 +71,14 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         return Err(Failure::new(Exit::Usage, anyhow!(renamed(&problems.join("; ")))));
     }
     let found = Identifier::default().identify(&throw, &settings);
+    let travel_mm = found.features.travel_mm.filter(|travel_mm| *travel_mm < LEAST_STROKE_MM);
+    if let Some(travel_mm) = travel_mm.filter(|_| found.outcome.is_ok() && settings.stroke_mm.is_none()) {
+        terminal::complain(format_args!(
+            "warning: {}: the toe moved only {travel_mm:.1} mm: if the position is in centimetres or inches, convert it to \
+             millimetres (position_mm); if this is the stroke, give it with --stroke-mm",
+            arguments.file.display()
+        ));
+    }
     let reason = reason(&found, &recording.lines);
     if arguments.json {
         output::json(&report(&found, reason.as_deref(), recording.lines.is_empty()).or_exit(Exit::Software)?)?;
@@ -103,6 +111,10 @@ impl Arguments {
         }
     }
 }
+
+/// Least plausible stroke \[mm\]: rails that open less do not let a wheel flange pass. In centimetres and in inches most
+/// strokes are smaller numbers than this.
+const LEAST_STROKE_MM: f64 = 30.0;
 
 /// Names of settings and message fields in the sentences of the estimator, and the options of this command for them.
 const NAMES: [(&str, &str); 10] = [

@@ -81,6 +81,11 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(text.as_bytes());
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
+    for name in [TIME, CURRENT, POSITION] {
+        if header.iter().filter(|column| *column == name).count() > 1 {
+            bail!("line 1: several columns are named {name}: rename those that are not to be read");
+        }
+    }
     let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?)];
     // A recording with a current sensor only does not have this column.
     let position = at(POSITION).ok();
@@ -117,7 +122,11 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
 fn missing(name: &str, header: &csv::StringRecord) -> anyhow::Error {
     let found = header.iter().collect::<Vec<_>>().join(",");
     let found: String = found.chars().take(100).collect();
-    let hint = if found.contains(';') { "; separate the columns by commas, not semicolons" } else { "" };
+    let hint = match found.chars().find(|separator| [';', '\t'].contains(separator)) {
+        Some(';') => "; separate the columns by commas, not semicolons",
+        Some(_) => "; separate the columns by commas, not tabs",
+        None => "",
+    };
     anyhow!(
         "line 1: column {name} is missing: the header must name {TIME},{CURRENT} and, with a toe sensor, {POSITION}, and is {found:?}{hint}"
     )

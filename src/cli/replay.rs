@@ -17,7 +17,7 @@ use crate::{
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::{MachineId, counted},
-    wire::Alarm,
+    wire::{Alarm, BaselineProgress},
 };
 
 /// Number of throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
@@ -28,7 +28,9 @@ const BATCH: u32 = 16;
 ///
 /// The throws come from the database of the configuration, or from `--from`. Commands of operators are not repeated.
 /// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
-/// removed to save space cannot be run again; their number is shown.
+/// removed to save space cannot be run again; their number is shown. The baselines of their machines then come from the
+/// throws that are left, and their alarms from the time before these baselines are complete are not compared, unless
+/// the new database has them too; their number is shown as well.
 ///
 /// Exit codes: 0 replayed; 65 the database has no throw that can be run again, is of another version, or is no database
 /// of pointsd; 66 there is no database, or it cannot be opened; 73 the new database exists already; 74 a database
@@ -75,6 +77,8 @@ struct Report {
     throws: u64,
     without_trace: u64,
     database: PathBuf,
+    /// Number of alarms that are not compared, as the baselines were not complete yet when they were raised.
+    not_replayed: usize,
     alarms: Vec<Comparison>,
 }
 
@@ -111,13 +115,15 @@ struct Replayed {
     without_trace: u64,
     /// Start of the earliest throw with a trace.
     since: Option<Timestamp>,
+    /// Machines of which a throw was left out.
+    incomplete: BTreeSet<MachineId>,
 }
 
 /// Runs all throws in `old` that have a trace through `new`, in the order in which they were received.
 async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError> {
     // Hidden if standard error is not a terminal.
     let progress = ProgressBar::new_spinner();
-    let mut replayed = Replayed { throws: 0, without_trace: 0, since: None };
+    let mut replayed = Replayed { throws: 0, without_trace: 0, since: None, incomplete: BTreeSet::new() };
     let mut after = ThrowRow::START;
     loop {
         let stored = old.throws(after, BATCH).await?;
@@ -126,6 +132,7 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
         for stored in stored {
             let Ok(throw) = stored.throw else {
                 replayed.without_trace += 1;
+                replayed.incomplete.insert(stored.machine);
                 continue;
             };
             new.take(&stored.machine, &throw, stored.received_at).await?;
@@ -156,9 +163,28 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
             }
         }
     }
+    let Replayed { throws, without_trace, incomplete, .. } = replayed;
+    let mut not_replayed = 0;
+    for ((machine, _), [before, after]) in &mut lists {
+        if before.len() > after.len() && incomplete.contains(machine) {
+            let learned_at = learned_at(new, machine).await.or_exit(Exit::Io)?;
+            let is_early = |alarm: &&Occurrence| learned_at.is_none_or(|learned_at| alarm.raised_at <= learned_at);
+            let early = before.iter().take(before.len() - after.len()).take_while(is_early).count();
+            before.drain(..early);
+            not_replayed += early;
+        }
+    }
     let alarms = lists.into_iter().flat_map(pairs).collect();
-    let Replayed { throws, without_trace, .. } = replayed;
-    Ok(Report { throws, without_trace, database: into, alarms })
+    Ok(Report { throws, without_trace, database: into, not_replayed, alarms })
+}
+
+/// Start of the last throw of the baselines of a machine; `None` while a baseline is not complete.
+async fn learned_at(new: &Reader, machine: &MachineId) -> Result<Option<Timestamp>, StoreError> {
+    let latest = new.latest_health(&machine.into()).await?;
+    let mut throws = latest.iter().filter(|throw| throw.direction.is_some());
+    let are_complete = throws.all(|throw| throw.baseline.is_some_and(BaselineProgress::is_complete));
+    let baselines = new.baselines_of(machine, u32::MAX).await?;
+    Ok(baselines.iter().map(|baseline| baseline.taken_at).max().filter(|_| are_complete))
 }
 
 /// The events of the alarms that were raised at `since` or later, in order. [`compare`] merges the events of one
@@ -220,8 +246,13 @@ fn sentences(report: &Report) -> String {
     if report.without_trace > 0 {
         lines.push(format!("left out, as the trace was removed: {}", counted(report.without_trace, "stored throw")));
     }
+    if report.not_replayed > 0 {
+        let alarms = counted(report.not_replayed, "alarm");
+        lines.push(format!("not compared, as the baselines were not complete at that time: {alarms}"));
+    }
     if report.alarms.is_empty() {
-        lines.push("no alarms in either database".to_owned());
+        let other = if report.not_replayed > 0 { "other " } else { "" };
+        lines.push(format!("no {other}alarms in either database"));
         return lines.join("\n");
     }
     let mut table = output::plain_table(["machine", "cause", "before", "now", "difference"]);

@@ -146,6 +146,11 @@ impl ResultWriter for Json {
     }
 
     fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
+        let is_infinite = |value: &Value| matches!(value, Value::Real(number) if number.is_infinite());
+        if let Some(at) = values.iter().position(is_infinite) {
+            self.end()?;
+            return Err(refusal(&format!("JSON has no infinity, which the column {} contains", self.names[at])));
+        }
         let object: serde_json::Map<_, _> = self.names.iter().cloned().zip(values.into_iter().map(plain)).collect();
         let comma = if self.rows == 0 { "" } else { "," };
         self.rows += 1;

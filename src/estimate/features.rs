@@ -53,6 +53,11 @@ pub struct Features {
 }
 
 impl Features {
+    /// The features without those that depend on the sampling rate.
+    pub(super) fn without_times(self) -> Self {
+        Self { duration_s: None, release_s: None, charge_as: None, ..self }
+    }
+
     /// The features without those that depend on a channel that is not reliable.
     pub(super) fn without(self, channel: Channel) -> Self {
         match channel {

@@ -36,6 +36,9 @@ const LARGEST_RATIO_ERROR: f64 = 0.2;
 /// Hum is searched if the standard deviation of the current before the start of the motor is above this multiple of the
 /// noise that its second differences show.
 const HUM_FACTOR: f64 = 1.3;
+/// Longest time of a motor in a throw without a toe position \[s\]. A motor that does not stop at the end runs until its
+/// time-out, some seconds or tens of seconds; with a longer time the sampling rate is wrong.
+const LONGEST_RUN_S: f64 = 300.0;
 /// Duration of the start of the motor \[s\], in which the toe moves by 1.5 mm.
 const START_S: f64 = 0.05;
 
@@ -260,6 +263,13 @@ fn identify_current(
     settings: &Settings,
 ) -> Identification {
     let mut features = current_only::features(movement);
+    let too_slow = features.duration_s.filter(|duration_s| *duration_s > LONGEST_RUN_S).map(|duration_s| {
+        let (longest_s, rate_hz) = (completeness::LONGEST_MOVEMENT_S, 1.0 / movement.interval_s);
+        Rejection::TooSlow { duration_s, longest_s, rate_hz }
+    });
+    if too_slow.is_some() {
+        features = features.without_times();
+    }
     add_supply(&mut features, throw);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
@@ -267,6 +277,7 @@ fn identify_current(
             missing::within(trace, start_s - movement.interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err)
         })
         .and_then(|()| usable(movement, settings))
+        .and_then(|()| too_slow.map_or(Ok(()), Err))
         .and_then(|()| {
             current_only::estimate(movement, throw, settings, &mut features)
                 .map_err(|why| Rejection::NoPosition { sent: sent_position(trace), why })
@@ -294,9 +305,7 @@ fn features_of(
             features = features.without(*channel);
         }
         Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
-        Err(Rejection::TooSlow { .. }) => {
-            (features.duration_s, features.release_s, features.charge_as) = (None, None, None);
-        }
+        Err(Rejection::TooSlow { .. }) => features = features.without_times(),
         _ => {}
     }
     add_supply(&mut features, throw);

@@ -138,11 +138,11 @@ pub enum Rejection {
     },
     /// The movement took longer than possible for a point machine.
     #[error(
-        "the toe moved for {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {} Hz",
+        "the movement lasts {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {} Hz",
         rounded(*.rate_hz)
     )]
     TooSlow {
-        /// Time from the start of the motor to 95 % of the travel \[s\].
+        /// Time from the start of the motor to 95 % of the travel, or of the motor without a toe position \[s\].
         duration_s: f64,
         /// The limit \[s\].
         longest_s: f64,

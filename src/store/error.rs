@@ -93,13 +93,23 @@ impl StoreError {
         Self::Read(Box::new(source))
     }
 
-    /// Turns an error of SQLite into that of an operator's statement: 1 is `SQLITE_ERROR`, 8 is `SQLITE_READONLY`.
+    /// Turns an error of SQLite into that of an operator's statement.
     pub(super) fn statement(source: sqlx::Error) -> Self {
-        match (primary_code(&source), source.as_database_error()) {
-            (Some(1), Some(error)) => Self::Statement(error.message().to_owned()),
-            (Some(8), Some(_)) => Self::Statement("it writes to the database, which only the daemon may do".to_owned()),
+        match (primary_code(&source), source.as_database_error().map(sqlx::error::DatabaseError::message)) {
+            (Some(1), Some(message)) => Self::Statement(message.to_owned()),
+            // `SQLITE_READONLY`.
+            (Some(8), Some(_)) => Self::writes(),
+            // `SQLITE_CANTOPEN`, with this message of the statement ATTACH.
+            (Some(14), Some(message)) if message.starts_with("unable to open database: ") => {
+                Self::Statement(format!("{message}; this command only reads, and creates no file"))
+            }
             _ => Self::read(source),
         }
+    }
+
+    /// An operator's statement that writes.
+    pub(super) fn writes() -> Self {
+        Self::Statement("it writes to the database, which only the daemon may do".to_owned())
     }
 }
 

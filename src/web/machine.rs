@@ -322,7 +322,11 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
             (state::signed(change[at], 1), own)
         };
+        // A baseline with a trend has all its throws.
+        let newest = baselines.iter().filter(|baseline| baseline.direction == direction);
+        let is_provisional = newest.max_by_key(|baseline| baseline.taken_at).is_some_and(|newest| !newest.complete);
         let baseline = match last.and_then(|last| last.baseline) {
+            Some(baseline) if baseline.is_complete() && is_provisional => "provisional".to_owned(),
             Some(baseline) if baseline.is_complete() => "complete".to_owned(),
             Some(BaselineProgress { so_far, needed }) => format!("{so_far} of {needed} throws"),
             None => "none yet".to_owned(),

@@ -1,18 +1,12 @@
 //! The query for a page of a logger's backlog (`…/throw?after_boot=B;after_no=N;limit=K`), and the throw at which the
 //! page starts.
 
-use std::fmt::Write as _;
-
 use percent_encoding::percent_decode_str;
 
 use crate::throw::ThrowRef;
 
 /// Largest page \[throws\]; a higher `limit` is reduced to it.
 pub const MAX_PAGE: usize = 1_000;
-/// Characters that are percent-encoded in a `boot_id`: the separator of parameters, and `%`. Zenoh has no escape sequence
-/// of its own. All others are sent as they are, as a logger may compare the value with its own boot without decoding it:
-/// `=` is in every second base64 text, and zenoh takes only the first one of a parameter for its separator.
-const ESCAPED: [char; 2] = ['%', ';'];
 
 /// A query for one page of a backlog.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,19 +63,12 @@ impl BacklogQuery {
     }
 }
 
+/// Percent-encodes the separator of parameters, and `%`: zenoh has no escape sequence of its own. All other characters
+/// are sent as they are, as a logger may compare the value with its own boot without decoding it: `=` is in every second
+/// base64 text, and zenoh takes only the first one of a parameter for its separator. A `boot_id` has no control
+/// characters.
 fn escape(boot_id: &str) -> String {
-    let mut escaped = String::with_capacity(boot_id.len());
-    for character in boot_id.chars() {
-        if ESCAPED.contains(&character) || character.is_control() {
-            let mut bytes = [0; 4];
-            for byte in character.encode_utf8(&mut bytes).bytes() {
-                let _ = write!(escaped, "%{byte:02X}");
-            }
-        } else {
-            escaped.push(character);
-        }
-    }
-    escaped
+    boot_id.replace('%', "%25").replace(';', "%3B")
 }
 
 #[cfg(test)]
@@ -94,7 +81,7 @@ mod tests {
 
     #[test]
     fn parameters_read_back_as_the_query_whatever_the_boot_id() {
-        for boot_id in ["7f3a", "2026-05-04T10:00:00Z/1", "a;b=c%d?e#f&g|h\n", "", "ü%41"] {
+        for boot_id in ["7f3a", "2026-05-04T10:00:00Z/1", "a;b=c%d?e#f&g|h", "", "ü%41"] {
             let query = BacklogQuery { after: Some(throw(boot_id, 41)), limit: 32 };
             let parameters = query.parameters();
             assert_eq!(BacklogQuery::parse(&parameters), query, "{parameters}");

@@ -12,6 +12,7 @@ use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
     throw::{MachineId, Throw},
 };
+use sqlx::Connection as _;
 
 /// Throws of the baseline in both directions, and throws with the fault.
 const THROWS: (u64, u64) = (24, 16);
@@ -90,6 +91,30 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
 
     // The source database is unchanged.
     assert_eq!(answer(&same, "again.db")["alarms"], unchanged["alarms"]);
+}
+
+/// The replay learns its baselines from the throws that are left. These include those with the fault.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alarm_from_before_the_new_baselines_are_complete_is_not_called_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let same = configuration(folder.path(), "same.toml", "");
+    record(&same).await;
+    let mut database = sqlx::SqliteConnection::connect_with(
+        &sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("pointsd.db")),
+    )
+    .await
+    .unwrap();
+    sqlx::query("DELETE FROM trace WHERE throw_row <= 20").execute(&mut database).await.unwrap();
+    database.close().await.unwrap();
+
+    let json = replay(&same, &folder.path().join("new.db"), &["--json"]);
+    let report: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert_eq!((&report["without_trace"], &report["not_replayed"]), (&20.into(), &1.into()), "{report}");
+    let alarms = report["alarms"].as_array().unwrap();
+    assert!(alarms.iter().all(|alarm| alarm["difference"] != "gone"), "{report}");
+    let text = replay(&same, &folder.path().join("text.db"), &[]);
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("not compared, as the baselines were not complete at that time: 1 alarm\n"), "{text}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -72,12 +72,41 @@ fn a_reason_names_options_and_columns() {
         Some((time, rest)) if time != "time_s" => text + &format!("{:.9},{rest}\n", time.parse::<f64>().unwrap() / 1e3),
         _ => text,
     });
-    for (text, says) in
-        [(without_position(), "need --supply-v and --stroke-mm"), (milliseconds, "the column time_s is wrong")]
-    {
+    // The file has milliseconds in place of seconds.
+    let slow: String = without_position().lines().fold(String::new(), |text, line| match line.split_once(',') {
+        Some((time, current)) if time != "time_s" => {
+            text + &format!("{:.3},{current}\n", time.parse::<f64>().unwrap() * 1e3)
+        }
+        _ => text + line + "\n",
+    });
+    for (text, says) in [
+        (without_position(), "need --supply-v and --stroke-mm"),
+        (milliseconds, "the column time_s is wrong"),
+        (slow, "needs 30 s at most: check the column time_s, 1 Hz"),
+    ] {
         let output = identify(&text);
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(1) && said.contains(says), "{said}");
+    }
+}
+
+/// The numbers are those of a small stroke in millimetres, so this is only a warning.
+#[test]
+fn a_position_in_centimetres_is_warned_about() {
+    let centimetres = csv().lines().skip(1).fold(HEADER.to_owned(), |text, line| {
+        let (rest, position) = line.rsplit_once(',').unwrap();
+        text + &format!("{rest},{}\n", position.parse::<f64>().unwrap() / 10.0)
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("throw.csv");
+    for (text, option, warns) in
+        [(&centimetres, None, true), (&centimetres, Some("--stroke-mm=11.5"), false), (&csv(), None, false)]
+    {
+        std::fs::write(&file, text).unwrap();
+        let output = pointsd(&[&["identify", file.to_str().unwrap()][..], option.as_slice()].concat());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert_eq!(said.contains("moved only 11.5 mm: if the position is in centimetres"), warns, "{said}");
     }
 }
 
@@ -117,6 +146,8 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
         (with_line(57, "0.001,1.0,0"), 65, vec!["line 58", "time does not increase"]),
         (plain.replace("current_a", "amps"), 65, vec!["line 1", "current_a is missing"]),
         (plain.replace(',', ";"), 65, vec!["line 1", "semicolons"]),
+        (plain.replace(',', "\t"), 65, vec!["line 1", "tabs"]),
+        (plain.replace("position_mm", "current_a"), 65, vec!["line 1: several columns are named current_a"]),
         (with_line(57, "0.056,1.0,0,5"), 65, vec!["line 58", "4 values for the 3 columns", "point"]),
         (lines[..4].join("\n"), 1, vec!["throw.csv"]),
         (lines[..3000].join("\n"), 1, vec!["still moving", "--stroke-mm"]),

@@ -255,7 +255,8 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
         tokio::time::sleep(Duration::from_millis(1_500)).await;
     }
     logger.close().await;
-    daemon.says(0, &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"]);
+    let said = daemon.says(0, &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"]);
+    assert!(!said.contains("may be learned"), "{said}");
 
     let session = daemon.client().await;
     let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));

@@ -271,6 +271,11 @@ async fn the_lines_of_the_baseline_are_those_of_its_throws() {
     let (low, high) = (low.fold(f64::INFINITY, f64::min), high.fold(0.0, f64::max));
     let found = levels();
     assert!(found.len() == 2 && found.iter().all(|level| (low..=high).contains(level)), "{found:?}, {low} to {high}");
+    let page = || get(&address, "/machines/north/21B").body;
+    assert_eq!(page().matches("<td>complete</td>").count(), 2);
+    // A baseline with a trend.
+    rig.change("UPDATE baseline SET payload = json_set(payload, '$.complete', json('false'))").await;
+    assert_eq!(page().matches("<td>provisional</td>").count(), 2);
     // The discarded baseline is no level.
     daemon.says(0, &["rebaseline", "north/21B", "--why", "test", "--by", "A"]);
     assert_eq!(levels(), Vec::<f64>::new());

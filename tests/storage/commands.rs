@@ -40,6 +40,7 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     assert_eq!(serde_json::from_str::<serde_json::Value>(&empty).unwrap(), serde_json::json!([]));
     for (format, question, says) in [
         ("--json", "SELECT 1 AS a, 2 AS a", "two columns are named a: rename one with AS"),
+        ("--json", "SELECT 1 AS a, 9e999 AS b", "JSON has no infinity, which the column b contains"),
         ("--json", "SELECT 1; SELECT 2", "--json takes one statement at a time"),
         ("--csv", "SELECT 1; SELECT 2, 3", "--csv takes one statement at a time"),
     ] {
@@ -48,10 +49,13 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     }
 
     let copy = folder.path().join("copy.db");
+    let attach = format!("ATTACH '{}' AS copy", copy.display());
     let [vacuum, second, hidden] =
         ["VACUUM", "SELECT 1; vacuum", "/**/VACUUM/**/"].map(|start| format!("{start} INTO '{}'", copy.display()));
     for (refused, says) in [
         ("DELETE FROM throw", "it writes to the database"),
+        ("PRAGMA main.journal_mode = DELETE", "it writes to the database"),
+        (&attach, &format!("unable to open database: {}; this command only reads", copy.display())),
         ("SELECT wrong FROM nowhere", "no such table: nowhere"),
         ("", "the query is empty"),
         ("-- SELECT 1", "the query is empty"),

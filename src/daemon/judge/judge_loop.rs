@@ -485,12 +485,10 @@ impl JudgeLoop {
         }
         tracing::info!(%machine, ?command, "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
-        let is_away = !self.shared.loggers.borrow().alive.contains(machine);
-        let undated = is_away && self.judge.monitors.may_send_undated(machine);
-        let late = if undated && matches!(command, Command::Rebaseline { .. }) {
-            ". Its logger is not connected: throws that it made before this command and sends later may be learned too, \
-             as the logger has not yet sent two throws as they were made, from which the difference of the clocks is \
-             known. If there are any, repeat the command when they have arrived"
+        let late = if matches!(command, Command::Rebaseline { .. }) && self.judge.monitors.may_send_undated(machine) {
+            ". Throws that the logger made before this command and sends later may be learned too, as it has not yet \
+             sent two throws as they were made, from which the difference of the clocks is known. If there are any, \
+             repeat the command when they have arrived"
         } else {
             ""
         };

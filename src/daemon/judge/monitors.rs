@@ -94,9 +94,10 @@ impl Monitors {
         self.of_machines.contains_key(machine)
     }
 
-    /// Whether the logger of a machine is gone, and may send throws later whose age will be unknown.
+    /// Whether the logger of a machine may send throws later whose age will be unknown. Also a connected logger may, as
+    /// one that waits for its recorder.
     pub(crate) fn may_send_undated(&self, machine: &MachineId) -> bool {
-        self.of_machines.get(machine).is_some_and(|monitor| monitor.is_announced() && !monitor.dates_a_backlog())
+        self.of_machines.get(machine).is_some_and(|monitor| !monitor.dates_a_backlog())
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {

@@ -60,7 +60,7 @@ const LARGEST_REBOUND_MM: f64 = 1.0;
 const WHOLE_SHARE: f64 = 0.98;
 const WHOLE_SIGMAS: f64 = 4.0;
 /// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
-const LONGEST_MOVEMENT_S: f64 = 30.0;
+pub(crate) const LONGEST_MOVEMENT_S: f64 = 30.0;
 /// Longest time that the motor of a complete throw runs after the arrival of the toe \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
 /// Least peak current, in standard deviations of the noise. White noise exceeds six once in 10^9 samples.

@@ -187,7 +187,7 @@ async fn recover(
     files.remove_unfinished()?;
     let (connection, report) =
         prepare(settings, disk, files.is_fresh()).await.map_err(|failure| failure.into_error(settings))?;
-    tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
+    tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "the broken database: {}", salvaged.text());
     if let Err(error) = DatabaseFiles::describe_set_aside(&to, &salvaged.text()) {
         tracing::warn!(%error, "the summary of the copied rows is in this log only");
     }

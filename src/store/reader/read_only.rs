@@ -88,9 +88,14 @@ pub(crate) trait ResultWriter {
 pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultWriter) -> Result<(), StoreError> {
     let mut connection = connect(path).await?;
     // VACUUM INTO writes a new file even on a read-only connection, and with `query_only` it still creates the file.
-    if query.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
+    let parts = || query.split([';', '\n']).flat_map(|part| part.split("*/"));
+    if parts().any(|part| after_word(part, "vacuum").is_some()) {
         let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
         return Err(StoreError::Statement(problem.to_owned()));
+    }
+    // SQLite reports an I/O error, or that the database is locked.
+    if parts().filter_map(|part| after_word(part, "pragma")).any(sets_journal_mode) {
+        return Err(StoreError::writes());
     }
     let query = AssertSqlSafe(query.to_owned()).into_sql_str();
     let statement = connection.prepare(query.clone()).await.map_err(StoreError::statement)?;
@@ -118,11 +123,19 @@ pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultW
     output.end().map_err(StoreError::Output)
 }
 
-/// Whether a part of a query begins with VACUUM. A statement begins at the start, or after a semicolon or a comment.
-fn is_vacuum(part: &str) -> bool {
+/// The text after `word` if a part of a query begins with it. A statement begins at the start, or after a semicolon or a
+/// comment.
+fn after_word<'a>(part: &'a str, word: &str) -> Option<&'a str> {
     let is_space = |c: char| c.is_whitespace() || c == '\u{feff}';
-    let word = part.trim_start_matches(is_space).split(|c: char| !c.is_alphanumeric() && c != '_').next();
-    word.is_some_and(|word| word.eq_ignore_ascii_case("vacuum"))
+    let part = part.trim_start_matches(is_space);
+    let (first, rest) = part.split_at(part.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(part.len()));
+    first.eq_ignore_ascii_case(word).then_some(rest)
+}
+
+/// Whether a PRAGMA sets the journal mode of a database, as in `main.journal_mode = DELETE`.
+fn sets_journal_mode(pragma: &str) -> bool {
+    let Some((name, _)) = pragma.split_once(['=', '(']) else { return false };
+    name.trim().rsplit('.').next().is_some_and(|name| name.trim().eq_ignore_ascii_case("journal_mode"))
 }
 
 pub(crate) fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
