@@ -86,7 +86,8 @@ fn a_fault_of_winter_lasts_through_the_summer() {
 fn a_fault_is_not_learned_as_an_effect_of_the_temperature() {
     const FAULT: u64 = 360;
     let climate = Climate { season_c: (-10.0, 30.0), change: (0, 460), day_k: 4.0 };
-    let held = in_parallel(100, |seed| {
+    let is_named = |verdict: &Verdict| verdict.present.drifts.iter().any(|drift| drift.cause == Cause::Friction);
+    let held = in_parallel(60, |seed| {
         let mut machine = Machine::in_field(48_000 + seed, Scatter::USUAL);
         let mut weather_k = 0.0;
         let mut verdicts = Vec::new();
@@ -99,12 +100,11 @@ fn a_fault_is_not_learned_as_an_effect_of_the_temperature() {
                 verdicts.push(verdict);
             }
         }
-        let is_named = |verdict: &Verdict| verdict.present.drifts.iter().any(|drift| drift.cause == Cause::Friction);
         let unnamed = verdicts.iter().skip(24).position(|verdict| !is_named(verdict));
         assert_eq!(unnamed, None, "seed {seed}");
         sizes_held(Cause::Friction, 40.0, verdicts.into_iter())
     });
-    assert_nine_of_ten(&held.concat(), 25_000, "friction +40 %");
+    assert_nine_of_ten(&held.concat(), 15_000, "friction +40 %");
 }
 
 #[test]

@@ -36,6 +36,11 @@ const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
 /// Throws of a direction after which an old throw has lost its weight: about a month, which is less than a season.
 const MEMORY: f64 = 250.0;
+/// Throws of a direction over which the usual temperature is a mean: some days.
+const USUAL: f64 = 48.0;
+/// Least distance from the usual temperature of a throw that counts fully \[K\]. A throw at the usual temperature says
+/// nothing about the slope: what changes there is the machine, and counting it would hide a slow fault.
+const COUNTS_FROM_K: f64 = 10.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
@@ -102,6 +107,8 @@ pub(crate) struct Temperature {
     /// Number of throws in the baseline. Early snapshots do not contain it: the usual number.
     throws: f64,
     anchor: Anchor,
+    /// Distance of the usual temperature of the learned throws from the reference \[K\].
+    usual: f64,
     /// The suspicion of a drift at the last throw.
     #[serde(skip_serializing_if = "Suspicion::is_none")]
     suspicion: Suspicion,
@@ -122,6 +129,7 @@ impl Default for Temperature {
             product: [0.0; 3],
             throws: 50.0,
             anchor: Anchor::default(),
+            usual: 0.0,
             suspicion: Suspicion::None,
             next: None,
         }
@@ -203,15 +211,17 @@ impl Temperature {
             + Vector3::from(self.per_k_variance).map(|v| CLIP_SD * v.sqrt() * distance.abs());
         let rest = raw - expected;
         let clipped = expected + Vector3::from_fn(|i, _| rest[i].clamp(-reach[i], reach[i]));
-        let keep = 1.0 - 1.0 / MEMORY;
+        let weight = ((distance - self.usual) / COUNTS_FROM_K).powi(2).min(1.0);
+        self.usual += (distance - self.usual) / USUAL;
+        let keep = 1.0 - weight / MEMORY;
         let anchor = &mut self.anchor;
-        anchor.later = keep * anchor.later + 1.0;
-        anchor.distances = keep * anchor.distances + from_anchor;
-        self.information = keep * self.information + from_anchor * from_anchor;
+        anchor.later = keep * anchor.later + weight;
+        anchor.distances = keep * anchor.distances + weight * from_anchor;
+        self.information = keep * self.information + weight * from_anchor * from_anchor;
         for i in 0..3 {
             let residual = clipped[i] - anchor.residual[i];
-            anchor.residuals[i] = keep * anchor.residuals[i] + residual;
-            self.product[i] = keep * self.product[i] + from_anchor * residual;
+            anchor.residuals[i] = keep * anchor.residuals[i] + weight * residual;
+            self.product[i] = keep * self.product[i] + weight * from_anchor * residual;
         }
         self.solve(noise);
         let change = self.change(self.per_k);
@@ -331,5 +341,23 @@ mod tests {
         }
         let after = temperature.effect_sd(10.0);
         assert!(before.min() > 0.0 && (after - before).norm() < 1e-9, "{before:?} {after:?}");
+    }
+
+    /// After a season, a slow fault at a temperature that stays must not become an effect of the temperature.
+    #[test]
+    fn a_slow_change_at_the_usual_temperature_is_not_learned() {
+        let logs: [_; 50] = std::array::from_fn(|k| Vector3::repeat(0.02 * (((7 * k) % 13) as f64 - 6.0) / 6.0));
+        let mut temperature = Temperature::learn(&logs.map(|log| (log, Some(-10.0))), &Settings::default());
+        let scatter = Scatter::learn(&logs, Matrix3::identity() * 1e-8, 1);
+        let mut learn = |throw: u32, season_k: f64, fault: f64| {
+            let distance = season_k + 4.0 * (f64::from(throw) / 10.0 * std::f64::consts::TAU).sin();
+            let raw = Vector3::new(0.0, -0.008 * distance + fault, 0.0);
+            temperature.learn_on(raw, distance, Suspicion::None, &scatter);
+            temperature.effect(40.0).y
+        };
+        let after_season = (0..200).map(|throw| learn(throw, 0.2 * f64::from(throw), 0.0)).last().unwrap();
+        assert!((after_season + 0.32).abs() < 0.03, "{after_season}");
+        let after_fault = (200..300).map(|throw| learn(throw, 40.0, 0.004 * f64::from(throw - 200))).last().unwrap();
+        assert!((after_fault - after_season).abs() < 0.1, "{after_season} {after_fault}");
     }
 }
