@@ -357,7 +357,7 @@ mod tests {
         };
         let after_season = (0..200).map(|throw| learn(throw, 0.2 * f64::from(throw), 0.0)).last().unwrap();
         assert!((after_season + 0.32).abs() < 0.03, "{after_season}");
-        let after_fault = (200..300).map(|throw| learn(throw, 40.0, 0.004 * f64::from(throw - 200))).last().unwrap();
-        assert!((after_fault - after_season).abs() < 0.1, "{after_season} {after_fault}");
+        let after_fault = (200..500).map(|throw| learn(throw, 40.0, f64::from(throw - 200) / 750.0)).last().unwrap();
+        assert!((after_fault - after_season).abs() < 0.06, "{after_season} {after_fault}");
     }
 }
