@@ -291,7 +291,7 @@ impl DriftAlarms {
 
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
     pub(crate) fn is_suspicious(&self, alarms: &Alarms) -> bool {
-        self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
+        !self.suspicion(None, alarms).is_none()
     }
 
     /// Counts a throw that cannot be judged. After 24 of them in a row the present sizes are unknown.

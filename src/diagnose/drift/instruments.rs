@@ -52,6 +52,7 @@ const INRUSH_OF_GAIN: f64 = 0.5;
 /// inrush is named as a fault of the motor. With more, a slide chair that dries on a soft drive is named as a gain
 /// error, as it changes the resistance like a gain error of 10 to 15 %.
 const INRUSH_SLACK_SD: f64 = 1.0;
+
 /// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
 const LINGERS: u32 = 2 * LONGEST_WINDOW;
 
@@ -230,7 +231,7 @@ impl Instruments {
     /// dry friction, whose effect on the coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.gauges.supply_lost(window.throws) else { return false };
-        if window.exceeds_supply(&self.gauges) {
+        if window.exceeds_motor(self.gauges.motor_of_inrush(lost.value)) {
             return false;
         }
         let friction = window.single(Cause::Friction, settings);

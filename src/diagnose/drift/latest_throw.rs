@@ -3,9 +3,14 @@
 use jiff::Timestamp;
 use nalgebra::Vector3;
 
-use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor, window::DRY};
+use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor};
 use crate::{
-    diagnose::{Cause, Settings, gauges::Gauges, statistics::Level, track::Tracks},
+    diagnose::{
+        Cause, Settings,
+        gauges::{Gauges, dry_rise},
+        statistics::Level,
+        track::Tracks,
+    },
     throw::Direction,
 };
 
@@ -124,8 +129,7 @@ impl LatestThrow<'_> {
     /// `part` with its size corrected for the rise of the dry part of a1 at a lower speed; `of_a1` is the weight of ln a1
     /// in the size.
     fn at_usual_speed(self, part: Explanation, of_a1: f64, direction: Option<Direction>) -> Explanation {
-        let Some(Level { value, sd }) = self.gauges.longer(direction) else { return part };
-        let size_sd = part.size_sd.hypot(of_a1 * DRY.1 * value).hypot(of_a1 * DRY.0 * sd);
-        Explanation { size: part.size - of_a1 * DRY.0 * value, size_sd, ..part }
+        let Some(Level { value, sd }) = self.gauges.longer(direction).map(dry_rise) else { return part };
+        Explanation { size: part.size - of_a1 * value, size_sd: part.size_sd.hypot(of_a1 * sd), ..part }
     }
 }

@@ -46,6 +46,7 @@ use self::{
 };
 use super::{
     Blindness, Cause, Settings,
+    gauges::{Gauge, Gauges, dry_rise},
     statistics::{LONGEST_WINDOW, Scatter, percent, sym3},
 };
 
@@ -238,8 +239,11 @@ pub(super) fn attribute(
     let is_before = last.is_some_and(|last| is_before_motor_fault(window, &last, known, settings));
     let known = &Known { gauges: known.gauges.filter(|_| !is_before), ..known.clone() };
     // The supply explains only a part of this drift, so the rest is attributed.
-    let slow = known.gauges.filter(|gauges| window.exceeds_supply(gauges));
-    let rest = slow.map_or(*window, |gauges| window.at_usual_speed(gauges));
+    let is_beyond_supply = |gauges: &&Gauges| {
+        gauges.supply_lost(window.throws).is_some_and(|lost| window.exceeds_motor(gauges.motor_of_inrush(lost.value)))
+    };
+    let longer = known.gauges.filter(is_beyond_supply).and_then(|gauges| gauges.level(Gauge::Duration, window.throws));
+    let rest = longer.map_or(*window, |longer| window.without_dry_rise(dry_rise(longer)));
     let mut found = Attribution::of(&Case { window: &rest, of_one_throw: &scatter.of_one_throw(), known, settings });
     found.mean = window.mean;
     found

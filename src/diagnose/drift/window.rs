@@ -13,8 +13,7 @@ use super::{Point, Thresholds};
 use crate::diagnose::{
     Cause,
     baseline::{Baseline, covariance_of_effect},
-    gauges::{Gauge, Gauges},
-    statistics::{LONGEST_WINDOW, LastValues, Scatter, Sym3, WINDOWS, clipped_mean, sym3, to_f32},
+    statistics::{LONGEST_WINDOW, LastValues, Level, Scatter, Sym3, WINDOWS, clipped_mean, sym3, to_f32},
 };
 
 /// Largest part of the limit of T that a single innovation may contribute to a window of three throws: two throws show
@@ -45,10 +44,6 @@ pub(crate) const UNKNOWN_SCALE_SD: f64 = 1.0;
 /// A size does not depend on the common scale if its weights sum to less than this part of the largest weight. Weights
 /// from windows that do not show the scale sum to less than a fiftieth, other weights to some tenths or more.
 const NO_SCALE: f64 = 0.05;
-
-/// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
-/// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
-pub(super) const DRY: (f64, f64) = (0.5, 0.29);
 
 /// A throw after the baseline, as its residual from the baseline. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -162,20 +157,15 @@ impl Window {
         cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
     }
 
-    /// Whether the supply voltage changed, and b0 changed by more than this explains.
-    pub(super) fn exceeds_supply(&self, gauges: &Gauges) -> bool {
-        let Some(lost) = gauges.supply_lost(self.throws) else { return false };
-        let of_supply = gauges.motor_of_inrush(lost.value) + 2.0 * self.covariance[(0, 0)].sqrt();
-        self.shows(Cause::Inertia) && self.mean.x.abs() > of_supply
+    /// Whether b0 changed by more than `motor`, a logarithm, and scatter.
+    pub(super) fn exceeds_motor(&self, motor: f64) -> bool {
+        self.shows(Cause::Inertia) && self.mean.x.abs() > motor + 2.0 * self.covariance[(0, 0)].sqrt()
     }
 
-    /// The window at the usual speed of the machine. Dry friction F at the speed v adds F/v to a1, so at a lower speed
-    /// a1 rises by up to the increase of the duration, by how much of the friction is dry.
-    pub(super) fn at_usual_speed(mut self, gauges: &Gauges) -> Self {
-        if let Some(longer) = gauges.level(Gauge::Duration, self.throws) {
-            self.mean.y -= DRY.0 * longer.value;
-            self.covariance[(1, 1)] += (DRY.1 * longer.value).powi(2) + (DRY.0 * longer.sd).powi(2);
-        }
+    /// The window without the rise of ln a1 by dry friction at a lower speed.
+    pub(super) fn without_dry_rise(mut self, rise: Level) -> Self {
+        self.mean.y -= rise.value;
+        self.covariance[(1, 1)] += rise.sd * rise.sd;
         self
     }
 

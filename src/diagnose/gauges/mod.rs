@@ -18,6 +18,7 @@ pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{GaugeChange, Gauges};
 pub(super) use start::StartWatch;
+pub(super) use supply::dry_rise;
 
 use self::{
     gauge::{Values, heat, values},

@@ -12,6 +12,16 @@ const DURATION_PER_LOSS: std::ops::Range<f64> = 0.6..1.7;
 /// Largest apparent change of the motor, as part of the change of the logarithm of the inrush current. Measured on an
 /// independent drive at 250 Hz: a change by 0.08 with twice the resistance.
 const MOTOR_OF_INRUSH: f64 = 0.12;
+/// Dry part of the friction of a machine: mean and standard deviation of an even distribution from 0 to 1. The part is
+/// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
+const DRY: (f64, f64) = (0.5, 0.29);
+
+/// Rise of ln a1 by dry friction in a movement that takes `longer`, a change of the duration as a logarithm: dry friction F
+/// at the speed v adds F/v to a1.
+pub(crate) fn dry_rise(longer: Level) -> Level {
+    let Level { value, sd } = longer;
+    Level { value: DRY.0 * value, sd: (DRY.1 * value).hypot(DRY.0 * sd) }
+}
 
 impl Gauges {
     /// Loss of supply voltage as a logarithm; `None` unless the loss is significant and the duration agrees.
