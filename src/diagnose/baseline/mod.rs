@@ -238,7 +238,7 @@ impl Baseline {
             log_covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|j| s[(i, j)])),
             lag1: self.scatter.lag1,
             temperature_source: self.temperature.source,
-            temperature_pct_per_k: self.temperature.per_k.map(|k| 100.0 * k),
+            temperature_pct_per_k: self.temperature.per_k().map(|k| 100.0 * k),
             reference_c: self.temperature.reference_c,
             duration_s: self.duration_s,
         }

@@ -1,28 +1,30 @@
 //! The effect of temperature on the coefficients of a direction, learned from the baseline and from later throws.
 //!
-//! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines the slope k.
-//! Later throws improve k when they leave the longest window. The centre does not change, so at the reference
-//! temperature a drift stays visible; elsewhere k can hide [`MOST_PER_K`] at most. The dependence is a curve and k is
-//! its present slope, so old throws lose weight, within [`MEMORY`] throws. The covariance of every window contains the
-//! uncertainty of k, times the distance from the reference.
+//! In logarithms x = centre + level + f(T - reference), with f(d) = k d + c d²/2. A baseline rarely spans a year, so it
+//! hardly determines f. Later throws improve f when they leave the longest window. The centre does not change, so at the
+//! reference temperature a drift stays visible; elsewhere f can hide [`MOST_PER_K`] times the distance at most. The
+//! covariance of every window contains the uncertainty of f there.
 //!
-//! A fault changes a coefficient for good and must not count as an effect of the temperature. So the model contains a
-//! level too, and the slope comes from the changes since an [`Anchor`]: the centre, or throws of a suspected drift. When
-//! a drift is suspected, has an alarm or ends, the level may have changed, and a new anchor is taken.
+//! A fault changes a coefficient for good and must not count as an effect of the temperature. Therefore the model has a
+//! level, which is estimated with f by a Kalman filter (Kalman 1960) and wanders: it takes a slow change that the
+//! temperature does not explain day by day. When a drift is suspected, has an alarm or ends, the level may have changed
+//! by any amount, and f is learned from the changes between throws only. What was learned at other temperatures stays,
+//! so a fault that grows as the temperature rises cannot pass for a curve that the physics of grease excludes.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
     Settings,
-    statistics::{LONGEST_WINDOW, Scatter, median, serial_inflation},
+    statistics::{LONGEST_WINDOW, Scatter, Sym3, median, serial_inflation},
 };
 
 /// Source of the temperature coefficients of a baseline.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TemperatureSource {
     /// No compensation: no coefficients are configured, and the temperature span is too small for a fit.
+    #[default]
     None,
     /// Configured coefficients.
     Configured,
@@ -32,23 +34,23 @@ pub enum TemperatureSource {
 
 /// Slopes of ln b0, ln a1, ln a0 by magnets, grease and rails \[per K\]: standard deviation between machines.
 const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
+/// Change of these slopes \[per K²\]: standard deviation between machines. Friction A + B exp(-k T) has the curve
+/// k² p (1 - p), where p is the part of the grease in it: 0.0001 with a third of grease that loses 2 % per K.
+const TYPICAL_CURVE: [f64; 3] = [5e-6, 1e-4, 5e-6];
 /// Largest physically possible slopes \[per K\]: magnets lose 0.2 %/K, grease becomes three times as thick over 40 K.
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
-/// Throws of a direction after which an old throw has lost its weight: about a month, which is less than a season.
-const MEMORY: f64 = 250.0;
-/// Throws of a direction over which the usual temperature is a mean: some days.
-const USUAL: f64 = 48.0;
-/// Least distance from the usual temperature of a throw that counts fully \[K\]. A throw at the usual temperature says
-/// nothing about the slope: what changes there is the machine, and counting it would hide a slow fault.
-const COUNTS_FROM_K: f64 = 10.0;
+/// Wandering of the level per throw, in standard deviations of a throw. Twice as much finds no more of the faults that
+/// grow with the season, and hides more of the others; less takes a slow fault for an effect of the temperature.
+const WANDERS_SD: f64 = 0.03;
+/// The same while a drift is suspected or has an alarm: it may grow by some percent a day.
+const GROWS_SD: f64 = 0.3;
+/// The same in the throws around the begin or the end of a drift, which may be a step.
+const STEPS_SD: f64 = 5.0;
+/// Throws of a direction after a change of the suspicion that may contain a step: those that leave the longest window
+/// were made before.
+const STEPS_WITHIN: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
-
-/// Throws of a suspected drift that determine its anchor. The same number of throws before them is left out: those
-/// leave the longest window after the suspicion changed, but were made before.
-const ANCHORED: u32 = LONGEST_WINDOW;
-/// Change of the level since the anchor that counts as another lasting change, in standard deviations of the anchor.
-const LEVEL_SD: f64 = 4.0;
 
 /// Whether the last throws show a drift, which must not be learned as normal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -73,67 +75,27 @@ impl Suspicion {
     }
 }
 
-/// A known point of the line over the temperature, and sums over the throws since.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-struct Anchor {
-    /// Number of throws that determine the point; `None`, as by default, for the centre of the baseline.
-    throws: Option<u32>,
-    /// Mean distance of these throws from the reference \[K\].
-    distance: f64,
-    /// Mean residual of these throws.
-    residual: [f64; 3],
-    /// Number of later throws, with old ones weighted less.
-    later: f64,
-    /// Sum of the distances of the later throws from the point \[K\].
-    distances: f64,
-    /// Sum of their residuals, less that of the point.
-    residuals: [f64; 3],
+/// Level, slope \[per K\] and curve \[per K²\] of a coefficient over the distance from the reference temperature.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+struct Line {
+    mean: [f64; 3],
+    covariance: Sym3,
 }
 
-/// Compensation of temperature: the compensated x is x - `per_k` (T - reference).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+/// Compensation of temperature: the compensated x is x - f(T - reference).
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Stored")]
 pub(crate) struct Temperature {
     pub(super) source: TemperatureSource,
-    /// Slopes of ln b0, ln a1, ln a0 \[per K\].
-    pub(crate) per_k: [f64; 3],
-    per_k_variance: [f64; 3],
     /// The reference temperature \[°C\]; `None` if no throw of the baseline has a temperature.
     pub(crate) reference_c: Option<f64>,
-    /// Sum of squared distances from the anchor \[K²\].
-    information: f64,
-    /// Sum of distances from the anchor times residuals \[K\].
-    product: [f64; 3],
-    /// Number of throws in the baseline. Early snapshots do not contain it: the usual number.
-    throws: f64,
-    anchor: Anchor,
-    /// Distance of the usual temperature of the learned throws from the reference \[K\].
-    usual: f64,
+    /// Of ln b0, ln a1 and ln a0.
+    lines: [Line; 3],
     /// The suspicion of a drift at the last throw.
     #[serde(skip_serializing_if = "Suspicion::is_none")]
     suspicion: Suspicion,
-    /// Throws since the suspicion changed, and the anchor from the second half of them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    next: Option<Box<(u32, Anchor)>>,
-}
-
-impl Default for Temperature {
-    /// No compensation.
-    fn default() -> Self {
-        Self {
-            source: TemperatureSource::None,
-            per_k: [0.0; 3],
-            per_k_variance: [0.0; 3],
-            reference_c: None,
-            information: 0.0,
-            product: [0.0; 3],
-            throws: 50.0,
-            anchor: Anchor::default(),
-            usual: 0.0,
-            suspicion: Suspicion::None,
-            next: None,
-        }
-    }
+    /// Number of next throws that may contain the begin or the end of a drift.
+    steps: u32,
 }
 
 impl Temperature {
@@ -144,10 +106,11 @@ impl Temperature {
             return Self::default();
         }
         let reference = median(&mut known);
-        let none = Self { reference_c: Some(reference), throws: throws.len() as f64, ..Self::default() };
+        let none = Self { reference_c: Some(reference), ..Self::default() };
         if let Some(t) = &settings.temperature {
             let per_k = [t.b0_pct_per_k, t.a1_pct_per_k, t.a0_pct_per_k].map(|pct| pct / 100.0);
-            return Self { source: TemperatureSource::Configured, per_k, ..none };
+            let lines = per_k.map(|k| Line { mean: [0.0, k, 0.0], ..Line::default() });
+            return Self { source: TemperatureSource::Configured, lines, ..none };
         }
         if known.len() < throws.len() {
             return none;
@@ -161,30 +124,25 @@ impl Temperature {
         let slope = together / information.max(f64::MIN_POSITIVE);
         let rest: Vec<Vector3<f64>> =
             t.iter().zip(throws).map(|(t, (x, _))| x - x_mean - slope * (t - t_mean)).collect();
-        let noise = Vector3::from_fn(|i, _| {
+        let variance = Vector3::from_fn(|i, _| rest.iter().map(|r| r[i] * r[i]).sum::<f64>() / (n - 2.0).max(1.0));
+        let lag1 = Vector3::from_fn(|i, _| {
             let square: f64 = rest.iter().map(|r| r[i] * r[i]).sum();
             let lagged: f64 = rest.iter().zip(&rest[1..]).map(|(a, b)| a[i] * b[i]).sum();
-            let lag1 = lagged / square.max(f64::MIN_POSITIVE) + 2.0 / n;
-            square / (n - 2.0).max(1.0) * serial_inflation(lag1)
+            lagged / square.max(f64::MIN_POSITIVE) + 2.0 / n
         });
-        let mut fitted = Self { information, product: together.into(), ..none };
+        let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
         let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
-        if spans && throws.len() >= settings.baseline_throws {
-            fitted.solve(noise);
-        } else {
-            // The unused slopes count as uncertainty.
-            let (slope, variance) = fitted.posterior(noise);
-            fitted.per_k_variance = std::array::from_fn(|i| variance[i] + slope[i].powi(2));
-        }
-        fitted
-    }
-
-    /// Adds the sums of a fitted slope, which snapshots of version 1 do not contain.
-    pub(crate) fn add_sums(&mut self, scatter: &Scatter) {
-        if self.source == TemperatureSource::Fitted {
-            self.information = noise(scatter)[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
-            self.product = self.per_k.map(|k| k * self.information);
-        }
+        let is_fitted = spans && throws.len() >= settings.baseline_throws;
+        let lines = std::array::from_fn(|i| {
+            let mut line = Line::unknown(i, noise[i]);
+            for (t, (x, _)) in t.iter().zip(throws) {
+                line.follow(WANDERS_SD * WANDERS_SD * variance[i], *t, x[i] - x_mean[i], noise[i]);
+            }
+            line.set_level(noise[i] / n);
+            if is_fitted { line } else { line.without_slope() }
+        });
+        let source = if is_fitted { TemperatureSource::Fitted } else { TemperatureSource::None };
+        Self { source, lines, ..none }
     }
 
     /// Updates the compensation with a throw. `raw`: residual without compensation; `distance`: temperature from the
@@ -193,105 +151,28 @@ impl Temperature {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
         }
-        let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
         if suspicion != self.suspicion {
+            // A suspicion that ends without a drift above its limit was chance.
+            let is_chance = (self.suspicion, suspicion) == (Suspicion::Suspected, Suspicion::None);
+            self.steps = if is_chance { 0 } else { STEPS_WITHIN };
             self.suspicion = suspicion;
-            // A suspicion that ends before it has an anchor was chance.
-            let is_chance = suspicion.is_none() && self.anchor.throws.is_none();
-            self.next = (!is_chance).then(Box::default);
         }
-        if self.is_moving(&raw, distance) {
-            return;
+        let wanders_sd = match suspicion {
+            _ if self.steps > 0 => STEPS_SD,
+            Suspicion::None => WANDERS_SD,
+            _ => GROWS_SD,
+        };
+        self.steps = self.steps.saturating_sub(1);
+        let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
+        for (i, line) in self.lines.iter_mut().enumerate() {
+            line.follow(wanders_sd * wanders_sd * variance[i], distance, raw[i], noise[i]);
         }
-        let (slope, _) = self.posterior(noise);
-        let origin = Vector3::from(self.anchor.residual) + self.change(slope);
-        let from_anchor = distance - self.anchor.distance;
-        let expected = origin + Vector3::from(slope) * from_anchor;
-        let reach = variance.map(|v| CLIP_SD * v.sqrt())
-            + Vector3::from(self.per_k_variance).map(|v| CLIP_SD * v.sqrt() * distance.abs());
-        let rest = raw - expected;
-        let clipped = expected + Vector3::from_fn(|i, _| rest[i].clamp(-reach[i], reach[i]));
-        let weight = ((distance - self.usual) / COUNTS_FROM_K).powi(2).min(1.0);
-        self.usual += (distance - self.usual) / USUAL;
-        let keep = 1.0 - weight / MEMORY;
-        let anchor = &mut self.anchor;
-        anchor.later = keep * anchor.later + weight;
-        anchor.distances = keep * anchor.distances + weight * from_anchor;
-        self.information = keep * self.information + weight * from_anchor * from_anchor;
-        for i in 0..3 {
-            let residual = clipped[i] - anchor.residual[i];
-            anchor.residuals[i] = keep * anchor.residuals[i] + weight * residual;
-            self.product[i] = keep * self.product[i] + weight * from_anchor * residual;
-        }
-        self.solve(noise);
-        let change = self.change(self.per_k);
-        if !suspicion.is_none() && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt())
-        {
-            // Another fault, or the repair of a part.
-            self.next = Some(Box::new((ANCHORED, Anchor::default())));
-        }
+        self.source = TemperatureSource::Fitted;
     }
 
-    /// Adds a throw to the next anchor. Returns whether the throw was used for this, or left out. Without a suspicion,
-    /// the next anchor is the centre of the baseline.
-    fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
-        let Some((throws, next)) = self.next.as_deref_mut() else { return false };
-        *throws += 1;
-        if *throws == ANCHORED && self.suspicion.is_none() {
-            self.next = None;
-            self.move_anchor(Anchor::default());
-            return true;
-        }
-        if *throws > ANCHORED {
-            let count = f64::from(*throws - ANCHORED);
-            next.distance += (distance - next.distance) / count;
-            next.residual = std::array::from_fn(|i| next.residual[i] + (raw[i] - next.residual[i]) / count);
-        }
-        if *throws == 2 * ANCHORED {
-            let next = Anchor { throws: Some(ANCHORED), ..next.clone() };
-            self.move_anchor(next);
-            self.next = None;
-        }
-        true
-    }
-
-    /// Replaces the anchor; keeps the information of the throws about the slopes.
-    fn move_anchor(&mut self, to: Anchor) {
-        (self.information, self.product) = self.sums();
-        self.anchor = to;
-    }
-
-    fn anchor_throws(&self) -> f64 {
-        self.anchor.throws.map_or(self.throws, f64::from)
-    }
-
-    /// Change of the level since the anchor, for given slopes.
-    fn change(&self, slope: [f64; 3]) -> Vector3<f64> {
-        let Anchor { later, distances, residuals, .. } = &self.anchor;
-        Vector3::from_fn(|i, _| (residuals[i] - slope[i] * distances) / (self.anchor_throws() + later))
-    }
-
-    /// Sum of squared distances \[K²\] and sums of distances times residuals \[K\], about the present level.
-    fn sums(&self) -> (f64, [f64; 3]) {
-        let Anchor { later, distances, residuals, .. } = &self.anchor;
-        let mean = distances / (self.anchor_throws() + later);
-        (self.information - mean * distances, std::array::from_fn(|i| self.product[i] - mean * residuals[i]))
-    }
-
-    /// Slopes and their variances, with a prior around zero. `noise`: variance of one throw with serial correlation.
-    fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
-        let (information, product) = self.sums();
-        // The sum is 0 for b0 of ratios, which has no noise, at a constant temperature.
-        let total = |i: usize| (information + noise[i] / TYPICAL_PER_K[i].powi(2)).max(f64::MIN_POSITIVE);
-        let slope = |i: usize| (product[i] / total(i)).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
-        let variance = |i: usize| noise[i] / total(i);
-        (std::array::from_fn(slope), std::array::from_fn(variance))
-    }
-
-    /// Computes the slopes.
-    fn solve(&mut self, noise: Vector3<f64>) {
-        let (slope, variance) = self.posterior(noise);
-        (self.source, self.per_k, self.per_k_variance) = (TemperatureSource::Fitted, slope, variance);
+    /// Slopes at the reference temperature \[per K\].
+    pub(super) fn per_k(&self) -> [f64; 3] {
+        std::array::from_fn(|i| self.lines[i].mean[1].clamp(-MOST_PER_K[i], MOST_PER_K[i]))
     }
 
     /// Temperature from the reference \[K\]; 0 if one of the two is unknown.
@@ -301,13 +182,70 @@ impl Temperature {
 
     /// Change of the logarithms at a temperature `distance` \[K\] from the reference.
     pub(crate) fn effect(&self, distance: f64) -> Vector3<f64> {
-        Vector3::from(self.per_k) * distance
+        let is_configured = self.source == TemperatureSource::Configured;
+        Vector3::from_fn(|i, _| {
+            let most = if is_configured { f64::INFINITY } else { MOST_PER_K[i] * distance.abs() };
+            self.lines[i].effect(distance).clamp(-most, most)
+        })
     }
 
     /// Standard deviation of [`Self::effect`], negative below the reference: the errors of both directions have the
     /// same sign then, as both have the same weather.
     pub(crate) fn effect_sd(&self, distance: f64) -> Vector3<f64> {
-        Vector3::from(self.per_k_variance).map(f64::sqrt) * distance
+        Vector3::from_fn(|i, _| self.lines[i].effect_sd(distance).copysign(distance))
+    }
+}
+
+impl Line {
+    /// Nothing is known but the variety of machines; `noise`: variance of one throw.
+    fn unknown(coefficient: usize, noise: f64) -> Self {
+        if noise == 0.0 {
+            // b0 of a baseline of ratios, which does not change.
+            return Self::default();
+        }
+        let known = [1.0, TYPICAL_PER_K[coefficient], TYPICAL_CURVE[coefficient]];
+        Self { covariance: Matrix3::from_diagonal(&Vector3::from(known).map(|sd| sd * sd)).into(), ..Self::default() }
+    }
+
+    /// A step of the Kalman filter: the level wanders by a variance `wanders`, then `value` is measured at `distance`
+    /// \[K\] from the reference, with variance `noise`.
+    fn follow(&mut self, wanders: f64, distance: f64, value: f64, noise: f64) {
+        let (mean, mut covariance) = (Vector3::from(self.mean), Matrix3::from(self.covariance));
+        covariance[(0, 0)] += wanders;
+        let h = Vector3::new(1.0, distance, 0.5 * distance * distance);
+        let gain = covariance * h;
+        let variance = h.dot(&gain) + noise;
+        if variance <= 0.0 {
+            return;
+        }
+        let reach = CLIP_SD * variance.sqrt();
+        let innovation = (value - h.dot(&mean)).clamp(-reach, reach);
+        self.mean = (mean + gain * (innovation / variance)).into();
+        self.covariance = (covariance - gain * gain.transpose() / variance).into();
+    }
+
+    /// Counts the level from the centre of the baseline, known with this variance.
+    fn set_level(&mut self, variance: f64) {
+        let mut covariance = Matrix3::from(self.covariance);
+        covariance.set_row(0, &RowVector3::zeros());
+        covariance.set_column(0, &Vector3::new(variance, 0.0, 0.0));
+        (self.mean[0], self.covariance) = (0.0, covariance.into());
+    }
+
+    /// The line without compensation: its slope and curve count as uncertainty.
+    fn without_slope(self) -> Self {
+        let [_, slope, curve] = self.mean;
+        let unused = Matrix3::from_diagonal(&Vector3::new(0.0, slope * slope, curve * curve));
+        Self { mean: [0.0; 3], covariance: (Matrix3::from(self.covariance) + unused).into() }
+    }
+
+    fn effect(&self, distance: f64) -> f64 {
+        distance * (self.mean[1] + 0.5 * distance * self.mean[2])
+    }
+
+    fn effect_sd(&self, distance: f64) -> f64 {
+        let h = Vector3::new(0.0, distance, 0.5 * distance * distance);
+        h.dot(&(Matrix3::from(self.covariance) * h)).max(0.0).sqrt()
     }
 }
 
@@ -320,6 +258,35 @@ fn noise(scatter: &Scatter) -> Vector3<f64> {
 /// Covariance of a mean of throws by the temperature, from the standard deviation of its effect.
 pub(crate) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
+}
+
+/// The compensation in a snapshot. Those of earlier versions have slopes with variances instead of lines, and the level is
+/// unknown.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Stored {
+    source: TemperatureSource,
+    reference_c: Option<f64>,
+    lines: Option<[Line; 3]>,
+    suspicion: Suspicion,
+    steps: u32,
+    per_k: [f64; 3],
+    per_k_variance: [f64; 3],
+}
+
+impl From<Stored> for Temperature {
+    fn from(stored: Stored) -> Self {
+        let Stored { source, reference_c, lines, suspicion, steps, per_k, per_k_variance } = stored;
+        let of_slope = |i: usize| {
+            let curve_sd = if per_k_variance[i] > 0.0 { TYPICAL_CURVE[i] } else { 0.0 };
+            let variances = Vector3::new(0.0, per_k_variance[i], curve_sd * curve_sd);
+            Line { mean: [0.0, per_k[i], 0.0], covariance: Matrix3::from_diagonal(&variances).into() }
+        };
+        match lines {
+            Some(lines) => Self { source, reference_c, lines, suspicion, steps },
+            None => Self { source, reference_c, lines: std::array::from_fn(of_slope), suspicion, steps: STEPS_WITHIN },
+        }
+    }
 }
 
 #[cfg(test)]

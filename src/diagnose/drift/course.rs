@@ -56,6 +56,8 @@ const FARTHEST: f64 = 1000.0;
 /// Least probability of reaching a limit within [`FARTHEST`] for a forecast: most drifts that go on have this
 /// probability, and less than 1 % of the throws after a step (simulations of [`BEGINS_PER_POINT`]).
 const LIKELY: f64 = 0.6;
+/// Largest exponent of an exponential growth; far more than up to any limit.
+const MOST_GROWTH: f64 = 20.0;
 /// Index of the slow noise in the state of a stage.
 const SLOW: usize = 3;
 /// Tail probability of each side of a 95 % interval.
@@ -142,9 +144,13 @@ impl Course {
     /// sign of the drift. `None` if it probably does not, or has reached the limit.
     pub(crate) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
         let above = |ahead: f64| -> f64 {
+            let beyond = |(mean, variance): (f64, f64)| {
+                normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
+            };
             let part = |(weight, stage): &(f64, Stage)| {
-                let (mean, variance) = stage.level(-ahead);
-                weight * normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
+                let as_parabola = stage.level(-ahead);
+                let as_exponential = stage.exponential_level(ahead, as_parabola);
+                0.5 * weight * (beyond(as_parabola) + beyond(as_exponential))
             };
             self.last.iter().map(part).sum()
         };
@@ -263,6 +269,22 @@ impl Stage {
         let mut x = self.regressors(age);
         x[SLOW] = 0.0;
         (x.dot(&self.mean), x.dot(&(self.covariance * x)))
+    }
+
+    /// Mean and variance of the level `ahead` throws ahead if wear that accelerates goes on as an exponential with the
+    /// present slope and curvature, as wear does that feeds itself; `as_parabola` is the level without this. The growth
+    /// of both is equally uncertain in proportion.
+    fn exponential_level(&self, ahead: f64, as_parabola: (f64, f64)) -> (f64, f64) {
+        let curvature = self.mean[2];
+        let slope = self.mean[1] + 2.0 * curvature * self.age;
+        let per_throw = 2.0 * curvature / slope;
+        let (now, _) = self.level(0.0);
+        let grows = as_parabola.0 - now;
+        if per_throw.is_nan() || per_throw <= 0.0 || grows == 0.0 {
+            return as_parabola;
+        }
+        let factor = slope / per_throw * (per_throw * ahead).min(MOST_GROWTH).exp_m1() / grows;
+        (now + factor * grows, factor * factor * as_parabola.1)
     }
 
     /// Regressors of a, b, c and the slow noise at an age.

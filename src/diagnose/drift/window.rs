@@ -240,10 +240,12 @@ impl<'a> Stream<'a> {
     pub(crate) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
         let last = self.0.get(..throws)?;
         let sensor = mean_sensor(last);
-        let mut distance = [0.0; 2];
+        let mut distances = [(0.0, 0.0); 2];
         let mut residuals = Vec::with_capacity(throws);
         for (side, throw) in last {
-            distance[*side] += f64::from(throw.distance_k);
+            let (sum, count) = &mut distances[*side];
+            *sum += f64::from(throw.distance_k);
+            *count += 1.0;
             residuals.push(baselines[*side]?.compensated(throw.raw()));
         }
         let n = throws as f64;
@@ -255,9 +257,9 @@ impl<'a> Stream<'a> {
         let values = |i: usize| residuals.iter().map(|residual| residual[i]).collect::<Vec<_>>();
         let mut mean = Vector3::from_fn(|i, _| clipped_mean(&mut values(i), sd[i]));
         let mut temperature_sd = Vector3::zeros();
-        for side in 0..2 {
-            if last.iter().any(|(at, _)| *at == side) {
-                temperature_sd += baselines[side]?.temperature.effect_sd(distance[side] / n);
+        for (baseline, (sum, count)) in baselines.into_iter().zip(distances) {
+            if count > 0.0 {
+                temperature_sd += baseline?.temperature.effect_sd(sum / count) * (count / n);
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);

@@ -234,7 +234,6 @@ impl Tracks {
     pub(super) fn add_temperature(&mut self) {
         for track in &mut self.sides {
             if let Some(baseline) = &mut track.baseline {
-                baseline.temperature.add_sums(&baseline.scatter);
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
         }
