@@ -30,14 +30,16 @@ pub(crate) const NAMED: usize = 20;
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    /// The values that the loops write; [`StatusSources::report`] adds the others.
+    pub inbox: Arc<InboxCounters>,
+    pub outlet: Arc<OutletCounters>,
+    /// The values that the loops write; [`Self::report`] adds the others.
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
     invalid: Mutex<InvalidByMachine>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
-    /// Messages dropped from the queue, at the last call of [`StatusSources::store_losses`].
+    /// Messages dropped from the queue, at the last call of [`Status::store_losses`].
     dropped: RecentCount,
     /// Messages lost, at the same call.
     lost: RecentCount,
@@ -272,60 +274,48 @@ impl Status {
     pub(crate) fn rejected(&self) -> BTreeMap<String, u64> {
         self.rejected.lock().clone()
     }
-}
 
-/// The sources of a status report.
-#[derive(Clone)]
-pub(crate) struct StatusSources {
-    pub(crate) status: Arc<Status>,
-    pub(crate) inbox: Arc<InboxCounters>,
-    pub(crate) outlet: Arc<OutletCounters>,
-    pub(crate) store: Store,
-}
-
-impl StatusSources {
-    pub(crate) fn report(&self) -> StatusReport {
-        let (status, copying) = (&self.status, self.store.is_copying());
-        let written = status.edit().clone();
+    pub(crate) fn report(&self, store: &Store) -> StatusReport {
+        let copying = store.is_copying();
+        let written = self.edit().clone();
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            uptime_s: status.heartbeats.uptime().as_secs(),
-            database: self.store.path().display().to_string(),
-            disk: self.store.disk_level(),
+            uptime_s: self.heartbeats.uptime().as_secs(),
+            database: store.path().display().to_string(),
+            disk: store.disk_level(),
             copying,
-            wal_bytes: self.store.wal_bytes(),
+            wal_bytes: store.wal_bytes(),
             received: self.inbox.received.load(Relaxed) + written.received,
             dropped: self.inbox.dropped.load(Relaxed),
-            machines_refused: status.machines_refused.count(),
-            alarm_events_lost: status.alarm_events_lost.count(),
+            machines_refused: self.machines_refused.count(),
+            alarm_events_lost: self.alarm_events_lost.count(),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
-            silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
+            silent: self.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
             ..written
         }
     }
 
     /// Adds the messages that were dropped or lost since the last call to the counters of the database. A probe changes
     /// a row in any case.
-    pub(crate) async fn store_losses(&self, is_probe: bool) -> Result<(), StoreError> {
-        let status = &self.status;
-        let now = [self.inbox.dropped.load(Relaxed), status.edit().lost];
-        for (counter, now) in [&status.dropped, &status.lost].into_iter().zip(now) {
+    pub(crate) async fn store_losses(&self, store: &Store, is_probe: bool) -> Result<(), StoreError> {
+        let now = [self.inbox.dropped.load(Relaxed), self.edit().lost];
+        for (counter, now) in [&self.dropped, &self.lost].into_iter().zip(now) {
             if now > counter.count() {
                 counter.add(now - counter.count());
             }
         }
-        let before = *status.stored_losses.lock();
+        let before = *self.stored_losses.lock();
         let [dropped, lost] = [0, 1].map(|at| now[at].saturating_sub(before[at]));
-        self.store.count_losses(dropped, lost, is_probe).await?;
-        *status.stored_losses.lock() = now;
+        store.count_losses(dropped, lost, is_probe).await?;
+        *self.stored_losses.lock() = now;
         Ok(())
     }
 
     /// The report with the open windows: the reply to a query.
-    pub(crate) async fn answer(&self) -> StatusReport {
-        let mut report = self.report();
-        match self.store.reader().windows(None).await {
+    pub(crate) async fn answer(&self, store: &Store) -> StatusReport {
+        let mut report = self.report(store);
+        match store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,
             // The rest of the status is most important when the database does not answer.
             Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
