@@ -50,9 +50,9 @@ impl Inbox {
         session: &Session,
         key_expression: &str,
         max_payload_bytes: usize,
+        counters: Arc<InboxCounters>,
     ) -> Result<(Self, mpsc::Receiver<String>), BusError> {
         let (dropped, dropped_keys) = mpsc::channel(DROPPED_KEYS);
-        let counters = Arc::<InboxCounters>::default();
         let counting = Arc::clone(&counters);
         // It runs in the threads of zenoh, so it never waits.
         let on_sample = move |sample: Sample| {
@@ -72,11 +72,6 @@ impl Inbox {
             .await
             .map_err(BusError::new(format!("subscribe to {key_expression}")))?;
         Ok((Self { subscriber: Some(subscriber), counters }, dropped_keys))
-    }
-
-    /// The counters, shared with the callback.
-    pub(crate) fn counters(&self) -> Arc<InboxCounters> {
-        Arc::clone(&self.counters)
     }
 
     /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns the number of

@@ -61,17 +61,11 @@ pub(crate) struct Outlet {
 impl Outlet {
     /// Starts the threads. When the last handle is dropped, they publish the rest of their queues and end. Close the
     /// session only after their ends: a put to a closing session panics in zenoh.
-    pub(crate) fn start(session: &Session) -> (Self, [JoinHandle<()>; 2]) {
-        let counters = Arc::<OutletCounters>::default();
+    pub(crate) fn start(session: &Session, counters: Arc<OutletCounters>) -> (Self, [JoinHandle<()>; 2]) {
         // With a higher priority, alarms do not wait behind health messages in zenoh.
         let (alarms, first) = publisher(session, Priority::InteractiveHigh, ALARMS, &counters);
         let (healths, second) = publisher(session, Priority::Data, QUEUE, &counters);
         (Self { alarms, healths, counters }, [first, second])
-    }
-
-    /// Counters of published and dropped messages, shared with the threads.
-    pub(crate) fn counters(&self) -> Arc<OutletCounters> {
-        Arc::clone(&self.counters)
     }
 
     /// Publishes an alarm event; returns when zenoh has accepted it.

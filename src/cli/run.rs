@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     daemon::{
-        DATABASE, Daemon, LockError, StartError,
+        DATABASE, Daemon, StartError,
         config::{Config, Document},
     },
     store::{self, StoreError},
@@ -40,9 +40,9 @@ impl From<StartError> for Failure {
     fn from(error: StartError) -> Self {
         let exit = match &error {
             StartError::Store(StoreError::Foreign(_)) | StartError::Webhook(_) => Exit::Config,
-            StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
+            StartError::Store(_) | StartError::LockFile { .. } => Exit::Io,
             StartError::Bus(error) if !error.is_temporary() => Exit::Config,
-            StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
+            StartError::Bus(_) | StartError::Locked { .. } => Exit::Unavailable,
         };
         Self::new(exit, error)
     }

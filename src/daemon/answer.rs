@@ -4,10 +4,7 @@ use std::sync::Arc;
 
 use zenoh::{bytes::ZBytes, query::Query};
 
-use super::{
-    judge::commands::CommandSender,
-    supervision::status::{Status, StatusSources},
-};
+use super::{judge::commands::CommandSender, shared::Shared, supervision::status::Status};
 use crate::{
     bus::{self, QueryQueue},
     store::{Reader, Selector, StoreError, seldom},
@@ -26,7 +23,7 @@ pub(super) enum Responder {
     /// session of another daemon gets no reply.
     Commands { sender: CommandSender, itself: CommandTarget },
     /// To status queries.
-    Status { key: String, sources: StatusSources },
+    Status { key: String, shared: Arc<Shared> },
 }
 
 impl Responder {
@@ -58,9 +55,9 @@ impl Responder {
                     _ => command_reply(question, sender, itself).await,
                 }
             }
-            Self::Status { key, sources } => {
+            Self::Status { key, shared } => {
                 wire::check_parameters(question.parameters().as_str(), &[])?;
-                Ok(vec![(key.clone(), wire::json_bytes(&sources.answer().await))])
+                Ok(vec![(key.clone(), wire::json_bytes(&shared.status.answer(&shared.store).await))])
             }
         }
     }

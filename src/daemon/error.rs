@@ -1,6 +1,7 @@
 //! Errors at the start of the daemon, and of the pipeline without zenoh ([`super::Offline`]).
 
-use super::supervision::lock::LockError;
+use std::path::PathBuf;
+
 use crate::{bus::BusError, store::StoreError};
 
 /// An error at the start of the daemon.
@@ -13,8 +14,19 @@ pub enum StartError {
     #[error(transparent)]
     Bus(#[from] BusError),
     /// Another process uses the database.
-    #[error(transparent)]
-    Lock(#[from] LockError),
+    #[error("another pointsd works on {}: stop it first, or name another database in store.path", database.display())]
+    Locked {
+        /// The database.
+        database: PathBuf,
+    },
+    /// The lock file of the database cannot be used.
+    #[error("cannot use the lock file {} of the database: may this user write to its folder?", path.display())]
+    LockFile {
+        /// The lock file.
+        path: PathBuf,
+        /// Error of the system.
+        source: std::io::Error,
+    },
     /// The webhook cannot be used.
     #[error("[webhook]: {0}")]
     Webhook(String),

@@ -37,5 +37,4 @@ pub use judge::Judged;
 pub use offline::Offline;
 pub use start::{DATABASE, Daemon, View};
 pub(crate) use supervision::heartbeat::TaskName;
-pub use supervision::lock::LockError;
 pub use supervision::status::{FleetCounts, StatusReport};

@@ -20,7 +20,7 @@ use crate::{
 /// Number of throws that are judged together, to save commits.
 const GROUP: usize = 64;
 
-/// The pipeline on a database without a daemon.
+/// The pipeline on a database without a daemon. Its methods fail when the database cannot be read or written.
 pub struct Offline {
     store: Store,
     judge: Judge,
@@ -28,11 +28,9 @@ pub struct Offline {
     _lock: DatabaseLock,
 }
 
+#[expect(clippy::missing_errors_doc, reason = "see `Offline`")]
 impl Offline {
-    /// Opens the database of a configuration.
-    ///
-    /// # Errors
-    /// When the database cannot be used, or a daemon uses it.
+    /// Opens the database of a configuration, which no daemon may use.
     pub async fn open(mut config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let store = Store::open(&config.store, clock::now()).await?.store;
@@ -46,9 +44,6 @@ impl Offline {
 
     /// Stores a throw that was received at this time. After every 64 throws it judges them. Returns the result of
     /// storing the throw, and the throws judged in this call.
-    ///
-    /// # Errors
-    /// When the database cannot be written to.
     pub async fn take(
         &mut self,
         machine: &MachineId,
@@ -62,26 +57,17 @@ impl Offline {
     }
 
     /// Whether the database has a throw with this number of a machine.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn has(&self, machine: &MachineId, throw: &ThrowRef) -> Result<bool, StoreError> {
         Ok(self.store.reader().throw_of(machine, throw).await?.is_some())
     }
 
     /// Start of the last throw of a machine that was judged.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn last_start(&self, machine: &MachineId) -> Result<Option<Timestamp>, StoreError> {
         let latest = self.store.reader().latest_health(&machine.into()).await?;
         Ok(latest.iter().map(|health| health.started_at).max())
     }
 
     /// Judges all pending throws.
-    ///
-    /// # Errors
-    /// When the database cannot be written to.
     pub async fn judge(&mut self) -> Result<Vec<Judged>, StoreError> {
         self.waiting = 0;
         let mut all = Vec::new();
@@ -96,10 +82,7 @@ impl Offline {
         }
     }
 
-    /// Closes the database.
-    ///
-    /// # Errors
-    /// When it could not be closed cleanly; no data is lost.
+    /// Closes the database. An error means that it could not be closed cleanly; no data is lost.
     pub async fn close(self) -> Result<(), StoreError> {
         self.store.close().await
     }

@@ -30,7 +30,7 @@ use super::{
     supervision::{
         lock::DatabaseLock,
         peers::Peers,
-        status::{NAMED, StatusReport, StatusSources},
+        status::{NAMED, Status, StatusReport},
         tasks::Tasks,
         watchdog,
     },
@@ -55,7 +55,6 @@ pub(super) const PUBLISH: &str = "publish";
 /// The running daemon.
 pub struct Daemon {
     pub(super) shared: Arc<Shared>,
-    pub(super) sources: StatusSources,
     config: watch::Sender<Arc<Config>>,
     watchers: broadcast::Sender<Judged>,
     commands: CommandSender,
@@ -69,7 +68,8 @@ pub struct Daemon {
 /// commands. Cheap to clone.
 #[derive(Clone)]
 pub struct View {
-    pub(crate) sources: StatusSources,
+    pub(crate) status: Arc<Status>,
+    pub(crate) store: Store,
     config: watch::Receiver<Arc<Config>>,
     pub(crate) commands: CommandSender,
 }
@@ -78,6 +78,10 @@ impl View {
     /// The present configuration.
     pub fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
+    }
+
+    pub(crate) fn report(&self) -> StatusReport {
+        self.status.report(&self.store)
     }
 }
 
@@ -123,7 +127,7 @@ impl Daemon {
         let mut start = Starting { shared: Arc::clone(&shared), tasks: Tasks::default() };
         let (watchers, _) = broadcast::channel(JUDGED_CAPACITY);
         let (sender, commands) = CommandSender::new();
-        let (outlet, publishing) = Outlet::start(session);
+        let (outlet, publishing) = Outlet::start(session, Arc::clone(&status.outlet));
 
         if let Some(notifier) = Notifier::new(Arc::clone(&shared)).await? {
             start.tasks.spawn("webhook", notifier.run());
@@ -131,13 +135,13 @@ impl Daemon {
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;
-        let sources = start.start_receiver(&outlet).await?;
+        start.start_receiver().await?;
 
         presence::watch(session, &start.scope(Kind::Alive), Arc::clone(status), connections).await?;
-        start.start_answers(&sender, &sources).await?;
+        start.start_answers(&sender).await?;
         let last_received = store.reader().last_received().await?;
         start.tasks.spawn("retention", retention::run(store.clone(), last_received));
-        start.tasks.spawn("watchdog", watchdog::watch(sources.clone()));
+        start.tasks.spawn("watchdog", watchdog::watch(Arc::clone(&shared)));
         let own = at_start.monitor.as_machine();
         match bus::is_running(session, &own).await {
             Ok(true) => tracing::warn!(
@@ -148,7 +152,7 @@ impl Daemon {
         }
         let alive = bus::declare_alive(session, &monitor_alive_key(&own)).await?;
         let tasks = start.tasks;
-        Ok(Self { shared, sources, config, watchers, commands: sender, tasks, publishing, alive, lock })
+        Ok(Self { shared, config, watchers, commands: sender, tasks, publishing, alive, lock })
     }
 
     /// Notifies systemd that the daemon is ready.
@@ -173,12 +177,17 @@ impl Daemon {
 
     /// The status of the daemon.
     pub fn report(&self) -> StatusReport {
-        self.sources.report()
+        self.shared.status.report(&self.shared.store)
     }
 
     /// A view of the daemon for the dashboard.
     pub fn view(&self) -> View {
-        View { sources: self.sources.clone(), config: self.config.subscribe(), commands: self.commands.clone() }
+        View {
+            status: Arc::clone(&self.shared.status),
+            store: self.shared.store.clone(),
+            config: self.config.subscribe(),
+            commands: self.commands.clone(),
+        }
     }
 
     /// Runs a further task under the supervision of the daemon: [`Self::ended`] returns when the task ends.
@@ -252,16 +261,11 @@ impl Starting {
     }
 
     /// Starts the reception of live throws and of the loggers' backlogs.
-    async fn start_receiver(&mut self, outlet: &Outlet) -> Result<StatusSources, StartError> {
+    async fn start_receiver(&mut self) -> Result<(), StartError> {
         let Shared { config, session, store, status, .. } = &*self.shared;
         let (subscribe, monitor) = (&config.subscribe, &config.monitor);
-        let (inbox, dropped) = Inbox::subscribe(session, &self.scope(Kind::Throw), subscribe.max_payload_bytes).await?;
-        let sources = StatusSources {
-            status: Arc::clone(status),
-            inbox: inbox.counters(),
-            outlet: outlet.counters(),
-            store: store.clone(),
-        };
+        let (key, counters) = (self.scope(Kind::Throw), Arc::clone(&status.inbox));
+        let (inbox, dropped) = Inbox::subscribe(session, &key, subscribe.max_payload_bytes, counters).await?;
         let mut machines = store.reader().machines().await?;
         machines.retain(|machine| monitor.reserves(machine).is_none());
         let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
@@ -272,11 +276,11 @@ impl Starting {
         self.tasks.spawn(RECEIVE, ReceiveLoop::new(shared(), inbox, intake).run());
         // Stopped together with the receiving loop: the next start fetches the rest of the backlogs.
         self.tasks.spawn("backlog", backlog.run());
-        Ok(sources)
+        Ok(())
     }
 
     /// Starts the tasks that answer queries and commands.
-    async fn start_answers(&mut self, sender: &CommandSender, sources: &StatusSources) -> Result<(), BusError> {
+    async fn start_answers(&mut self, sender: &CommandSender) -> Result<(), BusError> {
         let Shared { config, session, store, status, .. } = &*self.shared;
         let own_machine = config.monitor.as_machine();
         let key = monitor_status_key(&own_machine);
@@ -285,7 +289,7 @@ impl Starting {
         let alarms = |elsewhere| Responder::Alarms { reader: reader.clone(), status: Arc::clone(status), elsewhere };
         let commands = || Responder::Commands { sender: sender.clone(), itself: itself.clone() };
         let mut all = vec![
-            ("answer status", key.clone(), Responder::Status { key, sources: sources.clone() }),
+            ("answer status", key.clone(), Responder::Status { key, shared: Arc::clone(&self.shared) }),
             ("answer health", self.scope(Kind::Health), Responder::Health(reader.clone())),
             ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
             ("answer commands", self.scope(Kind::Command), commands()),

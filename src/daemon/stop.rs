@@ -32,8 +32,8 @@ impl Daemon {
     /// # Errors
     /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
-        let Self { shared, mut tasks, publishing, alive, sources, lock, .. } = self;
-        let Shared { session, store, stops, .. } = &*shared;
+        let Self { shared, mut tasks, publishing, alive, lock, .. } = self;
+        let Shared { session, store, status, stops, .. } = &*shared;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {
@@ -51,7 +51,7 @@ impl Daemon {
         if !tasks.end_of(PUBLISH, PUBLISH_LIMIT).await {
             tracing::warn!("alarms are not published yet: they will be published after the next start");
         }
-        tracing::info!("{}", sources.report().line());
+        tracing::info!("{}", status.report(store).line());
         drop((alive, tasks));
         let ended = async {
             for end in publishing {
@@ -69,7 +69,7 @@ impl Daemon {
         }
         // Committed rows are durable without a clean close too; the next start then checks the database.
         let close = async {
-            if let Err(error) = sources.store_losses(false).await {
+            if let Err(error) = status.store_losses(store, false).await {
                 tracing::warn!(%error, "counting the messages lost at the stop failed");
             }
             store.close().await

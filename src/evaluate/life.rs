@@ -40,25 +40,6 @@ pub(super) struct Calls {
     pub(super) cusum: Vec<Call>,
 }
 
-/// Numbers of alarms of the three rules in the life of a healthy machine.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct FalseAlarms {
-    /// Alarms of the monitor, as [`Calls::raised`].
-    pub(super) monitor: usize,
-    /// Alarms that the machine is not monitored, as [`Calls::not_monitored`].
-    pub(super) not_monitored: usize,
-    pub(super) paper: usize,
-    pub(super) cusum: usize,
-}
-
-impl Calls {
-    /// Numbers of alarms, if the machine was healthy.
-    pub(super) fn false_alarms(&self) -> FalseAlarms {
-        let Self { raised, not_monitored, paper, cusum, .. } = self;
-        FalseAlarms { monitor: *raised, not_monitored: *not_monitored, paper: paper.len(), cusum: cusum.len() }
-    }
-}
-
 /// Simulates a life and applies the three rules.
 pub(super) fn live(mut source: Source<'_>, life: &Timeline, rules: Rules<'_>) -> Calls {
     let mut monitor = MachineMonitor::new("evaluated");

@@ -9,7 +9,7 @@ use super::{
     domain,
     healthy::FLEETS,
     judge::{Judgement, judge, names_wrongly},
-    life::{FalseAlarms, Rules, Source, live},
+    life::{Rules, Source, live},
     observation::observation,
     parameter::ParameterMachine,
     random::stream,
@@ -101,12 +101,7 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    Healthy {
-        depth: Depth,
-        fleet: Option<usize>,
-        throws: usize,
-        alarms: FalseAlarms,
-    },
+    Healthy(Healthy),
     /// The judgements of the monitor, the paper's rule and the CUSUM; whether the monitor named a healthy part at
     /// critical severity; and the correctness of its sizes and forecasts.
     Row {
@@ -161,8 +156,7 @@ impl Plan {
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
             Task::Healthy { depth, fleet, machine, throws } => {
-                let alarms = self.healthy(depth, fleet, machine, 2 * self.baseline + throws);
-                Kind::Healthy { depth, fleet, throws, alarms }
+                Kind::Healthy(self.healthy(depth, fleet, machine, throws))
             }
             Task::Row { row, trial } => self.row(row, trial),
             Task::Budget { phi, machine } => self.budget(phi, machine),
@@ -171,13 +165,16 @@ impl Plan {
 
     /// Makes the report; `outcomes`: those of all lives, in the order of their numbers.
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
-        let mut healthy = Vec::new();
+        let mut healthy: Vec<Healthy> = Vec::new();
         let mut lives = vec![Lives::default(); self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for Outcome(kind) in outcomes {
             match *kind {
-                Kind::Healthy { depth, fleet, throws, alarms } => {
-                    add(&mut healthy, depth, fleet.map(|fleet| FLEETS[fleet].label), throws, alarms);
+                Kind::Healthy(life) => {
+                    match healthy.iter_mut().find(|known| (known.depth, known.fleet) == (life.depth, life.fleet)) {
+                        Some(known) => known.add(life),
+                        None => healthy.push(life),
+                    }
                 }
                 Kind::Row { row, judgements, wrong_critical, coverage } => {
                     lives[row].judgements.push(judgements);
@@ -187,23 +184,34 @@ impl Plan {
                 Kind::Budget { phi, throws, alarmed } => budget[phi].add(throws, alarmed),
             }
         }
-        healthy.sort_by_key(|healthy: &Healthy| (healthy.fleet.is_some(), healthy.depth as u8));
+        healthy.sort_by_key(|healthy| (healthy.fleet.is_some(), healthy.depth as u8));
         let lived = self.scenarios.iter().zip(&lives).filter(|(_, lives)| !lives.judgements.is_empty());
         let rows = lived.map(|(scenario, lives)| Row::new(scenario, lives)).collect();
         let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
         Report { seed: self.seed, healthy, rows, budget }
     }
 
-    fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> FalseAlarms {
+    /// Simulates a healthy life of `throws` monitored throws; every alarm in it is false.
+    fn healthy(&self, depth: Depth, fleet: Option<usize>, machine: usize, throws: usize) -> Healthy {
         let random = |domain, row| stream(self.seed, domain, row, machine);
-        let rules = self.rules(Situation::Plain, Noise::Default);
-        if let Some(fleet) = fleet {
-            let life = FLEETS[fleet].life(throws, &mut random(domain::WEATHER, fleet));
-            let random = random(domain::FLEET, fleet);
-            return live(drawn(random, Noise::Default, FLEETS[fleet].scatter, &life), &life, rules).false_alarms();
+        let (rules, length) = (self.rules(Situation::Plain, Noise::Default), 2 * self.baseline + throws);
+        let fleet = fleet.map(|at| (at, FLEETS[at]));
+        let calls = if let Some((at, fleet)) = fleet {
+            let life = fleet.life(length, &mut random(domain::WEATHER, at));
+            live(drawn(random(domain::FLEET, at), Noise::Default, fleet.scatter, &life), &life, rules)
+        } else {
+            let (life, random) = (Timeline::healthy(length), random(domain::HEALTHY, depth as usize));
+            live(source(depth, Situation::Plain, Noise::Default, random, &life), &life, rules)
+        };
+        Healthy {
+            depth,
+            throws,
+            false_alarms: calls.raised,
+            not_monitored: calls.not_monitored,
+            paper_false_alarms: calls.paper.len(),
+            cusum_false_alarms: calls.cusum.len(),
+            fleet: fleet.map(|(_, fleet)| fleet.label),
         }
-        let (life, random) = (Timeline::healthy(throws), random(domain::HEALTHY, depth as usize));
-        live(source(depth, Situation::Plain, Noise::Default, random, &life), &life, rules).false_alarms()
     }
 
     fn row(&self, row: usize, trial: usize) -> Kind {
@@ -288,19 +296,6 @@ fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
         .chain(rows(Depth::Parameter, amount.trials))
         .chain(budget.map(|(phi, machine)| Task::Budget { phi, machine }))
         .collect()
-}
-
-/// Adds the alarms of a life to the results of its depth and fleet.
-fn add(healthy: &mut Vec<Healthy>, depth: Depth, fleet: Option<&'static str>, throws: usize, alarms: FalseAlarms) {
-    let at = healthy.iter().position(|healthy| (healthy.depth, healthy.fleet) == (depth, fleet)).unwrap_or_else(|| {
-        healthy.push(Healthy { depth, fleet, ..Healthy::default() });
-        healthy.len() - 1
-    });
-    healthy[at].throws += throws;
-    healthy[at].false_alarms += alarms.monitor;
-    healthy[at].not_monitored += alarms.not_monitored;
-    healthy[at].paper_false_alarms += alarms.paper;
-    healthy[at].cusum_false_alarms += alarms.cusum;
 }
 
 /// The warning limits as fractions, in the order of [`Cause::PHYSICAL`].

@@ -49,6 +49,17 @@ pub struct Healthy {
     pub fleet: Option<&'static str>,
 }
 
+impl Healthy {
+    /// Adds another life.
+    pub(super) fn add(&mut self, life: Self) {
+        self.throws += life.throws;
+        self.false_alarms += life.false_alarms;
+        self.not_monitored += life.not_monitored;
+        self.paper_false_alarms += life.paper_false_alarms;
+        self.cusum_false_alarms += life.cusum_false_alarms;
+    }
+}
+
 /// Measured false alarms against their budget, at one serial correlation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Budget {

@@ -36,22 +36,17 @@ pub(super) struct Backlog {
     _queryable: Queryable<()>,
 }
 
-/// A query and the throws of its machine.
-struct BacklogRequest {
-    query: Query,
-    kept: Arc<Mutex<Kept>>,
-}
-
-/// The thread that sends the replies: a reply blocks on a slow link, and a callback of zenoh must not block.
+/// The thread that sends the replies: a reply blocks on a slow link, and a callback of zenoh must not block. It gets
+/// each query with the throws of its machine.
 #[derive(Clone)]
-pub(super) struct AnswerThread(mpsc::SyncSender<BacklogRequest>);
+pub(super) struct AnswerThread(mpsc::SyncSender<(Query, Arc<Mutex<Kept>>)>);
 
 impl AnswerThread {
     /// Starts the thread. It ends when the handle and all backlogs are dropped.
     pub(super) fn start() -> Result<Self, LoggerError> {
-        let (sender, requests) = mpsc::sync_channel::<BacklogRequest>(QUEUE);
+        let (sender, requests) = mpsc::sync_channel::<(Query, Arc<Mutex<Kept>>)>(QUEUE);
         let spawned = thread::Builder::new().name(THREAD.into()).spawn(move || {
-            for BacklogRequest { query, kept } in requests {
+            for (query, kept) in requests {
                 answer(&query, &kept);
             }
         });
@@ -74,7 +69,7 @@ impl AnswerThread {
             .callback(move |query| {
                 // If the queue is full, the query ends without a reply, as if there were no newer throws. A daemon
                 // sends at most eight queries at a time, so the queue does not fill.
-                let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
+                let _ = requests.try_send((query, Arc::clone(&answered)));
             })
             .wait()
             .map_err(BusError::new("declare the backlog of a logger"))?;

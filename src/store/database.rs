@@ -28,7 +28,8 @@ use super::{
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 
-/// The database of a running daemon. Cheap to clone. A write that failed may be repeated.
+/// The database of a running daemon. Cheap to clone. After `Ok` of a write, its data are on the disk. After an error the
+/// same write may be repeated.
 #[derive(Clone)]
 pub struct Store {
     pub(super) writer: Writer,
@@ -47,6 +48,7 @@ pub struct Opened {
     pub report: Report,
 }
 
+#[expect(clippy::missing_errors_doc, reason = "see `Store`")]
 impl Store {
     /// Opens the database; creates, recovers or migrates it as needed. `now` becomes part of the new
     /// names of files that are set aside: renamed and kept.
@@ -89,10 +91,7 @@ impl Store {
         &self.settings.path
     }
 
-    /// Stores a received throw. After `Ok` the throw is on the disk.
-    ///
-    /// # Errors
-    /// When the throw could not be stored; the same call may be repeated.
+    /// Stores a received throw.
     pub async fn spool(
         &self,
         machine: &MachineId,
@@ -105,9 +104,6 @@ impl Store {
     }
 
     /// Stores several throws in one transaction; returns the results in their order.
-    ///
-    /// # Errors
-    /// When the throws could not be stored; the same call may be repeated.
     pub async fn spool_all(&self, throws: &[ReceivedThrow]) -> Result<Vec<Spooled>, StoreError> {
         let spools = compress(throws.to_vec()).await?;
         let spooled = self.writer.write(Spools(spools)).await?;
@@ -120,9 +116,6 @@ impl Store {
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
-    ///
-    /// # Errors
-    /// When the page could not be stored; the same call may be repeated.
     pub async fn spool_page(
         &self,
         machine: &MachineId,
@@ -138,26 +131,17 @@ impl Store {
 
     /// Writes off the throws of a machine that were missing when the backlog query with `cursor` was sent: the backlog
     /// does not have them.
-    ///
-    /// # Errors
-    /// When the change could not be stored; the same call may be repeated.
     pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
     /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. Returns for
     /// each whether it was written; a throw that was judged before gives false.
-    ///
-    /// # Errors
-    /// When they could not be stored; the same call may be repeated.
     pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
         self.writer.write(judgements).await
     }
 
     /// Stores the outcome of an operator's command or of a periodic check, in one transaction.
-    ///
-    /// # Errors
-    /// When the outcome could not be stored; the same call may be repeated.
     pub async fn record(&self, outcome: Outcome) -> Result<(), StoreError> {
         self.record_all(Arc::new([outcome])).await
     }
@@ -174,9 +158,6 @@ impl Store {
     }
 
     /// Removes messages that zenoh has accepted from the outbox.
-    ///
-    /// # Errors
-    /// When the change could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }
@@ -192,9 +173,6 @@ impl Store {
     }
 
     /// Stores the first bytes of rejected messages, with the reasons, in one transaction.
-    ///
-    /// # Errors
-    /// When they could not be stored.
     pub async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> Result<(), StoreError> {
         self.writer.write(Quarantine { refused, keep: self.settings.max_quarantined }).await
     }

@@ -164,7 +164,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let mut query = filters(query.as_deref())?;
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
-    let report = web.view.sources.report();
+    let report = web.view.report();
     let _permit = web.read_permit().await?;
     let reader = web.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();

@@ -293,8 +293,7 @@ async fn throws_of_baseline(
     latest: &[Health],
     baselines: &[BaselineRecord],
 ) -> Result<Vec<Health>, StoreError> {
-    let of_direction = baselines.iter().filter(|baseline| baseline.direction == direction);
-    let Some(baseline) = of_direction.max_by_key(|baseline| baseline.taken_at) else { return Ok(Vec::new()) };
+    let Some(baseline) = trend::newest(baselines, direction) else { return Ok(Vec::new()) };
     let so_far = last_in(latest, direction).and_then(|last| last.baseline).map_or(0, |baseline| baseline.so_far);
     if so_far < baseline.throws as u64 {
         return Ok(Vec::new());
@@ -323,8 +322,7 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
             (state::signed(change[at], 1), own)
         };
         // A baseline with a trend has all its throws.
-        let newest = baselines.iter().filter(|baseline| baseline.direction == direction);
-        let is_provisional = newest.max_by_key(|baseline| baseline.taken_at).is_some_and(|newest| !newest.complete);
+        let is_provisional = trend::newest(baselines, direction).is_some_and(|newest| !newest.complete);
         let baseline = match last.and_then(|last| last.baseline) {
             Some(baseline) if baseline.is_complete() && is_provisional => "provisional".to_owned(),
             Some(baseline) if baseline.is_complete() => "complete".to_owned(),

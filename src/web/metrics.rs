@@ -71,7 +71,7 @@ fn escaped(value: &str) -> String {
 
 pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
     let mut text = Text::default();
-    let report = web.view.sources.report();
+    let report = web.view.report();
     throws(&mut text, &web.view, &report);
     daemon(&mut text, &report);
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
@@ -149,11 +149,11 @@ fn throws(text: &mut Text, view: &View, report: &StatusReport) {
     ] {
         text.counter(name, help, value);
     }
-    let rejected = view.sources.status.rejected();
+    let rejected = view.status.rejected();
     let rejected = rejected.iter().map(|(reason, number)| ([("reason", reason.as_str())], number));
     text.family("counter", ("throws_not_evaluated_total", "Judged throws that were rejected, by reason"), rejected);
     text.gauge("throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
-    let inbox = view.sources.inbox.queued_bytes() as u64;
+    let inbox = view.status.inbox.queued_bytes() as u64;
     text.gauge("inbox_bytes", "Memory of received messages not stored yet", inbox);
 }
 

@@ -123,7 +123,7 @@ fn router(web: Arc<Web>) -> Router {
 
 /// The response 200 while every loop of the daemon has a fresh heartbeat, else 503.
 async fn healthz(State(web): State<Arc<Web>>) -> (StatusCode, String) {
-    let silent = web.view.sources.report().silent;
+    let silent = web.view.report().silent;
     if silent.is_empty() {
         return (StatusCode::OK, "every loop of the daemon is running\n".to_owned());
     }

@@ -61,7 +61,7 @@ impl Web {
     }
 
     pub(super) fn reader(&self) -> &Reader {
-        self.view.sources.store.reader()
+        self.view.store.reader()
     }
 
     /// Waits for the permit to read the database. The request holds it until its page is complete.
@@ -96,7 +96,7 @@ impl Web {
             own_alarms: reader.open_alarms(&(&itself).into()).await?,
             unreadable,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
-            statistics: self.view.sources.store.statistics().await?,
+            statistics: self.view.store.statistics().await?,
         });
         *last = Some((clock::monotonic(), Arc::clone(&overview)));
         Ok(overview)

@@ -141,7 +141,7 @@ async fn typical(
     let Some(direction) = health.and_then(|health| health.direction) else { return Ok(None) };
     let reader = web.reader();
     let baselines = reader.baselines_of(machine, BASELINES).await?;
-    let Some(baseline) = baselines.iter().find(|baseline| baseline.direction == direction) else { return Ok(None) };
+    let Some(baseline) = trend::newest(&baselines, direction) else { return Ok(None) };
     let found = reader.typical_of(machine, direction, baseline.taken_at).await?;
     let Some(found) = found.filter(|found| found != throw) else { return Ok(None) };
     Ok(reader.throw_of(machine, &found).await?.map(|(stored, _)| stored))

@@ -48,11 +48,16 @@ pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
     rows.into_iter().skip(first).step_by(step).collect()
 }
 
+/// The newest baseline of a direction, from `baselines` of one machine, the newest first.
+pub(super) fn newest(baselines: &[BaselineRecord], direction: Direction) -> Option<&BaselineRecord> {
+    baselines.iter().find(|baseline| baseline.direction == direction)
+}
+
 /// Scatter of b0, a1 and a0 from throw to throw: two standard deviations \[%\] in the newest baseline of a direction.
 /// It is much larger than the error from sensor noise.
 pub(super) fn scatter_pct(baselines: &[BaselineRecord], direction: Direction) -> Option<[f64; 3]> {
-    let baseline = baselines.iter().filter(|baseline| baseline.direction == direction).max_by_key(|it| it.taken_at)?;
-    Some([0, 1, 2].map(|at| 200.0 * baseline.log_covariance[at][at].max(0.0).sqrt()))
+    let covariance = newest(baselines, direction)?.log_covariance;
+    Some([0, 1, 2].map(|at| 200.0 * covariance[at][at].max(0.0).sqrt()))
 }
 
 /// Charts of the changes of b0, a1, a0 and inertia, with limits, marks and the scatter of the machine. Empty without a

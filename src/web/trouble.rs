@@ -35,7 +35,7 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 
 /// Problems known without the database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
-    let report = view.sources.report();
+    let report = view.report();
     let mut trouble = report.problems();
     let can_store = matches!(report.disk, DiskLevel::Ample | DiskLevel::Low) && !report.copying;
     if !can_store || !report.silent.is_empty() {

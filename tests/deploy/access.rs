@@ -6,13 +6,11 @@ use std::{
     time::Duration,
 };
 
-use tokio::{
-    io::{AsyncReadExt, copy_bidirectional},
-    net::{TcpListener, TcpStream},
-};
+use tokio::{io::AsyncReadExt, net::TcpStream};
 use zenoh::{Wait, query::ConsolidationMode};
 
 use super::{
+    cable::Cable,
     rig::{has, listen, matched},
     site::*,
 };
@@ -25,10 +23,7 @@ const ALIVE_B: &str = "points/v1/north/21B/alive";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn each_logger_publishes_for_its_own_machine_only() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
     let (own, foreign) = (matched(&logger, THROW_A).await, matched(&logger, THROW_B).await);
@@ -47,10 +42,7 @@ async fn each_logger_publishes_for_its_own_machine_only() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_logger_cannot_answer_or_be_alive_for_another() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let logger = client("logger.north.21A", &endpoint).await;
     let _forged = answer(&logger, "points/v1/north/21B/throw/@adv/**", THROW_B).await;
     let smuggled = answer(&logger, "points/v1/north/21A/throw/@adv/pub/smuggled", THROW_B).await;
@@ -75,10 +67,7 @@ async fn a_logger_cannot_answer_or_be_alive_for_another() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_without_a_certificate_of_the_authority_gets_no_link() {
-    if !has("openssl") {
-        return;
-    }
-    let (_cabinet, endpoint) = cabinet().await;
+    let Some((_cabinet, endpoint)) = cabinet().await else { return };
     let good = client_config(&railway().folder("logger.north.21A"), &endpoint);
     assert!(gets_a_link(good.clone()).await);
 
@@ -105,10 +94,7 @@ async fn a_client_without_a_certificate_of_the_authority_gets_no_link() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_expired_certificate_opens_no_link() {
-    if !has("openssl") {
-        return;
-    }
-    let (_cabinet, endpoint) = cabinet().await;
+    let Some((_cabinet, endpoint)) = cabinet().await else { return };
     let config = client_config(&railway().expiring("logger.north.21A"), &endpoint);
     // This certificate is valid for a second; a valid one of the same name shows that only the time matters.
     until("the certificate expires", async || !gets_a_link(config.clone()).await).await;
@@ -137,10 +123,7 @@ async fn a_logger_does_not_connect_to_a_false_cabinet() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_the_access_rules_do_not_list_gets_nothing() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let throws = throw_subscriber(&cabinet).await;
     let health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
     let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
@@ -168,10 +151,7 @@ async fn a_client_that_the_access_rules_do_not_list_gets_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_viewer_reads_and_an_operator_commands() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let throws = throw_subscriber(&cabinet).await;
     let alarms_of_cabinet = cabinet.declare_subscriber("points/v1/*/*/alarm").await.unwrap();
     let _health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
@@ -209,10 +189,7 @@ async fn a_viewer_reads_and_an_operator_commands() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_logger_neither_reads_alarms_nor_commands() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
     let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
     let logger = client("logger.north.21A", &endpoint).await;
@@ -228,10 +205,7 @@ async fn a_logger_neither_reads_alarms_nor_commands() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
     const LIMIT: usize = 2 * 1024 * 1024;
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
     // A logger without a backlog, so that nobody requests a rejected message again.
@@ -252,11 +226,8 @@ async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_the_rules() {
-    if !has("openssl") {
-        return;
-    }
-    let (cabinet, endpoint) = cabinet().await;
-    let relay = ClosingRelay::to(endpoint.trim_start_matches("tls/").to_owned()).await;
+    let Some((cabinet, endpoint)) = cabinet().await else { return };
+    let relay = Cable::to(&endpoint).await;
     let mut config = client_config(&railway().folder("logger.north.21A"), &relay.endpoint);
     config.insert_json5("connect/retry", "{ period_init_ms: 100, period_max_ms: 200 }").unwrap();
     let logger = zenoh::open(config).await.unwrap();
@@ -280,7 +251,7 @@ async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_t
     kept.lock().unwrap().push(b"before the first cut".to_vec());
     for outage in 0..2_u8 {
         until("the backlog is read", async || page().await == *kept.lock().unwrap()).await;
-        relay.cut();
+        relay.break_off();
         until("the link is down", async || page().await.is_empty()).await;
         kept.lock().unwrap().push(vec![outage]);
         relay.mend();
@@ -328,41 +299,4 @@ async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Sub
         tokio::time::timeout(Duration::from_millis(50), reader.recv_async()).await.is_ok()
     })
     .await;
-}
-
-/// A TCP relay that can be cut. While it is cut it closes every link and accepts no new one.
-struct ClosingRelay {
-    endpoint: String,
-    connected: tokio::sync::watch::Sender<bool>,
-}
-
-impl ClosingRelay {
-    async fn to(address: String) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let endpoint = format!("tls/{}", listener.local_addr().unwrap());
-        let (connected, state) = tokio::sync::watch::channel(true);
-        tokio::spawn(async move {
-            while let Ok((mut near, _)) = listener.accept().await {
-                let (mut state, address) = (state.clone(), address.clone());
-                tokio::spawn(async move {
-                    if *state.borrow_and_update() {
-                        let mut far = TcpStream::connect(address).await.unwrap();
-                        tokio::select! {
-                            _ = copy_bidirectional(&mut near, &mut far) => {}
-                            _ = state.changed() => {}
-                        }
-                    }
-                });
-            }
-        });
-        Self { endpoint, connected }
-    }
-
-    fn cut(&self) {
-        self.connected.send_replace(false);
-    }
-
-    fn mend(&self) {
-        self.connected.send_replace(true);
-    }
 }

@@ -10,6 +10,8 @@
 )]
 
 mod access;
+#[path = "../support/cable.rs"]
+mod cable;
 mod central;
 mod daemon;
 mod documents;

@@ -5,6 +5,8 @@ use std::{fs, path::Path, time::Duration};
 use pointsd::{bus, daemon::StatusReport};
 use zenoh::Session;
 
+use crate::rig::status_of;
+
 /// Resources of a process.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Usage {
@@ -21,23 +23,21 @@ impl Usage {
     /// The resources of a running process.
     pub(crate) fn of(process: u32) -> Self {
         Self {
-            rss_mib: f64::from(figure(process, "VmRSS:")) / 1024.0,
-            own_mib: f64::from(figure(process, "RssAnon:")) / 1024.0,
+            rss_mib: f64::from(figure(process, "VmRSS")) / 1024.0,
+            own_mib: f64::from(figure(process, "RssAnon")) / 1024.0,
             files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count(),
-            threads: figure(process, "Threads:"),
+            threads: figure(process, "Threads"),
         }
     }
 }
 
 /// Peak resident memory of a process \[MiB\].
 pub(crate) fn peak_mib(process: u32) -> f64 {
-    f64::from(figure(process, "VmHWM:")) / 1024.0
+    f64::from(figure(process, "VmHWM")) / 1024.0
 }
 
 fn figure(process: u32, key: &str) -> u32 {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).expect("the process runs");
-    let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
-    line.split_whitespace().next().unwrap().parse().unwrap()
+    status_of(process, key).parse().unwrap()
 }
 
 /// Memory of the allocator of a process, reported by `heap.c`.

@@ -17,15 +17,8 @@ use crate::{
     cable::Cable,
     http::{KEY, get, small_history},
     questions::large,
-    rig::{PATIENCE, Rig, client_of, stub, throws},
+    rig::{PATIENCE, Rig, client_of, status_of, stub, throws},
 };
-
-/// Resident memory of a process \[KiB\].
-fn resident_kib(process: u32) -> u64 {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    line.split_whitespace().next().unwrap().parse().unwrap()
-}
 
 /// Without a reply, the daemon would look like a daemon without data.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -81,7 +74,8 @@ async fn a_link_that_hangs_delays_no_answer_to_others() {
 async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
     const CLIENTS: usize = 200;
     let (rig, daemon, address) = small_history().await;
-    let before = resident_kib(daemon.id());
+    let resident_kib = || status_of(daemon.id(), "VmRSS").parse::<u64>().unwrap();
+    let before = resident_kib();
     let logger = daemon.logger(KEY).await;
     let paths = ["/", "/machines/north/21B?span=all", "/machines/north/21B/throws/boot/2", "/metrics"];
     let readers: Vec<_> = (0..CLIENTS)
@@ -100,7 +94,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
             busy += usize::from(status == 503);
         }
     }
-    let grown = resident_kib(daemon.id()).saturating_sub(before);
+    let grown = resident_kib().saturating_sub(before);
     println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
     // 64 connections, each with a page and its buffers, and the throws.
     assert!(grown < 64 << 10, "{grown} KiB more");

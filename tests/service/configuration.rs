@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use crate::rig::{PATIENCE, Rig, ends, pointsd, pointsim, send_signal, until};
+use crate::rig::{PATIENCE, Rig, ends, pointsd, pointsim, send_signal, status_of, until};
 
 #[test]
 fn a_wrong_configuration_is_named_with_file_line_and_key() {
@@ -123,12 +123,7 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
     rig.start().terminate();
     let mut other = rig.locked("BEGIN EXCLUSIVE").await;
     let (daemon, _) = rig.launch();
-    let status = format!("/proc/{}/status", daemon.id());
-    let catches_sigterm = || {
-        let status = fs::read_to_string(&status).unwrap();
-        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
-        u64::from_str_radix(caught.trim(), 16).unwrap() >> 14 & 1 == 1
-    };
+    let catches_sigterm = || u64::from_str_radix(&status_of(daemon.id(), "SigCgt"), 16).unwrap() >> 14 & 1 == 1;
     until(PATIENCE, async || if catches_sigterm() { Ok(()) } else { Err(format!("{:?}", daemon.log())) }).await;
     daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();

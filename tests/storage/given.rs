@@ -1,6 +1,6 @@
 //! Common input of the tests: stores on disk in folders of their own, throws, estimates, alarm events.
 
-use std::path::Path;
+use std::{fs, ops::Range, os::unix::fs::FileExt, path::Path};
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
@@ -203,6 +203,22 @@ pub(crate) async fn reading(store: &Store) -> SqliteConnection {
     sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
     sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
     holder
+}
+
+/// Size of a page of the database.
+pub(crate) const PAGE: u64 = 4096;
+
+/// Overwrites pages of a database, counted from 0.
+pub(crate) fn overwrite(database: &Path, pages: Range<u64>) {
+    let file = fs::OpenOptions::new().write(true).open(database).unwrap();
+    let garbage = vec![0x5a; usize::try_from((pages.end - pages.start) * PAGE).unwrap()];
+    file.write_all_at(&garbage, pages.start * PAGE).unwrap();
+}
+
+/// The names of the files in a folder that contain one of these parts.
+pub(crate) fn files_with(folder: &Path, parts: &[&str]) -> Vec<String> {
+    let names = fs::read_dir(folder).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
+    names.filter(|name| parts.iter().any(|part| name.contains(part))).collect()
 }
 
 /// Changes the database as another program.

@@ -1,6 +1,6 @@
 //! Long operation: limits of rows, bytes, age and log; broken files; clock jumps.
 
-use std::{collections::BTreeMap, fs, os::unix::fs::FileExt, path::Path, time::Duration};
+use std::{collections::BTreeMap, fs, path::Path, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
@@ -10,8 +10,8 @@ use pointsd::{
 use sqlx::Connection;
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, reading, received,
-    settings, spooled, throw,
+    self, PAGE, alarm, at, change, files_with, fresh, fresh_with, judge, judgement, machine, open, outsider, overwrite,
+    query, reading, received, settings, spooled, throw,
 };
 
 /// Stores and judges the throws `first` to `last`, received one minute after another.
@@ -194,9 +194,8 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         let path = folder.path().join("points.db");
         // Clears the mark of the clean stop, then overwrites pages in the middle, or the first page.
         change(&path, ["UPDATE shutdown SET clean = 0", "PRAGMA wal_checkpoint(TRUNCATE)"]).await;
-        let mut bytes = fs::read(&path).unwrap();
-        bytes[pages.start * 4096..pages.end * 4096].fill(0x5a);
-        fs::write(&path, &bytes).unwrap();
+        overwrite(&path, pages);
+        let bytes = fs::read(&path).unwrap();
 
         let opened = open(folder.path()).await;
         let Found::SetAside { to, why, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
@@ -290,9 +289,9 @@ async fn broken_under_way() -> (tempfile::TempDir, Store) {
 }
 
 fn break_pages(folder: &Path) {
-    let file = fs::OpenOptions::new().write(true).open(folder.join("points.db")).unwrap();
-    let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
-    file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
+    let database = folder.join("points.db");
+    let pages = fs::metadata(&database).unwrap().len() / PAGE;
+    overwrite(&database, 60..pages);
 }
 
 #[tokio::test]
@@ -387,10 +386,8 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         let opened = open(folder.path()).await;
         assert_eq!(opened.report.found, Found::Clean);
         assert_eq!(opened.store.reader().throws(ThrowRow::START, 100).await.unwrap().len(), 40);
-        let strangers = fs::read_dir(folder.path())
-            .unwrap()
-            .filter(|file| file.as_ref().unwrap().file_name().to_string_lossy().contains("-replaced-"));
-        assert_eq!(strangers.count(), usize::from(replaced), "the foreign file is kept");
+        let strangers = files_with(folder.path(), &["-replaced-"]);
+        assert_eq!(strangers.len(), usize::from(replaced), "the foreign file is kept");
     }
 }
 
@@ -485,10 +482,9 @@ async fn a_backup_restored_in_place_of_the_link_and_files_with_a_number_delete_n
         open(folder.path()).await.store.close().await.unwrap();
     }
     assert!(numbered.iter().all(|copy| fs::read(copy).unwrap() == history));
-    let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path());
-    let unused: Vec<_> = names.filter(|file| file.to_string_lossy().contains("points.db-unused-")).collect();
+    let unused = files_with(folder.path(), &["points.db-unused-"]);
     let [unused] = &unused[..] else { panic!("{unused:?}") };
-    assert_eq!(fs::read(unused).unwrap(), history);
+    assert_eq!(fs::read(folder.path().join(unused)).unwrap(), history);
 }
 
 #[tokio::test]

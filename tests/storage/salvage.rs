@@ -13,12 +13,12 @@ use tokio::time::timeout;
 
 use crate::{
     given::{
-        alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, settings, spooled,
+        PAGE, alarm, at, change, event, files_with, fresh, judge, judged, judgement, machine, open, outcome, outsider,
+        overwrite, settings, spooled,
     },
     small_disk::SmallDisk,
 };
 
-const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
 const THROWS: u64 = 100;
 
@@ -59,8 +59,7 @@ async fn salvaged(folder: &Path) -> (Store, Salvaged) {
 
 /// The unfinished files of a recovery.
 fn leftovers(folder: &Path) -> Vec<String> {
-    let names = fs::read_dir(folder).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
-    names.filter(|name| ["salvage", "grafted", "layout"].iter().any(|part| name.contains(part))).collect()
+    files_with(folder, &["salvage", "grafted", "layout"])
 }
 
 #[tokio::test]
@@ -149,9 +148,8 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
         .unwrap();
     outsider.close().await.unwrap();
     store.close().await.unwrap();
-    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
-    file.write_all_at(&[0x5a; 4096], (page.cast_unsigned() - 1) * PAGE).unwrap();
-    drop(file);
+    let page = page.cast_unsigned();
+    overwrite(&folder.path().join("points.db"), page - 1..page);
 
     // The stop was clean, but the file is broken.
     let (store, salvaged) = salvaged(folder.path()).await;
@@ -206,9 +204,7 @@ async fn without_its_schema_a_database_is_read_where_this_program_puts_its_table
             connection.close().await.unwrap();
             fs::rename(copy, &path).unwrap();
         }
-        let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
-        file.write_all_at(&[0x5a; 4096], 0).unwrap();
-        drop(file);
+        overwrite(&path, 0..1);
         let (store, salvaged) = salvaged(folder.path()).await;
         let saved = ["monitor", "alarm", "throw", "estimate", "trace"].map(|table| salvaged.saved(table));
         assert_eq!(saved, [10, 10, 1000, 1000, 1000], "moved: {moved}, {salvaged:?}");
@@ -223,9 +219,7 @@ async fn without_space_a_database_without_its_schema_is_read_at_a_later_start() 
     let Some(disk) = SmallDisk::of_mib(16) else { return };
     let path = disk.folder().join("points.db");
     database(disk.folder()).await;
-    let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
-    file.write_all_at(&[0x5a; 4096], 0).unwrap();
-    drop(file);
+    overwrite(&path, 0..1);
     // Space for a new database, and none for the copy with a new schema.
     let size = fs::metadata(&path).unwrap().len();
     disk.fill();

@@ -1,4 +1,6 @@
-//! A TCP relay that can be cut. While it is cut it holds all data back, as a link that loses every packet.
+//! A TCP relay that can be cut, as a link that loses every packet, or broken, as one whose ends notice.
+
+#![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -6,39 +8,60 @@ use tokio::{
     sync::watch,
 };
 
+/// State of the relay.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Link {
+    Whole,
+    /// It holds all data back.
+    Cut,
+    /// It closes every connection and accepts no new one.
+    Broken,
+}
+
 /// Client end of the relay.
 pub(crate) struct Cable {
     /// Endpoint for clients.
     pub(crate) endpoint: String,
-    connected: watch::Sender<bool>,
+    link: watch::Sender<Link>,
 }
 
 impl Cable {
     /// A relay to a zenoh endpoint, connected at first.
     pub(crate) async fn to(endpoint: &str) -> Self {
-        let far = endpoint.trim_start_matches("tcp/").to_owned();
+        let (protocol, far) = endpoint.split_once('/').unwrap();
+        let far = far.to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
-        let (connected, state) = watch::channel(true);
+        let endpoint = format!("{protocol}/{}", listener.local_addr().unwrap());
+        let (link, state) = watch::channel(Link::Whole);
         tokio::spawn(async move {
             while let Ok((near, _)) = listener.accept().await {
-                tokio::spawn(pass(near, far.clone(), state.clone()));
+                let (far, state, mut broken) = (far.clone(), state.clone(), state.clone());
+                tokio::spawn(async move {
+                    tokio::select! {
+                        () = pass(near, far, state) => {}
+                        _ = broken.wait_for(|link| *link == Link::Broken) => {}
+                    }
+                });
             }
         });
-        Self { endpoint, connected }
+        Self { endpoint, link }
     }
 
     pub(crate) fn cut(&self) {
-        self.connected.send_replace(false);
+        self.link.send_replace(Link::Cut);
+    }
+
+    pub(crate) fn break_off(&self) {
+        self.link.send_replace(Link::Broken);
     }
 
     pub(crate) fn mend(&self) {
-        self.connected.send_replace(true);
+        self.link.send_replace(Link::Whole);
     }
 }
 
-async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<bool>) {
-    if state.wait_for(|connected| *connected).await.is_err() {
+async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<Link>) {
+    if state.wait_for(|link| *link == Link::Whole).await.is_err() {
         return;
     }
     // The server may be restarting: the relay closes the link, and the client tries again.
@@ -52,13 +75,13 @@ async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<bool>) {
 async fn one_way(
     mut from: tokio::net::tcp::OwnedReadHalf,
     mut to: tokio::net::tcp::OwnedWriteHalf,
-    mut state: watch::Receiver<bool>,
+    mut state: watch::Receiver<Link>,
 ) {
     let mut buffer = vec![0; 1 << 16];
     loop {
         let count = from.read(&mut buffer).await.unwrap_or(0);
         // A cut also holds back the close of an end.
-        let is_dropped = state.wait_for(|connected| *connected).await.is_err();
+        let is_dropped = state.wait_for(|link| *link == Link::Whole).await.is_err();
         if is_dropped || count == 0 || to.write_all(&buffer[..count]).await.is_err() {
             return;
         }

@@ -428,6 +428,13 @@ pub(crate) fn send_signal(signal: &str, process: u32) {
     ends(0, Command::new("kill").args([signal, &process.to_string()]));
 }
 
+/// The value of a line in `/proc/{process}/status`.
+pub(crate) fn status_of(process: u32, key: &str) -> String {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':')).unwrap();
+    line.trim_end_matches("kB").trim().to_owned()
+}
+
 /// An address at which nothing listens at present.
 pub(crate) fn free_address() -> SocketAddr {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()

@@ -183,7 +183,7 @@ impl Intake {
             seldom!(warn, %machine, ?error, "the query for the backlog of a logger failed; asking again later");
         }
         let received = answer.messages.len() as u64;
-        self.shared.status.edit().received_from_backlogs += received;
+        self.shared.status.edit().received += received;
         let mut throws: Vec<_> =
             self.read(answer.messages, Origin::Backlog).await.into_iter().map(|received| received.throw).collect();
         let read = throws.len();

@@ -14,26 +14,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::store::{beside, folder_of};
-
-/// The lock of a database could not be taken.
-#[derive(Debug, thiserror::Error)]
-pub enum LockError {
-    /// Another process has the lock.
-    #[error("another pointsd works on {}: stop it first, or name another database in store.path", database.display())]
-    Taken {
-        /// The database.
-        database: PathBuf,
-    },
-    /// The lock file cannot be used.
-    #[error("cannot use the lock file {} of the database: may this user write to its folder?", path.display())]
-    File {
-        /// The lock file.
-        path: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
-}
+use crate::{
+    daemon::error::StartError,
+    store::{beside, folder_of},
+};
 
 /// The lock of a database. It is held until it is dropped, which removes the lock files, or until the process ends in
 /// any way.
@@ -60,8 +44,9 @@ struct PathLock {
 
 impl DatabaseLock {
     /// Takes the lock of a database.
-    pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
-        let paths = paths(database).map_err(|source| LockError::File { path: beside(database, ".lock"), source })?;
+    pub(crate) fn take(database: &Path) -> Result<Self, StartError> {
+        let paths =
+            paths(database).map_err(|source| StartError::LockFile { path: beside(database, ".lock"), source })?;
         let locks: Result<_, _> = paths.iter().map(|path| PathLock::take(path)).collect();
         let file = std::fs::metadata(database).ok();
         let file = file.map(|file| bind(&format!("file-{:x}-{:x}", file.dev(), file.ino()), database)).transpose();
@@ -70,15 +55,15 @@ impl DatabaseLock {
 }
 
 impl PathLock {
-    fn take(database: &Path) -> Result<Self, LockError> {
+    fn take(database: &Path) -> Result<Self, StartError> {
         let path = beside(database, ".lock");
-        let failed = |source| LockError::File { path: path.clone(), source };
+        let failed = |source| StartError::LockFile { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
             // Another process ended between opening and locking, and removed the file.
             Ok(()) if !is_at(&file, &path) => Self::take(database),
             Ok(()) => bind(&name_of(database), database).map(|name| Self { file, path, _name: name }),
-            Err(TryLockError::WouldBlock) => Err(LockError::Taken { database: database.to_owned() }),
+            Err(TryLockError::WouldBlock) => Err(StartError::Locked { database: database.to_owned() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
     }
@@ -121,11 +106,11 @@ fn paths(database: &Path) -> io::Result<Vec<PathBuf>> {
 }
 
 /// Takes a name in the abstract socket namespace of Linux.
-fn bind(name: &str, database: &Path) -> Result<UnixListener, LockError> {
+fn bind(name: &str, database: &Path) -> Result<UnixListener, StartError> {
     let address = SocketAddr::from_abstract_name(format!("pointsd-{name}"));
     address.and_then(|address| UnixListener::bind_addr(&address)).map_err(|source| match source.kind() {
-        ErrorKind::AddrInUse => LockError::Taken { database: database.to_owned() },
-        _ => LockError::File { path: beside(database, ".lock"), source },
+        ErrorKind::AddrInUse => StartError::Locked { database: database.to_owned() },
+        _ => StartError::LockFile { path: beside(database, ".lock"), source },
     })
 }
 
@@ -145,9 +130,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let database = folder.path().join("points.db");
         let first = DatabaseLock::take(&database).unwrap();
-        assert!(matches!(DatabaseLock::take(&database), Err(LockError::Taken { .. })));
+        assert!(matches!(DatabaseLock::take(&database), Err(StartError::Locked { .. })));
         std::fs::remove_file(folder.path().join("points.db.lock")).unwrap();
-        assert!(matches!(DatabaseLock::take(&database), Err(LockError::Taken { .. })));
+        assert!(matches!(DatabaseLock::take(&database), Err(StartError::Locked { .. })));
         drop(first);
         drop(DatabaseLock::take(&database).unwrap());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a lock file is left over");
@@ -158,7 +143,7 @@ mod tests {
         let (data, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let (database, link) = (data.path().join("points.db"), other.path().join("link.db"));
         std::os::unix::fs::symlink(&database, &link).unwrap();
-        let is_taken = |path: &Path| matches!(DatabaseLock::take(path), Err(LockError::Taken { .. }));
+        let is_taken = |path: &Path| matches!(DatabaseLock::take(path), Err(StartError::Locked { .. }));
         let through_link = DatabaseLock::take(&link).unwrap();
         assert!(is_taken(&database));
         drop(through_link);
@@ -178,7 +163,7 @@ mod tests {
         std::fs::write(&database, "").unwrap();
         std::fs::hard_link(&database, &link).unwrap();
         let first = DatabaseLock::take(&database).unwrap();
-        assert!(matches!(DatabaseLock::take(&link), Err(LockError::Taken { .. })));
+        assert!(matches!(DatabaseLock::take(&link), Err(StartError::Locked { .. })));
         drop(first);
         DatabaseLock::take(&link).unwrap();
     }

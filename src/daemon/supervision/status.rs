@@ -30,53 +30,23 @@ pub(crate) const NAMED: usize = 20;
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    loops: Mutex<LoopStatus>,
+    pub inbox: Arc<InboxCounters>,
+    pub outlet: Arc<OutletCounters>,
+    /// The values that the loops write; [`Self::report`] adds the others.
+    report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
     invalid: Mutex<InvalidByMachine>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
-    /// Messages dropped from the queue, at the last call of [`StatusSources::store_losses`].
+    /// Messages dropped from the queue, at the last call of [`Status::store_losses`].
     dropped: RecentCount,
     /// Messages lost, at the same call.
     lost: RecentCount,
-    stored_losses: Mutex<StoredLosses>,
+    /// Numbers of dropped and of lost messages in the counters of the database.
+    stored_losses: Mutex<[u64; 2]>,
     pub(crate) machines_refused: RecentCount,
     pub(crate) alarm_events_lost: RecentCount,
-}
-
-/// The part of a [`StatusReport`] that the loops write, under the same names. [`StatusSources::report`] adds the rest.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct LoopStatus {
-    pub connected: bool,
-    pub loggers: usize,
-    pub without_throw: Vec<String>,
-    pub refused: Vec<String>,
-    pub not_served: Vec<String>,
-    pub loggers_ahead: usize,
-    pub loggers_behind: usize,
-    /// Messages received from backlogs. The inbox counts the others.
-    pub received_from_backlogs: u64,
-    pub ignored: u64,
-    pub backlog: u64,
-    pub stored: u64,
-    pub duplicates: u64,
-    pub quarantined: u64,
-    pub lost: u64,
-    pub judged: u64,
-    pub not_evaluated: u64,
-    pub alarm_events: u64,
-    pub webhook_fails: bool,
-    pub webhook_refused: u64,
-    /// Renewed every few seconds and after every command.
-    pub fleet_counts: FleetCounts,
-}
-
-/// Numbers of messages that are added to the counters of the database.
-#[derive(Debug, Default)]
-struct StoredLosses {
-    dropped: u64,
-    lost: u64,
 }
 
 /// Invalid messages of known machines, and of at most [`UNKNOWN`] others.
@@ -209,9 +179,10 @@ pub struct StatusReport {
 }
 
 impl Status {
-    /// The part that the loops write. It is locked until the returned guard is dropped.
-    pub(crate) fn edit(&self) -> MutexGuard<'_, LoopStatus> {
-        self.loops.lock()
+    /// The values that the loops write. They are locked until the returned guard is dropped. The messages received are
+    /// those from backlogs, as the inbox counts the others.
+    pub(crate) fn edit(&self) -> MutexGuard<'_, StatusReport> {
+        self.report.lock()
     }
 
     /// Counts a rejected throw under the code of its reason.
@@ -303,82 +274,48 @@ impl Status {
     pub(crate) fn rejected(&self) -> BTreeMap<String, u64> {
         self.rejected.lock().clone()
     }
-}
 
-/// The sources of a status report.
-#[derive(Clone)]
-pub(crate) struct StatusSources {
-    pub(crate) status: Arc<Status>,
-    pub(crate) inbox: Arc<InboxCounters>,
-    pub(crate) outlet: Arc<OutletCounters>,
-    pub(crate) store: Store,
-}
-
-impl StatusSources {
-    pub(crate) fn report(&self) -> StatusReport {
-        let status = &self.status;
-        let copying = self.store.is_copying();
-        let loops = status.edit().clone();
+    pub(crate) fn report(&self, store: &Store) -> StatusReport {
+        let copying = store.is_copying();
+        let written = self.edit().clone();
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            uptime_s: status.heartbeats.uptime().as_secs(),
-            database: self.store.path().display().to_string(),
-            disk: self.store.disk_level(),
+            uptime_s: self.heartbeats.uptime().as_secs(),
+            database: store.path().display().to_string(),
+            disk: store.disk_level(),
             copying,
-            wal_bytes: self.store.wal_bytes(),
-            connected: loops.connected,
-            loggers: loops.loggers,
-            without_throw: loops.without_throw,
-            refused: loops.refused,
-            not_served: loops.not_served,
-            loggers_ahead: loops.loggers_ahead,
-            loggers_behind: loops.loggers_behind,
-            received: self.inbox.received.load(Relaxed) + loops.received_from_backlogs,
+            wal_bytes: store.wal_bytes(),
+            received: self.inbox.received.load(Relaxed) + written.received,
             dropped: self.inbox.dropped.load(Relaxed),
-            ignored: loops.ignored,
-            backlog: loops.backlog,
-            stored: loops.stored,
-            duplicates: loops.duplicates,
-            quarantined: loops.quarantined,
-            lost: loops.lost,
-            machines_refused: status.machines_refused.count(),
-            judged: loops.judged,
-            not_evaluated: loops.not_evaluated,
-            alarm_events: loops.alarm_events,
-            alarm_events_lost: status.alarm_events_lost.count(),
+            machines_refused: self.machines_refused.count(),
+            alarm_events_lost: self.alarm_events_lost.count(),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
-            webhook_fails: loops.webhook_fails,
-            webhook_refused: loops.webhook_refused,
-            silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
-            fleet_counts: loops.fleet_counts,
-            windows: Vec::new(),
+            silent: self.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
+            ..written
         }
     }
 
     /// Adds the messages that were dropped or lost since the last call to the counters of the database. A probe changes
     /// a row in any case.
-    pub(crate) async fn store_losses(&self, is_probe: bool) -> Result<(), StoreError> {
-        let status = &self.status;
-        let (dropped, lost) = (self.inbox.dropped.load(Relaxed), status.edit().lost);
-        for (counter, now) in [(&status.dropped, dropped), (&status.lost, lost)] {
+    pub(crate) async fn store_losses(&self, store: &Store, is_probe: bool) -> Result<(), StoreError> {
+        let now = [self.inbox.dropped.load(Relaxed), self.edit().lost];
+        for (counter, now) in [&self.dropped, &self.lost].into_iter().zip(now) {
             if now > counter.count() {
                 counter.add(now - counter.count());
             }
         }
-        let new = {
-            let stored = status.stored_losses.lock();
-            StoredLosses { dropped: dropped.saturating_sub(stored.dropped), lost: lost.saturating_sub(stored.lost) }
-        };
-        self.store.count_losses(new.dropped, new.lost, is_probe).await?;
-        *status.stored_losses.lock() = StoredLosses { dropped, lost };
+        let before = *self.stored_losses.lock();
+        let [dropped, lost] = [0, 1].map(|at| now[at].saturating_sub(before[at]));
+        store.count_losses(dropped, lost, is_probe).await?;
+        *self.stored_losses.lock() = now;
         Ok(())
     }
 
     /// The report with the open windows: the reply to a query.
-    pub(crate) async fn answer(&self) -> StatusReport {
-        let mut report = self.report();
-        match self.store.reader().windows(None).await {
+    pub(crate) async fn answer(&self, store: &Store) -> StatusReport {
+        let mut report = self.report(store);
+        match store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,
             // The rest of the status is most important when the database does not answer.
             Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),

@@ -1,12 +1,15 @@
 //! Notifications to systemd: the watchdog, fed only while all heartbeats are fresh, and the status line.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use sd_notify::NotifyState;
 use tokio::time;
 
-use super::{heartbeat::TaskName, status::StatusSources};
-use crate::store::{DiskLevel, StoreError};
+use super::heartbeat::TaskName;
+use crate::{
+    daemon::shared::Shared,
+    store::{DiskLevel, StoreError},
+};
 
 /// Longest time between two checks of the heartbeats; a third of the watchdog limit of systemd, if that is shorter.
 /// Also the time between two probes of the writer.
@@ -50,7 +53,8 @@ pub(crate) async fn with_start_extension<T>(what: &str, work: impl Future<Output
 }
 
 /// Feeds the watchdog while all heartbeats are fresh, updates the status line, and probes the writer of the database.
-pub(crate) async fn watch(sources: StatusSources) {
+pub(crate) async fn watch(shared: Arc<Shared>) {
+    let Shared { status, store, .. } = &*shared;
     let period = sd_notify::watchdog_enabled()
         .map_or(CHECK_EVERY, |limit| (limit / 3).min(CHECK_EVERY))
         .max(Duration::from_millis(100));
@@ -59,14 +63,14 @@ pub(crate) async fn watch(sources: StatusSources) {
     routine.tick().await;
     // Level of the disk, and silent tasks.
     let mut before = None;
-    let mut probe = std::pin::pin!(probe_writer(sources.clone()));
+    let mut probe = std::pin::pin!(probe_writer(&shared));
     loop {
         tokio::select! {
             _ = check.tick() => {}
-            _ = routine.tick() => tracing::info!("{}", sources.report().line()),
+            _ = routine.tick() => tracing::info!("{}", status.report(store).line()),
             () = &mut probe => return,
         }
-        let report = sources.report();
+        let report = status.report(store);
         let line = report.line();
         if report.silent.is_empty() {
             notify(&[NotifyState::Watchdog, NotifyState::Status(&line)]);
@@ -88,15 +92,15 @@ pub(crate) async fn watch(sources: StatusSources) {
 
 /// Probes the writer with a transaction, which stores the numbers of dropped and lost messages. An error counts as an
 /// answer: a full disk is a status, not a hang.
-async fn probe_writer(sources: StatusSources) {
+async fn probe_writer(Shared { status, store, .. }: &Shared) {
     let mut pace = time::interval(CHECK_EVERY);
     for number in (0..PROBE_EVERY).cycle() {
         pace.tick().await;
         // A transaction without a change succeeds on a full or failing disk too, so it must not end such a state.
-        let failed = matches!(sources.store.disk_level(), DiskLevel::Full | DiskLevel::Failing);
-        if matches!(sources.store_losses(failed || number == 0).await, Err(StoreError::Closed)) {
+        let failed = matches!(store.disk_level(), DiskLevel::Full | DiskLevel::Failing);
+        if matches!(status.store_losses(store, failed || number == 0).await, Err(StoreError::Closed)) {
             return;
         }
-        sources.status.heartbeats.beat(TaskName::Write);
+        status.heartbeats.beat(TaskName::Write);
     }
 }

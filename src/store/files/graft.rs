@@ -11,93 +11,71 @@ use std::{
     path::Path,
 };
 
-use sqlx::{
-    AssertSqlSafe, Connection, FromRow, SqliteConnection,
-    sqlite::{SqliteConnectOptions, SqliteJournalMode},
-};
+use sqlx::{AssertSqlSafe, SqliteConnection};
 
-use crate::store::{settings::PAGE_BYTES, statements as sql};
+use crate::store::settings::PAGE_BYTES;
 
-/// Adds a row to the schema; needs `PRAGMA writable_schema`.
-const ADD: &str = "INSERT INTO sqlite_schema (type, name, tbl_name, rootpage, sql) VALUES (?1, ?2, ?3, ?4, ?5)";
-
-/// A row of the schema.
-#[derive(FromRow)]
-struct Entry {
-    r#type: String,
-    name: String,
-    tbl_name: String,
-    rootpage: i64,
-    sql: Option<String>,
-}
-
-/// Copies the broken file to `copy`, and writes the schema table of a new or of a moved database into the copy,
+/// Copies the broken file to `copy`, and writes the schema table of the new database or of a moved one into the copy,
 /// depending on which makes more tables readable. False if at most half of the tables are readable with either: in a
-/// wrong layout a few tables fit by chance. Writes the empty database with the layout of a moved one to `layout`.
+/// wrong layout a few tables fit by chance. `connection` has the new database open. The file `moved` is the new database
+/// with the layout of a moved one, while this runs.
 pub(super) async fn graft(
-    fresh: &mut SqliteConnection,
+    connection: &mut SqliteConnection,
     broken: &Path,
     copy: &Path,
-    layout: &Path,
+    moved: &Path,
 ) -> sqlx::Result<bool> {
     let pages = fs::copy(broken, copy)? / PAGE_BYTES as u64;
-    let mut best = (0, None);
-    for layout in [entries(fresh).await?, moved(fresh, layout).await?] {
-        let sound = apply(copy, pages, &layout).await?;
-        if sound > best.0 {
-            best = (sound, Some(layout));
+    sqlx::query("VACUUM INTO ?1").bind(moved.to_string_lossy()).execute(&mut *connection).await?;
+    sqlx::query("ATTACH ?1 AS moved").bind(moved.to_string_lossy()).execute(&mut *connection).await?;
+    let tables: Vec<String> = sqlx::query_scalar("SELECT name FROM main.sqlite_schema WHERE type = 'table'")
+        .fetch_all(&mut *connection)
+        .await?;
+    let mut best = (0, "main");
+    for layout in ["main", "moved"] {
+        let readable = write(connection, layout, copy, pages, &tables).await?;
+        if readable > best.0 {
+            best = (readable, layout);
         }
     }
-    match best {
-        (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
-            apply(copy, pages, &layout).await.map(|_| true)
-        }
-        _ => Ok(false),
+    let (readable, layout) = best;
+    let is_usable = 2 * readable > tables.len();
+    if is_usable {
+        write(connection, layout, copy, pages, &tables).await?;
     }
+    sqlx::query("DETACH moved").execute(connection).await?;
+    fs::remove_file(moved)?;
+    Ok(is_usable)
 }
 
-impl Entry {
-    fn is_table(&self) -> bool {
-        self.r#type == "table"
-    }
-}
-
-async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> {
-    sqlx::query_as(sql::SCHEMA).fetch_all(connection).await
-}
-
-/// The layout of a moved or restored database.
-async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
-    sqlx::query("VACUUM INTO ?1").bind(to.to_string_lossy()).execute(fresh).await?;
-    let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
-    let entries = entries(&mut connection).await;
-    connection.close().await?;
-    fs::remove_file(to)?;
-    entries
-}
-
-/// Writes a layout into the copy; returns the number of tables with an undamaged first page.
-async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize> {
+/// Writes the layout of an attached database into the copy; returns the number of tables with an undamaged first page.
+async fn write(
+    connection: &mut SqliteConnection,
+    layout: &str,
+    copy: &Path,
+    pages: u64,
+    tables: &[String],
+) -> sqlx::Result<usize> {
     begin_anew(copy, pages)?;
-    // After an interruption the copy is made again, so it needs no journal.
-    let options = SqliteConnectOptions::new().filename(copy).journal_mode(SqliteJournalMode::Memory);
-    let mut connection = SqliteConnection::connect_with(&options).await?;
-    sqlx::query("PRAGMA writable_schema = ON").execute(&mut connection).await?;
-    sqlx::query("BEGIN").execute(&mut connection).await?;
-    for Entry { r#type, name, tbl_name, rootpage, sql } in layout {
-        let add = sqlx::query(ADD).bind(r#type).bind(name).bind(tbl_name).bind(rootpage).bind(sql);
-        add.execute(&mut connection).await?;
+    let attach = || sqlx::query("ATTACH ?1 AS copy").bind(copy.to_string_lossy());
+    attach().execute(&mut *connection).await?;
+    let schema = format!(
+        "PRAGMA writable_schema = ON; \
+         INSERT INTO copy.sqlite_schema SELECT * FROM {layout}.sqlite_schema WHERE rootpage > 0 ORDER BY rowid; \
+         PRAGMA writable_schema = OFF; DETACH copy"
+    );
+    sqlx::raw_sql(AssertSqlSafe(schema)).execute(&mut *connection).await?;
+    // SQLite reads the new schema, and fails if a table would start behind the end of the file.
+    if attach().execute(&mut *connection).await.is_err() {
+        return Ok(0);
     }
-    sqlx::query("COMMIT").execute(&mut connection).await?;
-    connection.close().await?;
-    let mut connection = SqliteConnection::connect_with(&options).await?;
-    let mut sound = 0;
-    for table in layout.iter().filter(|entry| entry.is_table()) {
-        let probe = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM {:?})", table.name));
-        sound += usize::from(sqlx::query(probe).fetch_one(&mut connection).await.is_ok());
+    let mut readable = 0;
+    for table in tables {
+        let probe = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM copy.{table:?})"));
+        readable += usize::from(sqlx::query(probe).fetch_one(&mut *connection).await.is_ok());
     }
-    connection.close().await?;
-    Ok(sound)
+    sqlx::query("DETACH copy").execute(connection).await?;
+    Ok(readable)
 }
 
 /// Writes a first page with an empty schema (<https://sqlite.org/fileformat2.html>), and truncates the file after its

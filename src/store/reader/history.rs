@@ -8,12 +8,10 @@ use crate::{
     wire::{Alarm, Health},
 };
 
+#[expect(clippy::missing_errors_doc, reason = "see `Reader`")]
 impl Reader {
     /// The latest health of each selected machine and direction, with the state of the machine now, and changes from
     /// its present baseline.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
         let query = sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine);
         let mut rows: Vec<Health> = self.external(query).await?;
@@ -24,9 +22,6 @@ impl Reader {
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn health_history(
         &self,
         which: &Selector,
@@ -45,18 +40,12 @@ impl Reader {
     }
 
     /// The last event of every open alarm of the selected machines, oldest alarm first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
         self.external_alarms(query).await
     }
 
     /// The newest `limit` alarm events since `since`, oldest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn alarm_history(
         &self,
         which: &Selector,

@@ -32,8 +32,8 @@ const EXTERNAL_CONNECTIONS: u32 = 3;
 /// Instructions of SQLite's virtual machine between two checks of the clock: some milliseconds.
 const STEPS: i32 = 100_000;
 
-/// Reads the database. Cheap to clone. Every query has a time limit: while it runs, it keeps an old state of the
-/// database in the log.
+/// Reads the database. Cheap to clone. A query fails when the database cannot be read, and at its time limit: while it
+/// runs, it keeps an old state of the database in the log.
 #[derive(Debug, Clone)]
 pub struct Reader {
     /// The connections; replaced when the database moves to another file.

@@ -19,13 +19,11 @@ use crate::{
 /// Number of samples of each channel after which a batch of pending throws ends: 32 MiB.
 const BATCH_SAMPLES: usize = 2 << 20;
 
+#[expect(clippy::missing_errors_doc, reason = "see `Reader`")]
 impl Reader {
     /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
     /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
     /// machine was opened or last became smaller. Also returns whether the batch is full.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn to_judge(
         &self,
         after: Option<&MachineId>,
@@ -66,9 +64,6 @@ impl Reader {
     }
 
     /// The cursor of a machine.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
@@ -89,17 +84,11 @@ impl Reader {
     }
 
     /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
     /// The monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
         let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
         self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
@@ -116,9 +105,6 @@ impl Reader {
     }
 
     /// Up to `limit` messages of the outbox after the row `after` (0 for all), in order.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
         self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }

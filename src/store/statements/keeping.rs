@@ -24,7 +24,6 @@ statements! {
         AND name <> '_sqlx_migrations' AND NOT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'trace') LIMIT 1";
     CLEAN = "SELECT clean FROM shutdown";
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
-    SCHEMA = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE rootpage > 0 ORDER BY rowid";
 
     // Retention.
     LAST_RECEIVED = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";

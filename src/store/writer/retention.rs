@@ -44,37 +44,24 @@ const DROP_THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_T
 /// Rows that can be dropped.
 struct DroppableRows {
     what: Dropped,
-    choice: Choice,
+    /// Selects the machines with the most rows or bytes, which lose rows first; `None` to drop the oldest rows of any
+    /// machine.
+    machines: Option<&'static str>,
+    /// Selects the oldest ?1 rows, of the machine ?2 if there are `machines`.
+    oldest: &'static str,
+    /// Further parameters of `oldest`.
+    arguments: Vec<i64>,
     /// Statements that drop the rows of the JSON list ?1.
     drop: &'static [&'static str],
 }
 
-/// Statements that choose the rows to drop.
-enum Choice {
-    /// The machines with the most rows or bytes lose rows first.
-    OfLargest {
-        /// Selects these machines.
-        machines: &'static str,
-        /// Selects the oldest ?1 rows of the machine ?2.
-        oldest: &'static str,
-    },
-    /// The oldest rows are dropped, of any machine.
-    OfAll {
-        /// Selects the oldest ?1 rows.
-        oldest: &'static str,
-        /// Further parameters of `oldest`.
-        arguments: Vec<i64>,
-    },
-}
-
 impl DroppableRows {
-    /// Rows of the machines that `machines` selects.
-    fn of_largest(what: Dropped, machines: &'static str, oldest: &'static str, drop: &'static [&'static str]) -> Self {
-        Self { what, choice: Choice::OfLargest { machines, oldest }, drop }
+    fn new(what: Dropped, machines: Option<&'static str>, oldest: &'static str, drop: &'static [&'static str]) -> Self {
+        Self { what, machines, oldest, arguments: Vec::new(), drop }
     }
 
     fn traces(machines: &'static str) -> Self {
-        Self::of_largest(Dropped::Traces, machines, sql::OLDEST_TRACES, &[sql::DROP_TRACES, sql::TRACES_FROM])
+        Self::new(Dropped::Traces, Some(machines), sql::OLDEST_TRACES, &[sql::DROP_TRACES, sql::TRACES_FROM])
     }
 
     /// Traces that were received before a time \[µs\].
@@ -82,25 +69,20 @@ impl DroppableRows {
         /// The start of 2020. Earlier times come from a clock that was not set yet after a loss of power.
         const FIRST_US: i64 = 1_577_836_800_000_000;
         let arguments = vec![before_us, FIRST_US, now_us];
-        let choice = Choice::OfAll { oldest: sql::AGED_TRACES, arguments };
-        Self { what: Dropped::Traces, choice, drop: &[sql::DROP_TRACES] }
+        Self { arguments, ..Self::new(Dropped::Traces, None, sql::AGED_TRACES, &[sql::DROP_TRACES]) }
     }
 
     fn throws(machines: &'static str) -> Self {
-        Self::of_largest(Dropped::Throws, machines, sql::OLDEST_THROWS, DROP_THROWS)
+        Self::new(Dropped::Throws, Some(machines), sql::OLDEST_THROWS, DROP_THROWS)
     }
 
     /// A machine that sends more throws than can be judged loses its oldest pending ones.
     fn pending(machines: &'static str) -> Self {
-        Self::of_largest(Dropped::PendingThrows, machines, sql::OLDEST_PENDING, DROP_THROWS)
-    }
-
-    fn of_all(what: Dropped, oldest: &'static str, drop: &'static [&'static str]) -> Self {
-        Self { what, choice: Choice::OfAll { oldest, arguments: Vec::new() }, drop }
+        Self::new(Dropped::PendingThrows, Some(machines), sql::OLDEST_PENDING, DROP_THROWS)
     }
 
     fn alarms() -> Self {
-        Self::of_all(Dropped::Alarms, sql::OLDEST_ALARMS, &[sql::DROP_ALARMS])
+        Self::new(Dropped::Alarms, None, sql::OLDEST_ALARMS, &[sql::DROP_ALARMS])
     }
 
     /// Drops up to `rows` rows; returns the number of dropped rows.
@@ -121,21 +103,17 @@ impl DroppableRows {
     /// Up to `rows` row numbers.
     async fn choose(&self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
         let limit = rows.cast_signed();
-        match &self.choice {
-            Choice::OfAll { oldest, arguments } => {
-                let oldest = sqlx::query_scalar(*oldest).bind(limit);
-                arguments.iter().fold(oldest, QueryScalar::bind).fetch_all(connection).await
-            }
-            Choice::OfLargest { machines, oldest } => {
-                let machines: Vec<Usage> = sqlx::query_as(*machines).bind(limit).fetch_all(&mut *connection).await?;
-                let mut chosen = Vec::new();
-                for (machine_row, rows) in shares(machines, rows) {
-                    let oldest = sqlx::query_scalar::<_, i64>(*oldest).bind(rows.cast_signed()).bind(machine_row);
-                    chosen.extend(oldest.fetch_all(&mut *connection).await?);
-                }
-                Ok(chosen)
-            }
+        let Some(machines) = self.machines else {
+            let oldest = sqlx::query_scalar(self.oldest).bind(limit);
+            return self.arguments.iter().fold(oldest, QueryScalar::bind).fetch_all(connection).await;
+        };
+        let machines: Vec<Usage> = sqlx::query_as(machines).bind(limit).fetch_all(&mut *connection).await?;
+        let mut chosen = Vec::new();
+        for (machine_row, rows) in shares(machines, rows) {
+            let oldest = sqlx::query_scalar::<_, i64>(self.oldest).bind(rows.cast_signed()).bind(machine_row);
+            chosen.extend(oldest.fetch_all(&mut *connection).await?);
         }
+        Ok(chosen)
     }
 }
 
@@ -255,7 +233,7 @@ impl Store {
             }
             due.push(Retention::Rows(kinds, rows));
         }
-        let messages = DroppableRows::of_all(Dropped::Messages, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
+        let messages = DroppableRows::new(Dropped::Messages, None, sql::OLDEST_MESSAGES, &[sql::DROP_MESSAGES]);
         let counts = [
             (
                 figures.traces,
