@@ -30,7 +30,7 @@ pub struct Report {
 }
 
 /// False alarms on the healthy machines of one fleet at one depth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Healthy {
     /// Depth of the simulation.
     pub depth: Depth,

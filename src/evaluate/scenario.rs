@@ -6,12 +6,11 @@ use serde::Serialize;
 use crate::diagnose::Cause;
 
 /// Depth of the simulation of a life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, strum::AsRefStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Depth {
     /// Coefficients from a calibrated scatter.
-    #[default]
     Parameter,
     /// Complete simulated throws with the estimator.
     Trace,
