@@ -26,54 +26,87 @@ fn known(seed: u64) -> Machine {
     Machine::after(130, seed, Scatter::USUAL)
 }
 
+/// Sizes and forecasts of ramps, and how many of them held.
+#[derive(Debug, Default)]
+struct Followed {
+    said: u32,
+    held: u32,
+    forecasts: u32,
+    reached: u32,
+    ramps: u32,
+    /// Ramps with a forecast.
+    forecast: u32,
+}
+
+impl Followed {
+    /// Adds a life with a drift of `size` percent over `throws` throws.
+    fn follow(&mut self, cause: Cause, seed: u64, throws: u32, size: impl Fn(u32) -> f64) {
+        let settings = Settings::default();
+        let mut machine = known(seed);
+        let critical = settings.critical_factor * settings.limit_pct(cause).unwrap();
+        let critical_at = (1..=throws).find(|throw| size(*throw).abs() >= critical).unwrap();
+        let mut given = false;
+        for throw in 1..=throws + AFTER_THE_END {
+            let verdict = machine.feed(shift(cause, size(throw)));
+            let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
+            let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
+            let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
+            let now = verdict.present.drifts.iter().find(|drifting| drifting.cause == cause);
+            let tenth = now.filter(|_| throw % 10 == 0).map(|now| (now.change_pct, now.change_pct_sd));
+            for (change, sd) in raised.into_iter().chain(tenth) {
+                self.said += 1;
+                self.held += u32::from((change - size(throw)).abs() <= 1.96 * sd);
+            }
+            let ahead = now.and_then(|now| now.limit_in_throws).filter(|_| throw < critical_at);
+            if let Some(ahead) = ahead {
+                given = true;
+                self.forecasts += 1;
+                let left = f64::from(critical_at - throw);
+                self.reached += u32::from(ahead.low <= left && left <= ahead.high);
+            }
+        }
+        self.ramps += 1;
+        self.forecast += u32::from(given);
+    }
+
+    /// Checks the shares of the sizes and forecasts that held, and of the ramps with a forecast.
+    fn check(&self) {
+        let share = |part: u32, of: u32| 100.0 * f64::from(part) / f64::from(of);
+        let (held, within) = (share(self.held, self.said), share(self.reached, self.forecasts));
+        println!("size {held:.1} % of {}, forecasts {within:.1} % of {}", self.said, self.forecasts);
+        assert!((90.0..=98.5).contains(&held), "the interval contained {held:.1} % of {} sizes", self.said);
+        assert!((90.0..=99.0).contains(&within), "forecasts held {within:.1} % of {}", self.forecasts);
+        assert!(share(self.forecast, self.ramps) >= 80.0, "a forecast in {} of {} ramps", self.forecast, self.ramps);
+    }
+}
+
+const PARTS: [(Cause, f64); 4] =
+    [(Cause::Friction, 60.0), (Cause::Kt, -20.0), (Cause::Stiffness, 40.0), (Cause::Inertia, 20.0)];
+
 #[test]
 fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
-    let settings = Settings::default();
-    let (mut said, mut held, mut forecasts, mut reached) = (0_u32, 0_u32, 0_u32, 0_u32);
-    let (mut ramps, mut forecast) = (0_u32, 0_u32);
-    let parts = [(Cause::Friction, 60.0), (Cause::Kt, -20.0), (Cause::Stiffness, 40.0), (Cause::Inertia, 20.0)];
-    for (cause, top) in parts {
+    let mut followed = Followed::default();
+    for (cause, top) in PARTS {
         for (throws, power, seed) in [60, 150, 400].into_iter().flat_map(|throws| {
             [1, 2].into_iter().flat_map(move |power| (0..LIVES).map(move |seed| (throws, power, seed)))
         }) {
-            let mut machine = known(50_000 + seed);
-            let size = |throw| ramp(top, throws, power, throw);
-            let critical = settings.critical_factor * settings.limit_pct(cause).unwrap();
-            let critical_at = (1..=throws).find(|throw| size(*throw).abs() >= critical).unwrap();
-            let mut given = false;
-            for throw in 1..=throws + AFTER_THE_END {
-                let verdict = machine.feed(shift(cause, size(throw)));
-                let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
-                let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
-                let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
-                let now = verdict.present.drifts.iter().find(|drifting| drifting.cause == cause);
-                let tenth = now.filter(|_| throw % 10 == 0).map(|now| (now.change_pct, now.change_pct_sd));
-                for (change, sd) in raised.into_iter().chain(tenth) {
-                    said += 1;
-                    held += u32::from((change - size(throw)).abs() <= 1.96 * sd);
-                }
-                let ahead = now.and_then(|now| now.limit_in_throws).filter(|_| throw < critical_at);
-                if let Some(ahead) = ahead {
-                    given = true;
-                    forecasts += 1;
-                    let left = f64::from(critical_at - throw);
-                    reached += u32::from(ahead.low <= left && left <= ahead.high);
-                }
-            }
-            ramps += 1;
-            forecast += u32::from(given);
+            followed.follow(cause, 50_000 + seed, throws, |throw| ramp(top, throws, power, throw));
         }
     }
-    let share = |part: u32, of: u32| 100.0 * f64::from(part) / f64::from(of);
-    println!("size {:.1} % of {said}, forecasts {:.1} % of {forecasts}", share(held, said), share(reached, forecasts));
-    assert!(
-        (90.0..=98.5).contains(&share(held, said)),
-        "the interval contained {:.1} % of {said} sizes",
-        share(held, said)
-    );
-    let within = share(reached, forecasts);
-    assert!((90.0..=99.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
-    assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");
+    followed.check();
+}
+
+/// Wear that feeds itself grows as an exponential: half of it in the last quarter of the throws.
+#[test]
+fn the_size_now_and_the_forecast_hold_for_wear_that_feeds_itself() {
+    let mut followed = Followed::default();
+    for (cause, top) in PARTS {
+        for (throws, seed) in [150, 400].into_iter().flat_map(|throws| (0..LIVES).map(move |seed| (throws, seed))) {
+            let growth = |throw: u32| (3.0 * f64::from(throw) / f64::from(throws)).min(3.0).exp_m1() / 3.0_f64.exp_m1();
+            followed.follow(cause, 50_100 + seed, throws, |throw| 1.3 * top * growth(throw));
+        }
+    }
+    followed.check();
 }
 
 /// Half of the friction of these drives is dry. A viscous model shows dry friction larger when the drive is slower.

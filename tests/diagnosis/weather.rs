@@ -107,6 +107,47 @@ fn a_fault_is_not_learned_as_an_effect_of_the_temperature() {
     assert_nine_of_ten(&held.concat(), 15_000, "friction +40 %");
 }
 
+/// Friction rises while the spring comes, on machines whose grease follows an exponential. The rise must not be learned
+/// as an effect of the temperature.
+#[test]
+fn a_fault_that_grows_with_the_season_is_named_and_its_size_holds() {
+    /// Throws of the baseline, of the season and of the ramp.
+    const BASELINE: u32 = 120;
+    const SEASON: u32 = 600;
+    const RAMP: u32 = 240;
+    const TOP_PCT: f64 = 45.0;
+    let lives = in_parallel(40, |seed| {
+        let mut machine = Machine::in_field(53_000 + seed, Scatter::USUAL);
+        let onset = BASELINE + SEASON / 10 + 9 * u32::try_from(seed).unwrap();
+        let (mut weather_k, mut named_at_pct, mut held) = (0.0, None, Vec::new());
+        for throw in 0..BASELINE + SEASON + 100 {
+            weather_k = 0.98 * weather_k + 0.3 * normal(&mut machine.rng);
+            let spring = (f64::from(throw.saturating_sub(BASELINE)) / f64::from(SEASON)).min(1.0);
+            let day = (f64::from(throw) / 14.0 * TAU).sin();
+            let celsius = -8.0 + 36.0 * spring + [2.0, 5.0][usize::try_from(seed % 2).unwrap()] * day + weather_k;
+            let grease = 0.6 + 0.4 * (-0.025 * (celsius - 10.0)).exp();
+            let fault_pct = TOP_PCT * (f64::from(throw.saturating_sub(onset)) / f64::from(RAMP)).min(1.0);
+            let change = shift(Cause::Friction, 100.0 * (grease - 1.0)) + shift(Cause::Friction, fault_pct);
+            let verdict = machine.feed_at(change, celsius);
+            let now = verdict.present.drifts.iter().find(|drift| drift.cause == Cause::Friction);
+            if fault_pct == 0.0 {
+                assert!(now.is_none(), "seed {seed}, throw {throw}: {now:?}");
+            } else if let Some(now) = now {
+                named_at_pct.get_or_insert(fault_pct);
+                held.push((now.change_pct - fault_pct).abs() <= 1.96 * now.change_pct_sd);
+            } else {
+                assert_eq!(named_at_pct, None, "seed {seed}, throw {throw}: over");
+            }
+        }
+        (named_at_pct, held)
+    });
+    let (named, held): (Vec<_>, Vec<_>) = lives.into_iter().unzip();
+    let early = named.iter().flatten().filter(|pct| **pct <= 1.5 * 15.0).count();
+    println!("named in {} of 40, {early} before 1.5 times the limit", named.iter().flatten().count());
+    assert!(early >= 32 && named.iter().flatten().count() >= 39, "{named:?}");
+    assert_nine_of_ten(&held.concat(), 8_000, "friction that grows with the season");
+}
+
 #[test]
 fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature() {
     let (mut alarmed, mut blind) = (0, 0);

@@ -8,8 +8,10 @@
 //! A fault changes a coefficient for good and must not count as an effect of the temperature. Therefore the model has a
 //! level, which is estimated with f by a Kalman filter (Kalman 1960) and wanders: it takes a slow change that the
 //! temperature does not explain day by day. When a drift is suspected, has an alarm or ends, the level may have changed
-//! by any amount, and f is learned from the changes between throws only. What was learned at other temperatures stays,
-//! so a fault that grows as the temperature rises cannot pass for a curve that the physics of grease excludes.
+//! by any amount. What was learned at other temperatures stays, so a fault that grows as the temperature rises cannot
+//! pass for a curve that the physics of grease excludes.
+
+use std::mem;
 
 use nalgebra::{Matrix3, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -42,13 +44,16 @@ const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
 /// Wandering of the level per throw, in standard deviations of a throw. Twice as much finds no more of the faults that
 /// grow with the season, and hides more of the others; less takes a slow fault for an effect of the temperature.
 const WANDERS_SD: f64 = 0.03;
-/// The same while a drift is suspected or has an alarm: it may grow by some percent a day.
+/// The same in the [`CHANGING`] throws after a drift was above its limit: it may grow.
 const GROWS_SD: f64 = 0.3;
-/// The same in the throws around the begin or the end of a drift, which may be a step.
-const STEPS_SD: f64 = 5.0;
-/// Throws of a direction after a change of the suspicion that may contain a step: those that leave the longest window
-/// were made before.
-const STEPS_WITHIN: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
+/// Throws of a direction within which a drift above its limit grows. If the level wandered longer, a lasting fault would
+/// make the dependence on the temperature unknown.
+const CHANGING: u32 = 120;
+/// Throws of a direction that are left out after the suspicion of a drift changed: those that leave the longest window
+/// then were made before, or while the level changed.
+const PAUSE: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
+/// Standard deviation of a change of the level by the begin or the end of a drift, in standard deviations of a throw.
+const STEP_SD: f64 = 5.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
@@ -73,6 +78,10 @@ impl Suspicion {
     pub(crate) fn is_none(&self) -> bool {
         *self == Self::None
     }
+
+    fn is_above_limit(self) -> bool {
+        matches!(self, Self::AboveLimit | Self::Alarmed)
+    }
 }
 
 /// Level, slope \[per K\] and curve \[per K²\] of a coefficient over the distance from the reference temperature.
@@ -94,8 +103,10 @@ pub(crate) struct Temperature {
     /// The suspicion of a drift at the last throw.
     #[serde(skip_serializing_if = "Suspicion::is_none")]
     suspicion: Suspicion,
-    /// Number of next throws that may contain the begin or the end of a drift.
-    steps: u32,
+    /// Number of next throws in which a drift may begin, grow or end.
+    changing: u32,
+    /// Whether the level may have changed by a drift above its limit, which it does not know yet.
+    steps: bool,
 }
 
 impl Temperature {
@@ -151,19 +162,22 @@ impl Temperature {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
         }
+        let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
         if suspicion != self.suspicion {
+            self.steps |= suspicion.is_above_limit() || self.suspicion.is_above_limit();
             // A suspicion that ends without a drift above its limit was chance.
-            let is_chance = (self.suspicion, suspicion) == (Suspicion::Suspected, Suspicion::None);
-            self.steps = if is_chance { 0 } else { STEPS_WITHIN };
+            self.changing = if suspicion.is_none() && !self.steps { 0 } else { PAUSE + CHANGING };
             self.suspicion = suspicion;
         }
-        let wanders_sd = match suspicion {
-            _ if self.steps > 0 => STEPS_SD,
-            Suspicion::None => WANDERS_SD,
-            _ => GROWS_SD,
-        };
-        self.steps = self.steps.saturating_sub(1);
-        let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
+        self.changing = self.changing.saturating_sub(1);
+        if self.changing > CHANGING {
+            return;
+        }
+        if mem::take(&mut self.steps) {
+            self.lines.iter_mut().zip(&variance).for_each(|(line, variance)| line.step(STEP_SD * STEP_SD * variance));
+        }
+        let may_grow = self.changing > 0 && suspicion.is_above_limit();
+        let wanders_sd = if may_grow { GROWS_SD } else { WANDERS_SD };
         for (i, line) in self.lines.iter_mut().enumerate() {
             line.follow(wanders_sd * wanders_sd * variance[i], distance, raw[i], noise[i]);
         }
@@ -207,11 +221,18 @@ impl Line {
         Self { covariance: Matrix3::from_diagonal(&Vector3::from(known).map(|sd| sd * sd)).into(), ..Self::default() }
     }
 
-    /// A step of the Kalman filter: the level wanders by a variance `wanders`, then `value` is measured at `distance`
+    /// A step of the level with this variance.
+    fn step(&mut self, variance: f64) {
+        let mut covariance = Matrix3::from(self.covariance);
+        covariance[(0, 0)] += variance;
+        self.covariance = covariance.into();
+    }
+
+    /// Prediction and update of the Kalman filter: the level wanders by a variance `wanders`, then `value` is measured at `distance`
     /// \[K\] from the reference, with variance `noise`.
     fn follow(&mut self, wanders: f64, distance: f64, value: f64, noise: f64) {
-        let (mean, mut covariance) = (Vector3::from(self.mean), Matrix3::from(self.covariance));
-        covariance[(0, 0)] += wanders;
+        self.step(wanders);
+        let (mean, covariance) = (Vector3::from(self.mean), Matrix3::from(self.covariance));
         let h = Vector3::new(1.0, distance, 0.5 * distance * distance);
         let gain = covariance * h;
         let variance = h.dot(&gain) + noise;
@@ -269,22 +290,29 @@ struct Stored {
     reference_c: Option<f64>,
     lines: Option<[Line; 3]>,
     suspicion: Suspicion,
-    steps: u32,
+    changing: u32,
+    steps: bool,
     per_k: [f64; 3],
     per_k_variance: [f64; 3],
 }
 
 impl From<Stored> for Temperature {
     fn from(stored: Stored) -> Self {
-        let Stored { source, reference_c, lines, suspicion, steps, per_k, per_k_variance } = stored;
+        let Stored { source, reference_c, lines, suspicion, changing, steps, per_k, per_k_variance } = stored;
         let of_slope = |i: usize| {
             let curve_sd = if per_k_variance[i] > 0.0 { TYPICAL_CURVE[i] } else { 0.0 };
             let variances = Vector3::new(0.0, per_k_variance[i], curve_sd * curve_sd);
             Line { mean: [0.0, per_k[i], 0.0], covariance: Matrix3::from_diagonal(&variances).into() }
         };
         match lines {
-            Some(lines) => Self { source, reference_c, lines, suspicion, steps },
-            None => Self { source, reference_c, lines: std::array::from_fn(of_slope), suspicion, steps: STEPS_WITHIN },
+            Some(lines) => Self { source, reference_c, lines, suspicion, changing, steps },
+            None => Self {
+                source,
+                reference_c,
+                lines: std::array::from_fn(of_slope),
+                suspicion,
+                changing: PAUSE + CHANGING,
+            },
         }
     }
 }
