@@ -44,9 +44,9 @@ const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
 /// Wandering of the level per throw, in standard deviations of a throw. Twice as much finds no more of the faults that
 /// grow with the season, and hides more of the others; less takes a slow fault for an effect of the temperature.
 const WANDERS_SD: f64 = 0.03;
-/// The same in the [`CHANGING`] throws after a drift was above its limit: it may grow.
+/// The same in the [`CHANGING`] throws after a drift rose above its limit: it may grow.
 const GROWS_SD: f64 = 0.3;
-/// Throws of a direction within which a drift above its limit grows. If the level wandered longer, a lasting fault would
+/// Throws of a direction within which a drift grows. If the level wandered longer, a lasting fault would
 /// make the dependence on the temperature unknown.
 const CHANGING: u32 = 120;
 /// Throws of a direction that are left out after the suspicion of a drift changed: those that leave the longest window
@@ -54,6 +54,8 @@ const CHANGING: u32 = 120;
 const PAUSE: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
 /// Standard deviation of a change of the level by the begin or the end of a drift, in standard deviations of a throw.
 const STEP_SD: f64 = 5.0;
+/// The same for a drift that stays below its limit.
+const SMALL_STEP_SD: f64 = 2.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
@@ -173,8 +175,9 @@ impl Temperature {
         if self.changing > CHANGING {
             return;
         }
-        if mem::take(&mut self.steps) {
-            self.lines.iter_mut().zip(&variance).for_each(|(line, variance)| line.step(STEP_SD * STEP_SD * variance));
+        if self.changing == CHANGING {
+            let step_sd = if mem::take(&mut self.steps) { STEP_SD } else { SMALL_STEP_SD };
+            self.lines.iter_mut().zip(&variance).for_each(|(line, variance)| line.step(step_sd * step_sd * variance));
         }
         let may_grow = self.changing > 0 && suspicion.is_above_limit();
         let wanders_sd = if may_grow { GROWS_SD } else { WANDERS_SD };
@@ -312,6 +315,7 @@ impl From<Stored> for Temperature {
                 lines: std::array::from_fn(of_slope),
                 suspicion,
                 changing: PAUSE + CHANGING,
+                steps: true,
             },
         }
     }
