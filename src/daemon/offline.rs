@@ -28,7 +28,7 @@ pub struct Offline {
     _lock: DatabaseLock,
 }
 
-#[expect(clippy::missing_errors_doc, reason = "see `Offline`")]
+#[expect(clippy::missing_errors_doc, reason = "the documentation of `Offline` says when its methods fail")]
 impl Offline {
     /// Opens the database of a configuration, which no daemon may use.
     pub async fn open(mut config: Config) -> Result<Self, StartError> {

@@ -48,7 +48,7 @@ pub struct Opened {
     pub report: Report,
 }
 
-#[expect(clippy::missing_errors_doc, reason = "see `Store`")]
+#[expect(clippy::missing_errors_doc, reason = "the documentation of `Store` says when its methods fail")]
 impl Store {
     /// Opens the database; creates, recovers or migrates it as needed. `now` becomes part of the new
     /// names of files that are set aside: renamed and kept.

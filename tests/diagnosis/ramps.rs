@@ -96,7 +96,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
     followed.check();
 }
 
-/// Wear that feeds itself grows as an exponential: half of it in the last quarter of the throws.
+/// Wear that feeds itself grows as an exponential: more than half of it in the last quarter of the throws.
 #[test]
 fn the_size_now_and_the_forecast_hold_for_wear_that_feeds_itself() {
     let mut followed = Followed::default();

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
     Settings,
-    statistics::{LONGEST_WINDOW, Scatter, Sym3, median, serial_inflation},
+    statistics::{LONGEST_WINDOW, Scatter, Sym3, is_default, median, serial_inflation},
 };
 
 /// Source of the temperature coefficients of a baseline.
@@ -41,18 +41,19 @@ const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
 const TYPICAL_CURVE: [f64; 3] = [5e-6, 1e-4, 5e-6];
 /// Largest physically possible slopes \[per K\]: magnets lose 0.2 %/K, grease becomes three times as thick over 40 K.
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
-/// Wandering of the level per throw, in standard deviations of a throw. Twice as much finds no more of the faults that
-/// grow with the season, and hides more of the others; less takes a slow fault for an effect of the temperature.
+/// Wandering of the level per throw, in standard deviations of a throw. In simulated seasons, 0.05 named no more of the
+/// faults that grow with the temperature, and more healthy machines were not monitored.
 const WANDERS_SD: f64 = 0.03;
 /// The same in the [`CHANGING`] throws after a drift rose above its limit: it may grow.
 const GROWS_SD: f64 = 0.3;
-/// Throws of a direction within which a drift grows. If the level wandered longer, a lasting fault would
-/// make the dependence on the temperature unknown.
+/// Throws of a direction within which a drift grows. If the level wandered longer, a lasting fault would make the
+/// dependence on the temperature unknown.
 const CHANGING: u32 = 120;
 /// Throws of a direction that are left out after the suspicion of a drift changed: those that leave the longest window
 /// then were made before, or while the level changed.
 const PAUSE: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
-/// Standard deviation of a change of the level by the begin or the end of a drift, in standard deviations of a throw.
+/// Standard deviation of a change of the level by the beginning or the end of a drift, in standard deviations of a
+/// throw.
 const STEP_SD: f64 = 5.0;
 /// The same for a drift that stays below its limit.
 const SMALL_STEP_SD: f64 = 2.0;
@@ -76,9 +77,8 @@ pub(crate) enum Suspicion {
 
 impl Suspicion {
     /// Whether nothing is suspected.
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-    pub(crate) fn is_none(&self) -> bool {
-        *self == Self::None
+    pub(crate) fn is_none(self) -> bool {
+        self == Self::None
     }
 
     fn is_above_limit(self) -> bool {
@@ -103,11 +103,13 @@ pub(crate) struct Temperature {
     /// Of ln b0, ln a1 and ln a0.
     lines: [Line; 3],
     /// The suspicion of a drift at the last throw.
-    #[serde(skip_serializing_if = "Suspicion::is_none")]
+    #[serde(skip_serializing_if = "is_default")]
     suspicion: Suspicion,
     /// Number of next throws in which a drift may begin, grow or end.
+    #[serde(skip_serializing_if = "is_default")]
     changing: u32,
-    /// Whether the level may have changed by a drift above its limit, which it does not know yet.
+    /// Whether a drift was above its limit since the level last stepped.
+    #[serde(skip_serializing_if = "is_default")]
     steps: bool,
 }
 
@@ -137,13 +139,11 @@ impl Temperature {
         let slope = together / information.max(f64::MIN_POSITIVE);
         let rest: Vec<Vector3<f64>> =
             t.iter().zip(throws).map(|(t, (x, _))| x - x_mean - slope * (t - t_mean)).collect();
-        let variance = Vector3::from_fn(|i, _| rest.iter().map(|r| r[i] * r[i]).sum::<f64>() / (n - 2.0).max(1.0));
-        let lag1 = Vector3::from_fn(|i, _| {
-            let square: f64 = rest.iter().map(|r| r[i] * r[i]).sum();
-            let lagged: f64 = rest.iter().zip(&rest[1..]).map(|(a, b)| a[i] * b[i]).sum();
-            lagged / square.max(f64::MIN_POSITIVE) + 2.0 / n
-        });
-        let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
+        let square: Vector3<f64> = rest.iter().map(|r| r.component_mul(r)).sum();
+        let lagged: Vector3<f64> = rest.iter().zip(&rest[1..]).map(|(a, b)| a.component_mul(b)).sum();
+        let variance = square / (n - 2.0).max(1.0);
+        let lag1 = |i: usize| lagged[i] / square[i].max(f64::MIN_POSITIVE) + 2.0 / n;
+        let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1(i)));
         let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
         let is_fitted = spans && throws.len() >= settings.baseline_throws;
         let lines = std::array::from_fn(|i| {
@@ -231,8 +231,8 @@ impl Line {
         self.covariance = covariance.into();
     }
 
-    /// Prediction and update of the Kalman filter: the level wanders by a variance `wanders`, then `value` is measured at `distance`
-    /// \[K\] from the reference, with variance `noise`.
+    /// Prediction and update of the Kalman filter: the level wanders by a variance `wanders`, then `value` is measured
+    /// at `distance` \[K\] from the reference, with variance `noise`.
     fn follow(&mut self, wanders: f64, distance: f64, value: f64, noise: f64) {
         self.step(wanders);
         let (mean, covariance) = (Vector3::from(self.mean), Matrix3::from(self.covariance));
@@ -284,8 +284,8 @@ pub(crate) fn covariance_of_effect(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
 }
 
-/// The compensation in a snapshot. Those of earlier versions have slopes with variances instead of lines, and the level is
-/// unknown.
+/// The compensation in a snapshot. Those of earlier versions have slopes with variances instead of lines, and the level
+/// is unknown.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct Stored {
@@ -307,17 +307,9 @@ impl From<Stored> for Temperature {
             let variances = Vector3::new(0.0, per_k_variance[i], curve_sd * curve_sd);
             Line { mean: [0.0, per_k[i], 0.0], covariance: Matrix3::from_diagonal(&variances).into() }
         };
-        match lines {
-            Some(lines) => Self { source, reference_c, lines, suspicion, changing, steps },
-            None => Self {
-                source,
-                reference_c,
-                lines: std::array::from_fn(of_slope),
-                suspicion,
-                changing: PAUSE + CHANGING,
-                steps: true,
-            },
-        }
+        let (lines, changing, steps) = lines
+            .map_or_else(|| (std::array::from_fn(of_slope), PAUSE + CHANGING, true), |lines| (lines, changing, steps));
+        Self { source, reference_c, lines, suspicion, changing, steps }
     }
 }
 

@@ -8,7 +8,7 @@ use crate::{
     wire::{Alarm, Health},
 };
 
-#[expect(clippy::missing_errors_doc, reason = "see `Reader`")]
+#[expect(clippy::missing_errors_doc, reason = "the documentation of `Reader` says when its methods fail")]
 impl Reader {
     /// The latest health of each selected machine and direction, with the state of the machine now, and changes from
     /// its present baseline.

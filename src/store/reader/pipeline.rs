@@ -19,7 +19,7 @@ use crate::{
 /// Number of samples of each channel after which a batch of pending throws ends: 32 MiB.
 const BATCH_SAMPLES: usize = 2 << 20;
 
-#[expect(clippy::missing_errors_doc, reason = "see `Reader`")]
+#[expect(clippy::missing_errors_doc, reason = "the documentation of `Reader` says when its methods fail")]
 impl Reader {
     /// Up to `limit` pending throws to judge next: the throws of a machine in order, the machines in turn, starting
     /// after the machine `after`. Throws after an awaited gap are left out, for at most `wait` after the backlog of the
