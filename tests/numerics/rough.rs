@@ -234,21 +234,18 @@ fn an_unusable_start_leaves_the_ratios() {
     }
 }
 
-/// Rails that help the motor leave hardly any charge. The residual by a load that varies is a larger share of it.
+/// Rails that drive the motor leave hardly any charge. The residual by a load that varies is a larger share of it.
 #[test]
 fn rails_that_help_the_motor_leave_the_ratios() {
-    let (brake_nm, brake_s, neutral_mm) = (f64::INFINITY, 0.02, 114.5);
-    let mut missed = 0;
-    for wander in [0.03, 0.06] {
-        let drive = Drive { brake_nm, brake_s, neutral_mm, wander, ..Drive::default() };
-        let truth = drive.truth();
-        for seed in 0..20 {
-            let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{wander}, {seed}: {reason}"));
-            assert!(estimate.ratios_only, "{wander}, {seed}: {estimate:?}");
-            missed += usize::from(!covers_ratios(&estimate, truth));
-        }
+    let (brake_nm, brake_s, neutral_mm, wander) = (f64::INFINITY, 0.02, 150.0, 0.03);
+    let drive = Drive { brake_nm, brake_s, neutral_mm, wander, ..Drive::default() };
+    let (truth, mut missed) = (drive.truth(), 0);
+    for seed in 0..20 {
+        let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{seed}: {reason}"));
+        assert!(estimate.ratios_only, "{seed}: {estimate:?}");
+        missed += usize::from(!covers_ratios(&estimate, truth));
     }
-    assert!(missed <= 4, "{missed} of 40 intervals miss");
+    assert!(missed <= 2, "{missed} of 20 intervals miss");
 }
 
 /// A position of 12 bits over 300 mm, whose steps hide the noise, does not change until the machine has unlocked.
