@@ -60,8 +60,6 @@ struct Machine {
     identifier: Identifier,
     monitor: MachineMonitor,
     throws: u64,
-    /// Published supply voltage \[V\].
-    supply_v: Option<f64>,
 }
 
 impl Machine {
@@ -107,7 +105,6 @@ impl Machine {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * self.throws.cast_signed()),
             direction: Some(direction),
-            supply_v: self.supply_v,
             ..Throw::recorded(Trace::new(INTERVAL_S.recip(), recorded_a, recorded_mm).unwrap())
         }
     }
@@ -188,15 +185,11 @@ fn lives_with(change: fn(Make) -> Make, states: &[State]) -> Vec<Vec<Cause>> {
 
 /// A machine after a sound baseline.
 fn machine(seed: u64, change: fn(Make) -> Make) -> Machine {
-    learned(seed, change(MAKES[usize::try_from(seed % 3).unwrap()]), None)
-}
-
-/// A machine of this make after a sound baseline.
-fn learned(seed: u64, make: Make, supply_v: Option<f64>) -> Machine {
     let mut rng = ChaCha8Rng::seed_from_u64(8_300 + seed);
     let scatter = [(); 3].map(|()| normal(&mut rng));
+    let make = change(MAKES[usize::try_from(seed % 3).unwrap()]);
     let (identifier, monitor) = (Identifier::default(), MachineMonitor::new("21B"));
-    let mut machine = Machine { make, rng, scatter, identifier, monitor, throws: 0, supply_v };
+    let mut machine = Machine { make, rng, scatter, identifier, monitor, throws: 0 };
     assert_eq!(machine.named([SOUND; 110]), [], "{make:?}");
     machine
 }
@@ -226,23 +219,6 @@ fn dry_slide_chairs_behind_a_soft_drive_are_friction() {
         let states = [State { friction, ..SOUND }; 48];
         let named = lives_with(|make| Make { wound_mm: 4.0, ..make }, &states);
         assert!(named.iter().all(|named| *named == [Cause::Friction]), "{friction}: {named:?}");
-    }
-}
-
-/// The drive unwinds while the resistance is measured, which changes the resistance as a wrong gain of the current sensor
-/// does. But the inrush stays as before.
-#[test]
-fn dry_slide_chairs_behind_a_soft_drive_accuse_no_current_sensor() {
-    for wound_mm in [2.0, 4.0, 6.0] {
-        let of_lives = in_parallel(9, |seed| {
-            let make = Make { wound_mm, ..MAKES[usize::try_from(seed % 3).unwrap()] };
-            let mut machine = learned(seed, make, Some(VOLTS));
-            let rising =
-                (1..=120).map(|throw| State { friction: 1.0 + 3.0 * (f64::from(throw) / 80.0).min(1.0), ..SOUND });
-            rising.flat_map(|state| machine.feed(state).events).map(|event| event.cause).collect::<Vec<_>>()
-        });
-        println!("{wound_mm}: {of_lives:?}");
-        assert!(!of_lives.concat().contains(&Cause::Sensor), "{wound_mm}: {of_lives:?}");
     }
 }
 

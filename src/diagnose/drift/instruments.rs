@@ -183,16 +183,11 @@ impl Instruments {
 
     /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
     /// at least half of the error, beyond the changes by the supply voltage and by the temperature of the winding. The
-    /// resistance is no evidence here: it is wrong if the toe moves differently from the motor. But if the temperature
-    /// of the air is unknown, the winding is at most as warm as the resistance and the gain error show together.
+    /// resistance is no evidence here: it is wrong if the toe moves differently from the motor.
     fn may_be_current(&self, gain: f64, window: &Window) -> bool {
         let level = |gauge| self.gauges.level(gauge, window.throws);
         let (Some(inrush), Some(volts)) = (level(Gauge::Inrush), level(Gauge::Volts)) else { return true };
-        let [mut from, mut to] = self.gauges.winding_of_air(window.throws);
-        if let (None, Some(ohms)) = (level(Gauge::Air), level(Gauge::Resistance)) {
-            let warmer = ohms.value + gain;
-            (from, to) = (from.max((warmer - ohms.sd).min(0.0)), to.min((warmer + ohms.sd).max(0.0)));
-        }
+        let [from, to] = self.gauges.winding_of_air(window.throws);
         let change = inrush.value - volts.value;
         let slack = INRUSH_SLACK_SD * inrush.sd.hypot(volts.sd);
         let shown = if gain > 0.0 { change + to } else { -(change + from) } + slack;
