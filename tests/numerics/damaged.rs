@@ -179,7 +179,8 @@ const TABLE: &[Damage] = &[
     ("the position in metres", "wrong_unit", |c| c.position.iter_mut().for_each(|x| *x *= 1e-3)),
     ("the current in milliamperes", "implausible_value", |c| c.current.iter_mut().for_each(|i| *i *= 1e3)),
     ("begun 300 ms after the motor's start", "moved_before_current", |c| c.keep(500..4500)),
-    ("begun 20 ms after the motor's start", "start_missing", |c| c.keep(206..4500)),
+    ("begun 6 ms after the motor's start", "rough", |c| c.keep(206..c.current.len())),
+    ("begun 6 ms after the motor's start, and cut at the end", "end_missing", |c| c.keep(206..4500)),
     ("the current half a second late", "moved_before_current", |c| c.current.rotate_right(500)),
     ("the toe comes back half-way", "moved_backwards", |c| {
         let half = c.position[2200];
