@@ -246,8 +246,8 @@ fn a_recording_that_begins_in_the_inrush_leaves_the_ratios() {
 /// Rails that drive the motor leave hardly any charge. The residual by a load that varies is a larger share of it.
 #[test]
 fn rails_that_help_the_motor_leave_the_ratios() {
-    let (brake_nm, brake_s, neutral_mm, wander) = (f64::INFINITY, 0.02, 150.0, 0.03);
-    let drive = Drive { brake_nm, brake_s, neutral_mm, wander, ..Drive::default() };
+    let (brake_nm, brake_s, wander, neutral_mm) = (f64::INFINITY, 0.02, 0.03, 150.0);
+    let drive = Drive { brake_nm, brake_s, wander, neutral_mm, ..Drive::default() };
     let (truth, mut missed) = (drive.truth(), 0);
     for seed in 0..20 {
         let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{seed}: {reason}"));
