@@ -130,7 +130,9 @@ impl Identifier {
             .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = features_of(throw, &movement, &outcome, settings);
-        if let Ok(estimate) = &outcome {
+        if let Ok(estimate) = &outcome
+            && !matches!(estimate.reason, Some(Rejection::StartMissing { .. }))
+        {
             (features.start_delay_s, features.start_gain) =
                 start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free).unzip();
         }
@@ -162,7 +164,7 @@ impl Buffers {
         let interval_s = movement.interval_s;
         let filtered = filter_hz.is_some();
         let is_raw = factor == 1 && !filtered;
-        let mut doubt = completeness::early(movement).err();
+        let mut doubt = completeness::motor_start(movement).and_then(|()| completeness::early(movement)).err();
         let rise_samples = completeness::rise_samples(movement);
         if is_raw && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { interval_s, rise_samples };
@@ -218,6 +220,11 @@ impl Buffers {
             return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
         }
         let doubt = doubt.or(start_doubt);
+        if let Some(start_missing @ Rejection::StartMissing { .. }) = &doubt
+            && movement.interval_s > LONGEST_INTERVAL_S
+        {
+            return Err(start_missing.clone());
+        }
         let (full, fitted) = self.fit(settings, movement);
         if fitted.is_err() || doubt.is_some() {
             // A controlled drive has no inrush either, but its throws fit the model. A throw that

@@ -35,8 +35,9 @@ const HIDDEN_SHARE: f64 = 0.005;
 const SPEED_S: f64 = 0.02;
 /// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
-/// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every slide chair
-/// causes 0.3 %; a current that does not belong to the position causes more.
+/// Largest root mean square of the residual, as share of the charge of the movement or of its load, whichever is larger:
+/// rails that help the motor may leave hardly any charge. Dry friction on every slide chair causes 0.3 %; a current that
+/// does not belong to the position causes more.
 const LARGEST_RESIDUAL: f64 = 0.006;
 
 /// The ratios a1/b0 and a0/b0 with their errors.
@@ -120,7 +121,8 @@ pub(super) fn of(window: &Window) -> Option<Ratios> {
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
     let found = inverse * sums.charge;
     let squares = (sums.charge_squares - found.dot(&sums.charge)).max(0.0);
-    if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * sums.largest_charge {
+    let load_charge = found[0].abs() * (output[to - 1] - output[from]) + found[1].abs() * sums.largest_angle;
+    if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * sums.largest_charge.max(load_charge) {
         return None;
     }
     let drift = inverse * sums.offset;
@@ -152,6 +154,7 @@ struct Sums {
     offset: Vector4<f64>,
     charge_squares: f64,
     largest_charge: f64,
+    largest_angle: f64,
     /// For each step of the load: sum of `charge` over the step's samples, each with a charge of 1 from there on.
     effects: [Vector4<f64>; STEPS],
 }
@@ -163,7 +166,7 @@ impl Sums {
         let speed = |k: usize| (output[k + reach] - output[k - reach]) / (2.0 * reach as f64 * interval_s);
         let first_speed = speed(from);
         let (mut charge, mut angle, mut offset) = (0.0, 0.0, 0.0);
-        let (mut charge_squares, mut largest_charge) = (0.0, 0.0_f64);
+        let (mut charge_squares, mut largest_charge, mut largest_angle) = (0.0, 0.0_f64, 0.0_f64);
         // Row i has the products of factor i. An array of complete rows is faster than a symmetric matrix: the compiler
         // computes several products at a time.
         let mut sums = [[0.0; 8]; 4];
@@ -177,6 +180,7 @@ impl Sums {
                 offset += input_scale.map_or(1.0, |scale| scale[k]) * interval_s;
                 charge_squares += charge * charge;
                 largest_charge = largest_charge.max(charge.abs());
+                largest_angle = largest_angle.max(angle.abs());
                 let time_s = (k - from) as f64 * interval_s;
                 let factors = [output[k] - output[from], angle, speed(k) - first_speed, 1.0];
                 let row = [factors[0], factors[1], factors[2], 1.0, charge, time_s, offset, 0.0];
@@ -200,6 +204,7 @@ impl Sums {
             offset: column(6),
             charge_squares,
             largest_charge,
+            largest_angle,
             effects,
         }
     }

@@ -53,6 +53,45 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
     }
 }
 
+/// The same logger for the whole life of a sound machine.
+#[test]
+fn a_logger_with_imperfect_recordings_has_no_alarm() {
+    // Samples of the inrush that were not measured.
+    let with_nulls: Logger = |throw| {
+        with_trace(throw, |rate, mut current, mut position| {
+            [&mut current, &mut position].map(|channel| channel[208..213].fill(f64::NAN));
+            (rate, current, position)
+        })
+    };
+    let late: Logger =
+        |throw| with_trace(throw, |rate, current, position| (rate, current[205..].to_vec(), position[205..].to_vec()));
+    for (name, logger) in
+        [("nulls", with_nulls), ("late", late), ("averages", averaged::<20>), ("slow", averaged::<50>)]
+    {
+        for seed in 0..2 {
+            let mut drive = Drive::new(81 + seed, Voltage::alternating(seed));
+            drive.logger = logger;
+            let events = drive.events(120, State::SOUND);
+            assert_eq!(events, [], "{name}");
+            let fault = State { friction: 1.5, ..State::SOUND };
+            let mut named: Vec<_> = drive.events(40, fault).iter().map(|event| event.cause).collect();
+            named.dedup();
+            assert_eq!(named, [Cause::Friction], "{name}");
+        }
+    }
+}
+
+/// The throw of a logger with a converter of 12 bits that sends the mean of the last samples.
+fn averaged<const COUNT: usize>(throw: Throw) -> Throw {
+    let mean = |values: Vec<f64>, range: f64| -> Vec<f64> {
+        let step = range / 4096.0;
+        let values: Vec<f64> = values.into_iter().map(|value| (value / step).round() * step).collect();
+        let last = |k: usize| &values[(k + 1).saturating_sub(COUNT)..=k];
+        (0..values.len()).map(|k| last(k).iter().sum::<f64>() / last(k).len() as f64).collect()
+    };
+    with_trace(throw, |rate, current, position| (rate, mean(current, 150.0), mean(position, 310.0)))
+}
+
 /// The movement shows the direction, so the throws are evaluated as before.
 #[test]
 fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {

@@ -162,7 +162,8 @@ const TABLE: &[Damage] = &[
     ("one NaN before the motor's start", "good", |c| c.current[5] = f64::NAN),
     ("three NaN in a row in the position", "good", |c| c.position[900..903].fill(f64::NAN)),
     ("one NaN in the inrush", "rough", |c| c.current[203] = f64::NAN),
-    ("four NaN in a row", "not_finite", |c| c.current[900..904].fill(f64::NAN)),
+    ("five NaN in a row in the inrush", "rough", |c| c.current[203..208].fill(f64::NAN)),
+    ("eleven NaN in a row", "not_finite", |c| c.current[900..911].fill(f64::NAN)),
     ("every fiftieth current is NaN", "not_finite", |c| c.current.iter_mut().step_by(50).for_each(|i| *i = f64::NAN)),
     ("one infinity in the position", "not_finite", |c| c.position[900] = f64::INFINITY),
     ("a corrupt current of 188,776 A", "implausible_value", |c| c.current[1200] = 188_776.0),
@@ -178,7 +179,8 @@ const TABLE: &[Damage] = &[
     ("the position in metres", "wrong_unit", |c| c.position.iter_mut().for_each(|x| *x *= 1e-3)),
     ("the current in milliamperes", "implausible_value", |c| c.current.iter_mut().for_each(|i| *i *= 1e3)),
     ("begun 300 ms after the motor's start", "moved_before_current", |c| c.keep(500..4500)),
-    ("begun 20 ms after the motor's start", "start_missing", |c| c.keep(206..4500)),
+    ("begun 6 ms after the motor's start", "rough", |c| c.keep(206..c.current.len())),
+    ("begun 6 ms after the motor's start, and cut at the end", "end_missing", |c| c.keep(206..4500)),
     ("the current half a second late", "moved_before_current", |c| c.current.rotate_right(500)),
     ("the toe comes back half-way", "moved_backwards", |c| {
         let half = c.position[2200];
@@ -245,7 +247,7 @@ const TABLE: &[Damage] = &[
     }),
     ("the first sample of the inrush is zero", "rough", |c| c.current[201] = 0.0),
     ("the current 10 ms late", "rough", |c| c.current.rotate_right(10)),
-    ("the position 40 ms late", "misfit|stuck", |c| {
+    ("the position 40 ms late", "rough|misfit|stuck", |c| {
         let first = c.position[0];
         c.position.rotate_right(40);
         c.position[..40].fill(first);
@@ -330,7 +332,7 @@ fn the_reason_for_a_channel_with_repeated_values_refers_to_the_sent_trace() {
     let (reason, _) = with(1003..1008, 1e6);
     let Rejection::ImplausibleValue { at_s, .. } = reason else { panic!("{reason}") };
     assert!((at_s - 1.003).abs() < 1e-9, "{at_s}");
-    let (reason, current) = with(1003..1021, f64::NAN);
+    let (reason, current) = with(1003..1041, f64::NAN);
     let Rejection::NotFinite { sample, at_s, .. } = reason else { panic!("{reason}") };
     assert!(current[sample].is_nan() && (at_s - sample as f64 * 1e-3).abs() < 1e-9, "{sample}, {at_s}");
 }

@@ -102,8 +102,8 @@ impl LatestThrow<'_> {
     /// At the start of the throw, b0 comes from the torque less the dry friction. If the torque changes by the factor
     /// r, b0 changes by (r - q)/(1 - q), where q is the dry friction as part of the torque at the inrush current. The
     /// ratio b0/a0 of the movement changes by the same factor, as the spring slows the motor along the stroke: a
-    /// constant friction is fitted by viscous friction, which falls with the speed, and by stiffness for the rest. If
-    /// the motor loses torque but no back-EMF, it becomes slower, and the dry part of a1 rises as above.
+    /// constant friction is fitted by viscous friction, which falls with the speed, and by stiffness for the rest. A motor
+    /// that loses torque alone becomes slower, one with weaker magnets faster, and the dry part of a1 changes as above.
     fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
         match part.cause {
             Cause::Friction => self.at_usual_speed(part, 1.0, direction),
@@ -121,12 +121,10 @@ impl LatestThrow<'_> {
         let of_torque = (part.weights.x + part.weights.y).clamp(0.0, 1.0);
         let size = part.size + of_torque * (whole.ln() - part.size);
         let size_sd = part.size_sd.hypot(of_torque * DRY_LOAD.1 * load * change / whole);
-        let part = Explanation { size, size_sd, ..part };
-        let keeps_back_emf = self.drift.attribution.is_some_and(|of| of.sound_magnets().is_some());
-        if keeps_back_emf { self.at_usual_speed(part, part.weights.y, direction) } else { part }
+        self.at_usual_speed(Explanation { size, size_sd, ..part }, part.weights.y, direction)
     }
 
-    /// `part` with its size corrected for the rise of the dry part of a1 at a lower speed; `of_a1` is the weight of ln a1
+    /// `part` with its size corrected for the change of the dry part of a1 with the speed; `of_a1` is the weight of ln a1
     /// in the size.
     fn at_usual_speed(self, part: Explanation, of_a1: f64, direction: Option<Direction>) -> Explanation {
         let Some(Level { value, sd }) = self.gauges.longer(direction).map(dry_rise) else { return part };

@@ -6,7 +6,7 @@ use statrs::function::erf::erf;
 
 use super::{
     movement::{MIN_QUIET, Movement},
-    samples::{every, largest, quantum, samples_in},
+    samples::{every, largest, peak, quantum, samples_in},
 };
 use crate::{estimate::rejection::Rejection, throw::Channel};
 
@@ -14,9 +14,10 @@ use crate::{estimate::rejection::Rejection, throw::Channel};
 const LARGEST_CURRENT_A: f64 = 1000.0;
 /// Largest plausible position \[mm\].
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A plateau of the largest value is clipped if it has at least this many samples and its flanks fall by at least this
-/// many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
+/// A plateau of the largest value is clipped if the value is at least this share of the peak, and if the plateau has at
+/// least this many samples and its flanks fall by at least this many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
 /// one step within the plateau, so one width outside it has fallen by nine steps at most.
+const CLIPPED_SHARE: f64 = 0.5;
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
 /// Least number of equal consecutive samples of a stuck channel.
@@ -61,11 +62,12 @@ pub(crate) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
 
 /// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
 pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    let least = CLIPPED_SHARE * peak(current, 0.0);
     for sign in [1.0, -1.0] {
         let limit = largest([current], |[i]| sign * i);
         let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
-        if length < CLIPPED_SAMPLES || from == 0 {
+        if length < CLIPPED_SAMPLES || from == 0 || limit < least {
             continue;
         }
         let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
@@ -100,11 +102,12 @@ pub(crate) fn sticking(
     let step = quantum(&values[start..to]);
     let noisy = movement.level(channel).hides(step) && step > 0.0;
     let mean_step = movement.travel_mm / (to - start).max(1) as f64;
+    let rest = &values[..start];
     // Without noise the values before the start of the motor are equal in a working channel too.
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
     let longest = match channel {
-        _ if noisy => repeated_by_chance(movement.level(channel).sd / step),
+        _ if noisy => repeated_by_chance(movement.level(channel).sd / step).max(repeated_as_at_rest(rest)),
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
@@ -138,6 +141,16 @@ pub(crate) fn sticking(
 fn repeated_by_chance(noise: f64) -> f64 {
     let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
     REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())
+}
+
+/// Largest number of equal consecutive samples of a working channel that repeats its values as at rest. A logger that
+/// averages its samples makes noise that is not white, and repeats values more often. If each sample is equal to the
+/// one before with the same probability, the longest stretch grows with the logarithm of the number of samples. The
+/// last stretch at rest may go on in motion, and does not count.
+fn repeated_as_at_rest(rest: &[f64]) -> f64 {
+    let stretches = rest.chunk_by(|a, b| a.to_bits() == b.to_bits()).map(<[f64]>::len);
+    let longest = stretches.rev().skip(1).max().unwrap_or(0);
+    longest as f64 * REPEATED_CHANCE.ln() / (rest.len().max(2) as f64).recip().ln()
 }
 
 /// Least height of a spike: as share of the peak current or of the travel, and in standard deviations of the noise.

@@ -8,9 +8,9 @@ use crate::{
     throw::{Channel, Trace},
 };
 
-/// Longest bridged gap \[s\]; one sample is always bridged. It is shorter than the electrical time constant of a motor
-/// (5 ms for 20 mH and 4 ohm) and than the period of a rectified supply (10 ms), so that a line follows the current.
-const LONGEST_GAP_S: f64 = 3e-3;
+/// Longest bridged gap \[s\]; one sample is always bridged. It is the period of a rectified supply, and shorter than any
+/// change of the running current. A gap in the inrush, where the current changes faster, is a doubt (see [`within`]).
+const LONGEST_GAP_S: f64 = 0.01;
 /// Largest share of a channel that is bridged. If all bridged values are wrong by a third of the current, its integral,
 /// and so b0, is wrong by 0.3 %, less than the scatter of healthy throws.
 const LARGEST_SHARE: f64 = 0.01;

@@ -10,6 +10,9 @@ const START_SHARE: f64 = 0.05;
 /// Least distance of the first two samples of a starting motor from the current at rest, in standard deviations of the
 /// noise.
 const START_SIGMAS: f64 = 6.0;
+/// A recording whose current at its beginning departs from the current at its end by more than this share of the peak
+/// begins after the start of the motor.
+pub(super) const LATE_START_SHARE: f64 = 0.25;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
 /// In a slow recording it is chance how many samples are in the inrush. The charge of the throw counts as known if one
@@ -266,13 +269,19 @@ fn hides_inrush(interval_s: f64) -> bool {
     interval_s > SHORTEST_RISE_S / 2.0
 }
 
-/// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does.
+/// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does. It is the
+/// first sample of a recording that begins after the start.
 ///
 /// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
 /// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
 /// current of a throw in which the spring helps is hardly above 0.
 pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
-    let lead = median_of(&current[..current.len().min(5)], scratch);
+    let few = current.len().min(5);
+    let [lead, tail] = [&current[..few], &current[current.len() - few..]].map(|part| median_of(part, scratch));
+    // The smaller of the two currents is that at rest, as a recording may also end with the motor on.
+    if lead.abs() > tail.abs() && (lead - tail).abs() > LATE_START_SHARE * peak(current, tail) {
+        return Some(0);
+    }
     let peak = peak(current, lead);
     let is_beyond = |k: usize, threshold: f64| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
     let is_inrush = |k: usize| {

@@ -72,29 +72,20 @@ pub(crate) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, f
 /// Adds the missing charge at the foot to an unfiltered `input`, whose offset is removed. Returns the departure of its
 /// rise from that of an armature, without that from noise, as share of the peak, and the reason why the start of the
 /// throw is unusable, if it is.
-///
-/// # Errors
-/// When the recording began after the start of the motor.
-pub(crate) fn complete_onset(
-    input: &mut [f64],
-    movement: &Movement<'_>,
-    foot: usize,
-) -> Result<(f64, Option<Rejection>), Rejection> {
+pub(crate) fn complete_onset(input: &mut [f64], movement: &Movement<'_>, foot: usize) -> (f64, Option<Rejection>) {
     let noise_a = movement.current.sd;
     let Some(onset) = onset(input, 0.0, foot) else {
-        let start_missing = Rejection::StartMissing { current_a: input[foot + 1] };
-        let is_high = input[foot + 1] > 0.5 * movement.peak_a;
-        let is_late = movement.quiet < MIN_QUIET || (is_high && movement.quiet <= 2 * MIN_QUIET);
-        return if is_late { Err(start_missing) } else { Ok((0.0, is_high.then_some(start_missing))) };
+        let is_late = movement.quiet < MIN_QUIET || input[foot + 1] > 0.5 * movement.peak_a;
+        return (0.0, is_late.then_some(Rejection::StartMissing { current_a: input[foot + 1] }));
     };
     if let Some(missing) = onset.missing() {
-        return Ok((0.0, Some(Rejection::OnsetMissing { missing_s: missing * movement.interval_s })));
+        return (0.0, Some(Rejection::OnsetMissing { missing_s: missing * movement.interval_s }));
     }
     if onset.roughness > (ROUGH_RISE_SIGMAS * noise_a).max(ROUGH_RISE_SHARE * movement.peak_a) {
-        return Ok((0.0, Some(Rejection::RoughRise { departure_a: onset.roughness })));
+        return (0.0, Some(Rejection::RoughRise { departure_a: onset.roughness }));
     }
     onset.complete(input, foot);
-    Ok(((onset.roughness - RISE_NOISE_SIGMAS * noise_a).max(0.0) / movement.peak_a, None))
+    ((onset.roughness - RISE_NOISE_SIGMAS * noise_a).max(0.0) / movement.peak_a, None)
 }
 
 /// The onset of the current: the kink at which its rise begins, between two samples.

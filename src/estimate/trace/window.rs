@@ -68,7 +68,7 @@ impl Window {
     /// so that only the ratios may be known; `None` if it is usable.
     ///
     /// # Errors
-    /// When the window is too short, or the recording began after the start of the motor.
+    /// When the window is too short.
     pub(crate) fn cut(
         &mut self,
         settings: &Settings,
@@ -99,7 +99,7 @@ impl Window {
         let mut doubt = None;
         self.rise = 0.0;
         if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
-            (self.rise, doubt) = release::complete_onset(&mut self.input, movement, self.foot)?;
+            (self.rise, doubt) = release::complete_onset(&mut self.input, movement, self.foot);
         }
         let released = released.map_or_else(
             || release::time(&current[from..to], offset, self.foot, interval_s, filter_hz),
