@@ -24,7 +24,9 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{Attribution, Awaited, Drift, Explanation, Naming, Origin, SensorFault, Tested, Window, fit_along};
+use super::{
+    Attribution, Awaited, Drift, Explanation, Naming, Origin, SensorFault, Tested, Window, fit_along, mean_of_both,
+};
 use crate::{
     diagnose::{
         AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
@@ -124,7 +126,9 @@ impl Instruments {
         let (Some(attribution), Some(Tested { window, .. })) = (&drift.attribution, &drift.strongest) else {
             return Origin::Machine;
         };
-        if self.supply_explains(attribution, window, settings) || self.circuit_explains(attribution, window) {
+        if self.supply_explains(attribution, window, &drift.last_few, settings)
+            || self.circuit_explains(attribution, window)
+        {
             return Origin::Supply;
         }
         let levels = self.levels(window.throws);
@@ -202,18 +206,25 @@ impl Instruments {
         let of_inrush = self.gauges.motor_of_inrush(circuit.level.value);
         // Heat changes the motion as a bad contact does, so a change that heat explains counts as well.
         let is_changed = circuit.is_shown && !circuit.is_doubtful;
-        is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), of_inrush)
+        is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), [of_inrush, 0.0])
     }
 
-    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where b0 may change by
-    /// `of_motor`. Dry friction F at the speed v adds F/v to a1, and a speed that changes along the stroke looks like
-    /// stiffness. Both grow at most as much as the duration. In the ratios to b0, they look like a weaker motor.
-    fn speed_explains(&self, attribution: &Attribution, window: &Window, sense: f64, of_motor: f64) -> bool {
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where the motor may seem
+    /// to change by `of_motor`, and the inertia by `of_inertia`. Dry friction F at the speed v adds F/v to a1, and a speed
+    /// that changes along the stroke looks like stiffness. Both grow at most as much as the duration. In the ratios to
+    /// b0, they look like a weaker motor.
+    fn speed_explains(
+        &self,
+        attribution: &Attribution,
+        window: &Window,
+        sense: f64,
+        [of_motor, of_inertia]: [f64; 2],
+    ) -> bool {
         let slower = self.gauges.level(Gauge::Duration, window.throws).map_or(0.0, |longer| longer.value);
         let slower = (slower * sense).max(0.0);
         let is_explained = |part: &Explanation| {
             let explained = match part.cause {
-                Cause::Inertia => return false,
+                Cause::Inertia => of_inertia,
                 Cause::Kt if window.shows(Cause::Inertia) => of_motor,
                 Cause::Kt => of_motor + slower,
                 _ => slower,
@@ -227,11 +238,23 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a change of friction, alone or beside a small change of the motor. The model has no
-    /// dry friction, whose effect on the coefficients depends on the speed.
-    fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor, or a change of the
+    /// inertia. The model has no dry friction, whose effect on the coefficients depends on the speed. `last_few`: as
+    /// [`Drift::last_few`].
+    fn supply_explains(
+        &self,
+        attribution: &Attribution,
+        window: &Window,
+        last_few: &[Option<Window>; 2],
+        settings: &Settings,
+    ) -> bool {
         let Some(lost) = self.gauges.supply_lost(window.throws) else { return false };
-        if window.exceeds_motor(self.gauges.motor_of_inrush(lost.value)) {
+        // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which helps
+        // the start of one direction and hinders that of the other.
+        let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
+        let both = mean_of_both(last_few).filter(|_| show_start).unwrap_or(*window);
+        let of_start = self.gauges.motor_of_inrush(lost.value);
+        if both.exceeds_motor(of_start) {
             return false;
         }
         let friction = window.single(Cause::Friction, settings);
@@ -246,8 +269,9 @@ impl Instruments {
                 }
                 _ => false,
             };
+        let of_inertia = of_start + (window.mean.x - both.mean.x).abs();
         is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
-            || self.speed_explains(attribution, window, lost.value.signum(), 0.0)
+            || self.speed_explains(attribution, window, lost.value.signum(), [0.0, of_inertia])
     }
 
     /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
