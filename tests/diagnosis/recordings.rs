@@ -59,7 +59,9 @@ fn a_logger_with_imperfect_recordings_has_no_alarm() {
     // Samples of the inrush that were not measured.
     let with_nulls: Logger = |throw| {
         with_trace(throw, |rate, mut current, mut position| {
-            [&mut current, &mut position].map(|channel| channel[208..213].fill(f64::NAN));
+            for channel in [&mut current, &mut position] {
+                channel[208..213].fill(f64::NAN);
+            }
             (rate, current, position)
         })
     };
@@ -74,9 +76,12 @@ fn a_logger_with_imperfect_recordings_has_no_alarm() {
             let events = drive.events(120, State::SOUND);
             assert_eq!(events, [], "{name}");
             let fault = State { friction: 1.5, ..State::SOUND };
-            let mut named: Vec<_> = drive.events(40, fault).iter().map(|event| event.cause).collect();
-            named.dedup();
-            assert_eq!(named, [Cause::Friction], "{name}");
+            let events = drive.events(40, fault);
+            // The features may show the change first, without a name.
+            let is_expected = |event: &AlarmEvent| [Cause::Friction, Cause::Unattributed].contains(&event.cause);
+            assert!(events.iter().all(is_expected), "{name}: {events:#?}");
+            let active = drive.monitor.open_alarms().into_iter().filter(|alarm| alarm.state.is_active());
+            assert_eq!(active.map(|alarm| alarm.cause).collect::<Vec<_>>(), [Cause::Friction], "{name}: {events:#?}");
         }
     }
 }

@@ -14,10 +14,11 @@ use crate::{estimate::rejection::Rejection, throw::Channel};
 const LARGEST_CURRENT_A: f64 = 1000.0;
 /// Largest plausible position \[mm\].
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A plateau of the largest value is clipped if the value is at least this share of the peak, and if the plateau has at
-/// least this many samples and its flanks fall by at least this many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
-/// one step within the plateau, so one width outside it has fallen by nine steps at most.
+/// Least value of a clipped plateau, as share of the peak.
 const CLIPPED_SHARE: f64 = 0.5;
+/// A plateau of the largest value is clipped if it has at least this many samples and its flanks fall by at least this
+/// many steps of the converter within the width of the plateau. A smooth crest has lower flanks: it varies by at most
+/// one step within the plateau, so one width outside it has fallen by nine steps at most.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
 /// Least number of equal consecutive samples of a stuck channel.
@@ -106,17 +107,17 @@ pub(crate) fn sticking(
     // Without noise the values before the start of the motor are equal in a working channel too.
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
+    // Without a part with equal ends there is no long stretch of equal values.
+    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
+    if !values.chunks_exact(REPEATED_PART).any(is_equal) {
+        return Ok(());
+    }
     let longest = match channel {
         _ if noisy => repeated_by_chance(movement.level(channel).sd / step).max(repeated_as_at_rest(rest)),
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
     let longest = if channel == Channel::Position { longest * movement.position_every } else { longest };
-    // Without a part with equal ends there is no long stretch of equal values.
-    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
-    if !values.chunks_exact(REPEATED_PART).any(is_equal) {
-        return Ok(());
-    }
     let waits = |value: f64, next: Option<&f64>| {
         let departure = STANDING_STEPS * step + DEPARTURE_MEAN_STEPS * mean_step;
         channel == Channel::Position
