@@ -73,26 +73,6 @@ fn a_bad_contact_of_a_loaded_motor_is_named_and_no_part() {
     }
 }
 
-/// With less torque, dry friction and the spring take a larger part of it at the start of the motor. In one direction this
-/// looks like more inertia, in the other like less.
-#[test]
-fn a_weak_supply_of_a_loaded_motor_with_a_strong_spring_is_no_inertia() {
-    let before = State { stiffness: 5.0, ..LOADED };
-    for volts in [0.8, 0.65] {
-        let of_lives = in_parallel(12, |seed| {
-            learned(80 + seed, Voltage::Published, before).events(80, State { volts, ..before })
-        });
-        for (seed, events) in of_lives.iter().enumerate() {
-            assert!(events.iter().any(|event| event.cause == Cause::Supply), "{seed}, {volts}: {:#?}", texts(events));
-            assert!(
-                events.iter().all(|event| !Cause::PHYSICAL.contains(&event.cause)),
-                "{seed}, {volts}: {:#?}",
-                texts(events)
-            );
-        }
-    }
-}
-
 /// Dry friction along the stroke looks like stiffness, on some machines in one direction only.
 #[test]
 fn friction_that_looks_like_stiffness_in_one_direction_has_no_second_alarm() {

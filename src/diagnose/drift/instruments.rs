@@ -48,6 +48,9 @@ const MAX_MISFIT: f64 = 40.0;
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
 /// Largest increase of friction as part of the loss of supply voltage, both as logarithms. A decrease is only scatter.
 const MAX_FRICTION_PER_LOSS: f64 = 1.3;
+/// Largest change of b0 by the spring's part of the torque at the start, as part of the loss of supply voltage, both as
+/// logarithms. A spring that takes 0.4 of that torque causes it at a loss of 35 %.
+const SPRING_PER_LOSS: f64 = 0.65;
 /// Least change of the inrush current as part of the gain error of the current sensor.
 const INRUSH_OF_GAIN: f64 = 0.5;
 /// Slack of this limit in standard deviations of the inrush current. With less slack, a gain error beside an uncertain
@@ -252,9 +255,16 @@ impl Instruments {
         // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which helps
         // the start of one direction and hinders that of the other.
         let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
-        let both = mean_of_both(last_few).filter(|_| show_start).unwrap_or(*window);
+        let mean = mean_of_both(last_few).filter(|_| show_start);
         let of_start = self.gauges.motor_of_inrush(lost.value);
-        if both.exceeds_motor(of_start) {
+        let (exceeds_motor, of_spring) = match mean {
+            Some(mean) => (mean.exceeds_motor(of_start), (window.mean.x - mean.mean.x).abs()),
+            None => {
+                let of_spring = SPRING_PER_LOSS * lost.value.abs();
+                (window.exceeds_motor(of_start + of_spring), of_spring)
+            }
+        };
+        if exceeds_motor {
             return false;
         }
         let friction = window.single(Cause::Friction, settings);
@@ -269,9 +279,8 @@ impl Instruments {
                 }
                 _ => false,
             };
-        let of_inertia = of_start + (window.mean.x - both.mean.x).abs();
         is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
-            || self.speed_explains(attribution, window, lost.value.signum(), [0.0, of_inertia])
+            || self.speed_explains(attribution, window, lost.value.signum(), [0.0, of_start + of_spring])
     }
 
     /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
