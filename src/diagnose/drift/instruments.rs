@@ -280,7 +280,7 @@ impl Instruments {
                 _ => false,
             };
         is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
-            || self.speed_explains(attribution, window, lost.value.signum(), [0.0, of_start + of_spring])
+            || self.speed_explains(attribution, window, lost.value.signum(), [of_start, of_start + of_spring])
     }
 
     /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
