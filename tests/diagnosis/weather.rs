@@ -269,7 +269,7 @@ fn rain_raises_no_alarm_and_a_lasting_fall_of_friction_does() {
     for seed in 0..20 {
         // A day and a half of rain after each dry week, deeper each time.
         let rain = |throw: u64| {
-            let pct = -16.0 - throw as f64 / 170.0;
+            let pct = -16.0 - throw as f64 / 85.0;
             if throw % 170 < 30 { shift(Cause::Friction, pct) } else { Vector3::zeros() }
         };
         assert_eq!(alarms(44_000 + seed, 850, rain), [], "seed {seed}");

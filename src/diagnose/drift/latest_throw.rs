@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use nalgebra::Vector3;
 
-use super::{Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor};
+use super::{Attribution, Course, Drift, Explanation, History, Naming, Window, friction_of_sound_motor};
 use crate::{
     diagnose::{
         Cause, Settings,
@@ -121,7 +121,14 @@ impl LatestThrow<'_> {
         let of_torque = (part.weights.x + part.weights.y).clamp(0.0, 1.0);
         let size = part.size + of_torque * (whole.ln() - part.size);
         let size_sd = part.size_sd.hypot(of_torque * DRY_LOAD.1 * load * change / whole);
-        self.at_usual_speed(Explanation { size, size_sd, ..part }, part.weights.y, direction)
+        let part = Explanation { size, size_sd, ..part };
+        // Beside a second part, the fit has assigned the change of the dry part of a1 to both.
+        let is_alone = |of: Attribution| matches!(of.naming, Naming::One(_)) || of.sound_magnets().is_some();
+        if self.drift.attribution.is_some_and(is_alone) {
+            self.at_usual_speed(part, part.weights.y, direction)
+        } else {
+            part
+        }
     }
 
     /// `part` with its size corrected for the change of the dry part of a1 with the speed; `of_a1` is the weight of ln a1

@@ -76,6 +76,7 @@ const STILL_CHANGED: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FrictionChange {
     pub(super) size: f64,
+    pub(super) size_sd: f64,
     /// Whether the last few throws still have the change.
     pub(super) lasts: bool,
 }
@@ -119,10 +120,14 @@ impl Drift {
 
     /// The drift as a change of friction, if it is above its limit and mostly a change of a1.
     pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
-        let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?.window;
+        let Window { mean, covariance, .. } = self.strongest.as_ref().filter(|_| self.matters())?.window;
         let beside = mean.x.abs().max(mean.z.abs());
         let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y / mean.y > STILL_CHANGED);
-        (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange { size: mean.y, lasts })
+        (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange {
+            size: mean.y,
+            size_sd: covariance[(1, 1)].sqrt(),
+            lasts,
+        })
     }
 
     /// Whether a drift is detected and above its warning limit, whatever its cause.

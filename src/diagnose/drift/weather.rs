@@ -13,6 +13,10 @@ use crate::diagnose::{
 
 /// Throws of the machine after which the last few throws of each direction all show a fall.
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
+/// Number of standard deviations by which a fall of friction must be larger than rain explains, and the largest logarithm
+/// that they may be. The strongest window is often the one in which the scatter increases the fall.
+const RAIN_SD: f64 = 2.0;
+const RAIN_MOST_SCATTER: f64 = 0.1;
 const DAYS_OF_WEEK: f64 = 7.0;
 
 impl DriftAlarms {
@@ -64,6 +68,8 @@ impl DriftAlarms {
         }
         let is_new = at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
             || order - first < u64::from(LONGEST_WINDOW);
-        if is_new && RAIN_PCT.contains(&-percent(fall.size)) { Claim::Counts } else { Claim::Named }
+        let least_size = fall.size + (RAIN_SD * fall.size_sd).min(RAIN_MOST_SCATTER);
+        let may_be_rain = -percent(fall.size) >= RAIN_PCT.start && -percent(least_size) < RAIN_PCT.end;
+        if is_new && may_be_rain { Claim::Counts } else { Claim::Named }
     }
 }
