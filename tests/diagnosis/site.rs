@@ -22,7 +22,7 @@ impl Site {
     /// One throw of every machine. The effect of `weather` differs between machines; `own` is a change of one machine.
     fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
         for at in 0..self.machines.len() {
-            let exposure = 0.7 + 0.15 * (at % 5) as f64;
+            let exposure = 1.3 - 0.15 * (at % 5) as f64;
             let throw = self.machines[at].throw(exposure * weather + own(at));
             let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
             let common = MachineMonitor::common(others.map(|(_, other)| &other.monitor), throw.started_at);
