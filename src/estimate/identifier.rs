@@ -219,11 +219,13 @@ impl Buffers {
         if settings.stroke_mm.is_none() && movement.ends_moving() && movement.ends_driven() {
             return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
         }
-        let doubt = doubt.or(start_doubt);
-        if let Some(start_missing @ Rejection::StartMissing { .. }) = &doubt
-            && movement.interval_s > LONGEST_INTERVAL_S
+        let mut doubt = doubt.or(start_doubt);
+        // In a slow recording, it is chance how much of the inrush the first samples have.
+        let is_late = |reason: &mut Rejection| matches!(reason, Rejection::StartMissing { .. });
+        if movement.interval_s > LONGEST_INTERVAL_S
+            && let Some(reason) = doubt.take_if(is_late)
         {
-            return Err(start_missing.clone());
+            return Err(reason);
         }
         let (full, fitted) = self.fit(settings, movement);
         if fitted.is_err() || doubt.is_some() {
