@@ -177,7 +177,7 @@ fn a_long_start_extends_the_timeout_of_systemd() {
     }
 }
 
-/// A snapshot whose counter of throws is at its end stands for a defect of the diagnosis that nobody knows yet.
+/// A snapshot whose counters of estimates are at their end stands for a defect of the diagnosis that nobody knows yet.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_on_which_the_diagnosis_fails_is_reported_and_stops_no_other() {
     /// Throws that complete both baselines and fill the longest window.
@@ -191,7 +191,8 @@ async fn a_machine_on_which_the_diagnosis_fails_is_reported_and_stops_no_other()
     rig.judged(LEARNED).await;
     logger.close().await;
     daemon.terminate();
-    rig.change(format!("UPDATE monitor SET snapshot = json_set(snapshot, '$.order', json('{}'))", u64::MAX)).await;
+    let full = |side: u8| format!("'$.tracks.sides[{side}].since_baseline', json('{}')", u64::MAX);
+    rig.change(format!("UPDATE monitor SET snapshot = json_set(snapshot, {}, {})", full(0), full(1))).await;
 
     let daemon = rig.start();
     let other = daemon.logger("points/v1/north/9/throw").await;
