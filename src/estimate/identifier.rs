@@ -15,7 +15,7 @@ use super::{
         completeness, damage, decimate,
         held::{self, Resampled},
         hum, missing,
-        movement::{Movement, start_of_motor},
+        movement::{INRUSH_S, Movement, start_of_motor},
         noise, release,
         samples::{Level, every, peak, second_difference_noise},
         window::{Window, long_enough},
@@ -176,7 +176,7 @@ impl Buffers {
         // A disturbance of the start falsifies only the common scale; a later one falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released().unwrap_or(0) as f64 * interval_s;
-        let inrush = start_s - interval_s..(start_s + damage::INRUSH_S).max(released_s + START_S);
+        let inrush = start_s - interval_s..(start_s + INRUSH_S).max(released_s + START_S);
         doubt = doubt.or_else(|| missing::within(trace, inrush.start, inrush.end));
         let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
             Err(reason) if reason.is_between(start_s, start_s.max(released_s) + START_S) => {
@@ -282,9 +282,7 @@ fn identify_current(
     add_supply(&mut features, throw);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
     let outcome = values
-        .and_then(|()| {
-            missing::within(trace, start_s - movement.interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err)
-        })
+        .and_then(|()| missing::within(trace, start_s - movement.interval_s, start_s + INRUSH_S).map_or(Ok(()), Err))
         .and_then(|()| usable(movement, settings))
         .and_then(|()| too_slow.map_or(Ok(()), Err))
         .and_then(|()| {

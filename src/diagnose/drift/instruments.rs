@@ -257,13 +257,9 @@ impl Instruments {
         let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
         let mean = mean_of_both(last_few).filter(|_| show_start);
         let of_start = self.gauges.motor_of_inrush(lost.value);
-        let (exceeds_motor, of_spring) = match mean {
-            Some(mean) => (mean.exceeds_motor(of_start), (window.mean.x - mean.mean.x).abs()),
-            None => {
-                let of_spring = SPRING_PER_LOSS * lost.value.abs();
-                (window.exceeds_motor(of_start + of_spring), of_spring)
-            }
-        };
+        let of_spring = mean.map_or(SPRING_PER_LOSS * lost.value.abs(), |mean| (window.mean.x - mean.mean.x).abs());
+        let exceeds_motor =
+            mean.map_or_else(|| window.exceeds_motor(of_start + of_spring), |mean| mean.exceeds_motor(of_start));
         if exceeds_motor {
             return false;
         }

@@ -1,9 +1,9 @@
 //! Checks of the course of a throw. It must be one complete movement, driven by a motor that starts in the recording.
 
 use super::{
-    damage::{INRUSH_S, LEAST_SLIP},
-    movement::{LARGEST_POSITION_SHARE, LATE_START_SHARE, MIN_QUIET, Movement},
-    samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, peak, samples_in},
+    damage::LEAST_SLIP,
+    movement::{LARGEST_POSITION_SHARE, LATE_START_SHARE, MIN_QUIET, Movement, has_decayed},
+    samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, peak},
 };
 use crate::{
     estimate::{rejection::Rejection, settings::Settings},
@@ -72,9 +72,6 @@ const WRONG_WAY_SIGMAS: f64 = 10.0;
 /// Largest displacement of three consecutive positions at the start of the motor, in standard deviations of the noise.
 /// Noise exceeds it in 1 of 1,000,000 healthy throws.
 const EARLY_SIGMAS: f64 = 2.8;
-/// Largest current after the inrush, as share of the first sample, of a recording that begins in the inrush. The current
-/// of a running motor changes by less in this time.
-const DECAYED_SHARE: f64 = 0.75;
 /// Least ratio of the peak current at the start of a motor to its running current. A sound machine has 1.5 and more, a
 /// machine with dry slide chairs at least this.
 const INRUSH_FACTOR: f64 = 1.1;
@@ -146,9 +143,8 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
         return Err(Rejection::TooSlow { duration_s, longest_s: LONGEST_MOVEMENT_S, rate_hz: 1.0 / interval_s });
     }
     // A recording without the decay of the inrush begins in the middle of the movement.
-    let settled_a = current[samples_in(INRUSH_S, interval_s).min(current.len() - 1)] - movement.current.mean;
-    let decays = settled_a.abs() < DECAYED_SHARE * (current[0] - movement.current.mean).abs();
-    if decays { Ok(()) } else { motor_start(movement) }
+    let has_decayed = has_decayed(current[0], current, movement.current.mean, interval_s);
+    if has_decayed { Ok(()) } else { motor_start(movement) }
 }
 
 /// Rejects a recording that begins after the start of the motor.

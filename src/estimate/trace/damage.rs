@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use statrs::function::erf::erf;
 
 use super::{
-    movement::{MIN_QUIET, Movement},
+    movement::{INRUSH_S, MIN_QUIET, Movement},
     samples::{every, largest, peak, quantum, samples_in},
 };
 use crate::{estimate::rejection::Rejection, throw::Channel};
@@ -229,8 +229,6 @@ const STEP_SIGNIFICANCE: f64 = 6.5;
 /// Longest sampling interval at which a smooth movement shows no step \[s\]. The apparent step grows with the third
 /// power of the interval.
 const SMOOTH_S: f64 = 0.003;
-/// Duration of the inrush \[s\]. In this time the current changes too fast for the check with means.
-pub(crate) const INRUSH_S: f64 = 0.15;
 /// Least step of the current, as share of its peak; rails and friction cause smaller steps.
 const LEAST_STEP: f64 = 0.006;
 /// Least step of the position, as share of the travel.

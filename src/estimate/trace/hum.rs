@@ -9,7 +9,7 @@
 use nalgebra::{Matrix4, Vector4};
 
 use super::{
-    damage::INRUSH_S,
+    movement::INRUSH_S,
     samples::{Level, samples_in},
 };
 

@@ -13,6 +13,11 @@ const START_SIGMAS: f64 = 6.0;
 /// A recording whose current at its beginning departs from the current at its end by more than this share of the peak
 /// begins after the start of the motor.
 pub(super) const LATE_START_SHARE: f64 = 0.25;
+/// Duration of the inrush \[s\].
+pub(crate) const INRUSH_S: f64 = 0.15;
+/// Largest current after the inrush, as share of a current within it. The current of a running motor changes by less in
+/// this time.
+const DECAYED_SHARE: f64 = 0.75;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
 const SHORTEST_RISE_S: f64 = 0.008;
 /// In a slow recording it is chance how many samples are in the inrush. The charge of the throw counts as known if one
@@ -269,8 +274,15 @@ fn hides_inrush(interval_s: f64) -> bool {
     interval_s > SHORTEST_RISE_S / 2.0
 }
 
+/// Whether `first`, a current at the beginning of a recording, is one of an inrush, which has decayed after
+/// [`INRUSH_S`]. `rest` is the current at rest.
+pub(super) fn has_decayed(first: f64, current: &[f64], rest: f64, interval_s: f64) -> bool {
+    let settled = current[samples_in(INRUSH_S, interval_s).min(current.len() - 1)];
+    (settled - rest).abs() < DECAYED_SHARE * (first - rest).abs()
+}
+
 /// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does. It is the
-/// first sample of a recording that begins after the start.
+/// first sample of a recording that begins in the inrush.
 ///
 /// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
 /// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
@@ -279,7 +291,8 @@ pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
     let few = current.len().min(5);
     let [lead, tail] = [&current[..few], &current[current.len() - few..]].map(|part| median_of(part, scratch));
     // The smaller of the two currents is that at rest, as a recording may also end with the motor on.
-    if lead.abs() > tail.abs() && (lead - tail).abs() > LATE_START_SHARE * peak(current, tail) {
+    let is_late = lead.abs() > tail.abs() && (lead - tail).abs() > LATE_START_SHARE * peak(current, tail);
+    if is_late && has_decayed(lead, current, tail, interval_s) {
         return Some(0);
     }
     let peak = peak(current, lead);

@@ -1,8 +1,7 @@
 //! Checks of the noise of the channels.
 
 use super::{
-    damage::INRUSH_S,
-    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
+    movement::{INRUSH_S, LARGEST_POSITION_SHARE, MIN_QUIET, Movement},
     samples::{samples_in, second_difference_noise},
 };
 use crate::{
