@@ -223,8 +223,8 @@ impl Shape {
         Self { slope_sd, curvature_sd, time_constant: f64::INFINITY, probability: 0.22 }
     }
 
-    /// Wear that feeds itself, from about 2 % of the normal value on, beside a slope of up to some such parts within a
-    /// time constant.
+    /// Wear that feeds itself: an exponential whose value at its beginning is about 2 % of the normal value, beside a
+    /// slope of about 12 % within a time constant.
     const fn exponential(time_constant: f64) -> Self {
         let curvature_sd = 0.01 / (time_constant * time_constant);
         Self { slope_sd: 0.12 / time_constant, curvature_sd, time_constant, probability: 0.04 }

@@ -255,14 +255,13 @@ impl Instruments {
         // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which helps
         // the start of one direction and hinders that of the other.
         let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
-        let mean = mean_of_both(last_few).filter(|_| show_start);
+        let both = mean_of_both(last_few).filter(|_| show_start);
+        let (both, of_spring) = both.map_or((*window, SPRING_PER_LOSS * lost.value.abs()), |both| (both, 0.0));
         let of_start = self.gauges.motor_of_inrush(lost.value);
-        let of_spring = mean.map_or(SPRING_PER_LOSS * lost.value.abs(), |mean| (window.mean.x - mean.mean.x).abs());
-        let exceeds_motor =
-            mean.map_or_else(|| window.exceeds_motor(of_start + of_spring), |mean| mean.exceeds_motor(of_start));
-        if exceeds_motor {
+        if both.exceeds_motor(of_start + of_spring) {
             return false;
         }
+        let of_inertia = of_start + of_spring + (window.mean.x - both.mean.x).abs();
         let friction = window.single(Cause::Friction, settings);
         let share = friction.size / lost.value;
         let slack = 2.0 * friction.size_sd / lost.value.abs();
@@ -276,7 +275,7 @@ impl Instruments {
                 _ => false,
             };
         is_of_friction && (-slack..MAX_FRICTION_PER_LOSS + slack).contains(&share)
-            || self.speed_explains(attribution, window, lost.value.signum(), [of_start, of_start + of_spring])
+            || self.speed_explains(attribution, window, lost.value.signum(), [of_start, of_inertia])
     }
 
     /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the

@@ -6,7 +6,7 @@ use statrs::function::erf::erf;
 
 use super::{
     movement::{INRUSH_S, MIN_QUIET, Movement},
-    samples::{every, largest, peak, quantum, samples_in},
+    samples::{every, largest, quantum, samples_in},
 };
 use crate::{estimate::rejection::Rejection, throw::Channel};
 
@@ -63,9 +63,9 @@ pub(crate) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
 
 /// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
 pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
-    let least = CLIPPED_SHARE * peak(current, 0.0);
-    for sign in [1.0, -1.0] {
-        let limit = largest([current], |[i]| sign * i);
+    let limits = [1.0, -1.0].map(|sign| (sign, largest([current], |[i]| sign * i)));
+    let least = CLIPPED_SHARE * limits[0].1.max(limits[1].1);
+    for (sign, limit) in limits {
         let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
         if length < CLIPPED_SAMPLES || from == 0 || limit < least {
