@@ -247,7 +247,7 @@ const TABLE: &[Damage] = &[
     }),
     ("the first sample of the inrush is zero", "rough", |c| c.current[201] = 0.0),
     ("the current 10 ms late", "rough", |c| c.current.rotate_right(10)),
-    ("the position 40 ms late", "rough|misfit|stuck", |c| {
+    ("the position 40 ms late", "rough", |c| {
         let first = c.position[0];
         c.position.rotate_right(40);
         c.position[..40].fill(first);
