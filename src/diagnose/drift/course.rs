@@ -40,7 +40,7 @@ pub struct LimitForecast {
 const STEP_SD: f64 = 0.4;
 /// The shapes of a stage: a constant level, ramps of days to weeks, curvatures up to one that doubles a usual slope
 /// within fifty throws, and wear that feeds itself and multiplies within days to weeks. That is rarer: with twice its
-/// probability, 8 % of the forecasts of straight ramps of 400 throws came too soon, with this one 5 %.
+/// probability, 8 % of the forecasts of straight ramps of 400 throws came too soon, now 5 %.
 const SHAPES: [Shape; 7] = [
     Shape::parabola(1e-5, 1e-8),
     Shape::parabola(0.004, 1e-6),
