@@ -21,7 +21,7 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::{features::Features, settings::Motor, trace::movement::Movement};
+use super::{features::Features, products::Products, settings::Motor, trace::movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush \[Hz\]: it gives 60 samples in the 0.3 s of the inrush.
 pub(super) const LEAST_RATE_HZ: f64 = 200.0;
@@ -32,8 +32,7 @@ const MOVES_SD: f64 = 5.0;
 
 /// Sums over the samples from the first movement of the toe to the end of the travel.
 pub(super) struct Armature {
-    /// Products of charge, current, 1, angle θ, ∫i dθ and time \[s\]. The matrix is symmetric, but complete rows are
-    /// faster: the compiler computes several products at a time.
+    /// Products of charge, current, 1, angle θ, ∫i dθ and time \[s\].
     sums: [[f64; 6]; 6],
     samples: f64,
 }
@@ -47,25 +46,21 @@ impl Armature {
         let amperes = |k: usize| drive * (movement.current_a[k] - movement.current.mean);
         let least_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
         let moves = (start + 1..=end).find(|&k| movement.progress_mm(k) > least_mm)?;
-        let (mut sums, mut charge, mut turned) = ([[0.0; 6]; 6], 0.0, 0.0);
+        let (mut products, mut charge, mut turned) = (Products::ZERO, 0.0, 0.0);
         let (mut before, mut angle_before) = (amperes(start), 0.0);
-        for k in start + 1..=end {
+        let mut sample = |k: usize| {
             let (now, angle) = (amperes(k), movement.progress_mm(k) * radians_per_mm);
             let mean = 0.5 * (before + now);
             charge += mean * interval_s;
             turned += mean * (angle - angle_before);
             (before, angle_before) = (now, angle);
-            if k < moves {
-                continue;
-            }
-            let row = [charge, now, 1.0, angle, turned, (k - start) as f64 * interval_s];
-            for i in 0..6 {
-                for j in 0..6 {
-                    sums[i][j] += row[i] * row[j];
-                }
-            }
+            [charge, now, 1.0, angle, turned, (k - start) as f64 * interval_s]
+        };
+        for k in start + 1..moves {
+            sample(k);
         }
-        Some(Self { sums, samples: (end + 1 - moves) as f64 })
+        products.add(moves..end + 1, sample);
+        Some(Self { sums: products.sums, samples: (end + 1 - moves) as f64 })
     }
 
     /// R, L, c and K (series-wound: k), each divided by V, and the root mean square residual of the equation \[s\].

@@ -184,7 +184,7 @@ fn solve_in_rounds(
         window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
         window.input.clear();
         window.input.extend_from_slice(&amperes[..window.output.len()]);
-        let ratios = ratios::of(window).ok_or(NO_MODEL)?;
+        let ratios = ratios::load(window).and_then(|load| ratios::of(window, &load)).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);

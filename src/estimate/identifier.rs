@@ -6,6 +6,7 @@ use super::{
     current_only,
     features::Features,
     identification::{Estimate, Fit, Grade, Identification},
+    load::Load,
     motor_kind,
     ratios::{self, Ratios},
     rejection::{MIN_RISE_SAMPLES, Rejection},
@@ -188,13 +189,13 @@ impl Buffers {
         or_doubt(damage::spikes(movement, Channel::Current, filtered))?;
         or_doubt(damage::spikes(movement, Channel::Position, filtered))?;
         if is_raw {
-            let noise_a = second_difference_noise(movement.current_a, &mut self.scratch);
+            let noise_a = second_difference_noise(&movement.current_a[..=movement.near_end], &mut self.scratch);
             or_doubt(damage::steps(movement, Channel::Current, noise_a, &mut self.scratch))?;
             if movement.position_every <= 1.0 {
                 let noise_mm = movement.position_noise_mm;
                 or_doubt(damage::steps(movement, Channel::Position, noise_mm, &mut self.scratch))?;
             }
-            noise::noise_level(movement, settings, &mut self.scratch)?;
+            noise::noise_level(movement, noise_a, settings, &mut self.scratch)?;
         }
         Ok(doubt)
     }
@@ -227,7 +228,9 @@ impl Buffers {
         {
             return Err(reason);
         }
-        let (full, fitted) = self.fit(settings, movement);
+        let load = ratios::load(&self.window);
+        let (full, fitted) = self.fit(settings, movement, load.as_ref());
+        let ratios = load.and_then(|load| ratios::of(&self.window, &load));
         if fitted.is_err() || doubt.is_some() {
             // A controlled drive has no inrush either, but its throws fit the model. A throw that
             // has no inrush and does not fit is rejected.
@@ -236,7 +239,7 @@ impl Buffers {
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
-                let running = ratios::of(&self.window).as_ref().map(Ratios::running);
+                let running = ratios.as_ref().map(Ratios::running);
                 return Ok(Estimate { grade, reason: noisy, running, ..estimate });
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
@@ -244,7 +247,7 @@ impl Buffers {
         };
         let refuted = reason.refutes_the_model();
         let reason = noisy.unwrap_or(reason);
-        let ratios = ratios::of(&self.window).ok_or_else(|| reason.clone())?;
+        let ratios = ratios.ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
         let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
         let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
@@ -253,14 +256,19 @@ impl Buffers {
 
     /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate or the
     /// reason why the solution is not accepted.
-    fn fit(&mut self, settings: &Settings, movement: &Movement<'_>) -> (Option<Fit>, Result<Estimate, Rejection>) {
+    fn fit(
+        &mut self,
+        settings: &Settings,
+        movement: &Movement<'_>,
+        load: Option<&Load>,
+    ) -> (Option<Fit>, Result<Estimate, Rejection>) {
         let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
         let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });
         let found = model.and_then(|model| Some((model.identify(&window.problem(), workspace).ok()?, model)));
         let Some((solution, model)) = found else { return (None, Err(Rejection::Singular)) };
         let fit = Fit { pct: 100.0 * solution.fit, iterations: solution.iterations };
-        (Some(fit), acceptance::estimate(&model, solution, window, movement, settings, workspace, brakes))
+        (Some(fit), acceptance::estimate((&model, solution), window, load, movement, settings, workspace, brakes))
     }
 }
 

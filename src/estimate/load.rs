@@ -55,10 +55,12 @@ const STUDENT: f64 = 1.21;
 #[derive(Debug)]
 pub(crate) struct Load {
     /// First sample of the first window, and samples of a window.
-    from: usize,
+    pub(super) from: usize,
     length: usize,
     /// Number of steps.
     count: usize,
+    /// For each of [`CORRELATIONS`] ln L and σ².
+    fits: [(f64, f64); CORRELATIONS.len()],
     /// For each step the differences of y, ∫(y - `y_eq`) dt and y', which the three factors multiply.
     rows: [Vector3<f64>; STEPS],
     /// For each step the difference of ∫u dt.
@@ -66,7 +68,8 @@ pub(crate) struct Load {
 }
 
 impl Load {
-    /// Cuts a movement from the sample `from` on into steps; `None` if it is too short.
+    /// Cuts a movement from the sample `from` on into steps; `None` if it is too short, or does not determine the three
+    /// factors.
     pub(crate) fn of(window: &Window, from: usize) -> Option<Self> {
         let Window { input, output, .. } = window;
         let (equilibrium, interval_s) = (window.equilibrium, window.interval_s);
@@ -74,7 +77,8 @@ impl Load {
         let steps = samples_in(samples as f64 * interval_s, STEP_S).clamp(LEAST_STEPS, STEPS);
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
         let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
-        let mut load = Self { from, length, count, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };
+        let fits = [(0.0, 0.0); CORRELATIONS.len()];
+        let mut load = Self { from, length, count, fits, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };
         // With parabolic weights 1 - x² the mean of y' is the slope of the regression line through y, which has the
         // least noise. The sums of x² and of the weights over a window:
         let per_window = length as f64;
@@ -99,6 +103,9 @@ impl Load {
                 (load.rows[window - 1], load.charges[window - 1]) = (here.0 - row, here.1 - mean);
             }
         }
+        for (at, phi) in CORRELATIONS.into_iter().enumerate() {
+            load.fits[at] = load.fit(phi)?;
+        }
         Some(load)
     }
 
@@ -119,12 +126,11 @@ impl Load {
     }
 
     /// Covariance of the errors of an estimate from the load. `change` is the change of the estimate by a charge of 1
-    /// in every sample of a step. `None` if the movement does not determine the three factors.
+    /// in every sample of a step. `None` if it is not finite.
     pub(crate) fn covariance(&self, change: impl Fn(usize) -> Vector3<f64>) -> Option<Matrix3<f64>> {
-        let freedom = (self.count - 3) as f64;
-        let mut found = [(0.0, Matrix3::zeros()); CORRELATIONS.len()];
-        for (found, phi) in found.iter_mut().zip(CORRELATIONS) {
-            let (likelihood, variance) = self.likelihood(phi, freedom)?;
+        let most = self.fits.iter().fold(f64::NEG_INFINITY, |most, (likelihood, _)| likelihood.max(most));
+        let (mut total, mut covariance) = (0.0, Matrix3::zeros());
+        for ((likelihood, variance), phi) in self.fits.into_iter().zip(CORRELATIONS) {
             // For step k, `before` is the sum of g_j φ^(k-j) over the steps j before it.
             let (mut before, mut sum) = (Vector3::zeros(), Matrix3::zeros());
             for step in 0..self.count {
@@ -133,22 +139,23 @@ impl Load {
                 sum += own * own.transpose() + both + both.transpose();
                 before = (before + own) * phi;
             }
-            *found = (likelihood, sum * variance);
-        }
-        let most = found.iter().fold(f64::NEG_INFINITY, |most, (likelihood, _)| likelihood.max(most));
-        let (mut total, mut covariance) = (0.0, Matrix3::zeros());
-        for (likelihood, own) in found {
             let weight = (likelihood - most).exp();
             total += weight;
-            covariance += own * weight;
+            covariance += sum * (variance * weight);
         }
-        let covariance = covariance * ((1.0 + STUDENT / freedom).powi(2) / total);
+        let covariance = covariance * ((1.0 + STUDENT / self.freedom()).powi(2) / total);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+    }
+
+    /// The number ν of degrees of freedom.
+    fn freedom(&self) -> f64 {
+        (self.count - 3) as f64
     }
 
     /// ln L and σ² for the correlation `phi` of neighbouring steps, by generalised least squares: minus `phi` times the
     /// step before, the charges of the load are independent.
-    fn likelihood(&self, phi: f64, freedom: f64) -> Option<(f64, f64)> {
+    fn fit(&self, phi: f64) -> Option<(f64, f64)> {
+        let freedom = self.freedom();
         let (mut normal, mut right, mut square) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
         let new = 1.0 - phi * phi;
         let (mut row_before, mut charge_before) = (Vector3::zeros(), 0.0);

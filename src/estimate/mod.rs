@@ -24,6 +24,7 @@ mod load;
 mod matrix;
 mod model;
 mod motor_kind;
+mod products;
 mod ratios;
 mod rejection;
 mod settings;

@@ -99,12 +99,14 @@ impl Way<'_> {
         let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
         let place = |from: usize, to: usize| mean((from..to).map(|k| self.movement.progress_mm(self.start + k)));
         let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len);
-        let (mut inrush, mut sum) = (0.0_f64, 0.0);
-        for k in 0..=self.len {
-            sum += self.current(k) - if k < ripple { 0.0 } else { self.current(k - ripple) };
-            inrush = inrush.max(sum);
+        let currents = &self.movement.current_a[self.start..=self.start + self.len];
+        let mut sum = level(0, ripple) * ripple as f64;
+        let mut largest = sum.max(0.0);
+        for (before, now) in currents.iter().zip(&currents[ripple..]) {
+            sum += self.drive * (now - before);
+            largest = if sum > largest { sum } else { largest };
         }
-        let inrush = inrush / ripple as f64;
+        let inrush = largest / ripple as f64;
         let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
         let length = (self.len - from) / BLOCKS;
         let quarter = (length / 4).max(1);

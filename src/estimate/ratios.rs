@@ -20,6 +20,7 @@ use super::{
     identification::{Estimate, Fit, Grade, RunningRatios},
     load::{DRY_SHARE, Load, STEPS},
     matrix::unit_diagonal,
+    products::Products,
     rejection::Rejection,
     trace::{samples::samples_in, window::Window},
 };
@@ -98,24 +99,28 @@ fn reach(interval_s: f64) -> usize {
 }
 
 /// The first sample after the start of the movement; `None` if the toe does not move.
-pub(super) fn start(window: &Window) -> Option<usize> {
+fn start(window: &Window) -> Option<usize> {
     let output = &window.output;
     let (travel, reach) = (*output.last()?, reach(window.interval_s));
     (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel).map(|k| k + reach)
 }
 
-/// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
-pub(super) fn of(window: &Window) -> Option<Ratios> {
+/// The load of a movement after its start; `None` if the samples do not determine it.
+pub(super) fn load(window: &Window) -> Option<Load> {
+    Load::of(window, start(window)?)
+}
+
+/// Computes the ratios of a movement from the samples that have this load; `None` if the samples do not determine them
+/// or do not fit the equation.
+pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
     let Window { output, interval_s, .. } = window;
-    let travel = *output.last()?;
-    let (reach, from) = (reach(*interval_s), start(window)?);
-    let to = output.len().checked_sub(reach)?;
+    let (travel, from) = (*output.last()?, load.from);
+    let to = output.len().checked_sub(reach(*interval_s))?;
     if to < from + LEAST_SAMPLES {
         return None;
     }
-    let load = Load::of(window, from)?;
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
-    let sums = Sums::over(window, from..to, &load);
+    let sums = Sums::over(window, from..to, load);
     let (scaled, scale) = unit_diagonal(&sums.normal);
     let inverse = scaled.try_inverse()?;
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
@@ -163,36 +168,38 @@ impl Sums {
     fn over(window: &Window, samples: Range<usize>, load: &Load) -> Self {
         let Window { input, output, equilibrium, interval_s, .. } = window;
         let (from, reach, input_scale) = (samples.start, reach(*interval_s), window.input_scale());
-        let speed = |k: usize| (output[k + reach] - output[k - reach]) / (2.0 * reach as f64 * interval_s);
+        let per_s = (2.0 * reach as f64 * interval_s).recip();
+        let speed = |k: usize| (output[k + reach] - output[k - reach]) * per_s;
         let first_speed = speed(from);
         let (mut charge, mut angle, mut offset) = (0.0, 0.0, 0.0);
-        let (mut charge_squares, mut largest_charge, mut largest_angle) = (0.0, 0.0_f64, 0.0_f64);
-        // Row i has the products of factor i. An array of complete rows is faster than a symmetric matrix: the compiler
-        // computes several products at a time.
-        let mut sums = [[0.0; 8]; 4];
+        let (mut largest_charge, mut largest_angle) = (0.0_f64, 0.0_f64);
+        let mut products = Products::<7>::ZERO;
+        let mut sums_before = [[0.0; 7]; 7];
         let mut effects = [Vector4::zeros(); STEPS];
         for (effect, step) in effects.iter_mut().zip(load.steps(samples.clone())) {
-            for k in step {
+            products.add(step.clone(), |k| {
                 if k > from {
                     charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
                     angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
                 }
                 offset += input_scale.map_or(1.0, |scale| scale[k]) * interval_s;
-                charge_squares += charge * charge;
-                largest_charge = largest_charge.max(charge.abs());
-                largest_angle = largest_angle.max(angle.abs());
+                // Faster than `max`, which treats NaN specially.
+                largest_charge = if charge.abs() > largest_charge { charge.abs() } else { largest_charge };
+                largest_angle = if angle.abs() > largest_angle { angle.abs() } else { largest_angle };
                 let time_s = (k - from) as f64 * interval_s;
-                let factors = [output[k] - output[from], angle, speed(k) - first_speed, 1.0];
-                let row = [factors[0], factors[1], factors[2], 1.0, charge, time_s, offset, 0.0];
-                for i in 0..4 {
-                    // A charge at this sample does not change those before it.
-                    effect[i] -= sums[i][3];
-                    for j in 0..8 {
-                        sums[i][j] += factors[i] * row[j];
-                    }
-                }
-            }
+                [output[k] - output[from], angle, speed(k) - first_speed, 1.0, charge, time_s, offset]
+            });
+            // A charge from sample k of the step on adds the factors of the samples from k on: for the samples of the
+            // step, the factor times their number in the step up to its own sample.
+            let sums = products.sums;
+            let first_s = (step.start - from) as f64 * interval_s;
+            *effect = Vector4::from_fn(|i, _| {
+                let [factor, moment] = [3, 5].map(|j| sums[i][j] - sums_before[i][j]);
+                (moment - first_s * factor) / interval_s + factor - step.len() as f64 * sums[i][3]
+            });
+            sums_before = sums;
         }
+        let sums = products.sums;
         let column = |j: usize| Vector4::from_fn(|i, _| sums[i][j]);
         for (effect, step) in effects.iter_mut().zip(load.steps(samples)) {
             *effect += column(3) * step.len() as f64;
@@ -202,7 +209,7 @@ impl Sums {
             charge: column(4),
             time: column(5),
             offset: column(6),
-            charge_squares,
+            charge_squares: sums[4][4],
             largest_charge,
             largest_angle,
             effects,

@@ -4,7 +4,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::estimate::{
     load::{DRY_SHARE, Load, STEPS},
-    ratios,
     sriv::{
         Solution, Workspace,
         covariance::backwards,
@@ -17,10 +16,13 @@ use crate::estimate::{
 const STARTED_SHARE: f64 = 0.05;
 
 /// Covariance of the errors of (b0, a1, a0) from a random load. A charge of 1 A s in one sample of the input changes
-/// them by M⁻¹ w / T, with w from [`backwards`] and the sampling interval T. `None` if the movement does not determine
-/// the load.
-pub(super) fn of_load(window: &Window, solution: &Solution<2, 1, 3>, workspace: &Workspace<3>) -> Option<Matrix3<f64>> {
-    let load = Load::of(window, ratios::start(window)?)?;
+/// them by M⁻¹ w / T, with w from [`backwards`] and the sampling interval T. `None` if it is not finite.
+pub(super) fn of_load(
+    load: &Load,
+    window: &Window,
+    solution: &Solution<2, 1, 3>,
+    workspace: &Workspace<3>,
+) -> Option<Matrix3<f64>> {
     let (z, stride) = (&workspace.instruments, workspace.stride);
     let filter = Discrete::new(&solution.denominator, stride as f64 * window.interval_s)?;
     let mut effects = [Vector3::zeros(); STEPS];

@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     identification::{Estimate, Fit, Grade},
+    load::Load,
     rejection::Rejection,
     settings::Settings,
     sriv::{Solution, Sriv, Workspace, covariance::Noise},
@@ -91,9 +92,9 @@ fn misfit(
 /// The estimate with its covariance; rejects a solution that does not describe the movement, or is too uncertain.
 /// `workspace` has the instruments and the output of the solution.
 pub(super) fn estimate(
-    model: &Sriv<2, 1, 3>,
-    solution: Solution<2, 1, 3>,
+    (model, solution): (&Sriv<2, 1, 3>, Solution<2, 1, 3>),
     window: &Window,
+    load: Option<&Load>,
     movement: &Movement<'_>,
     settings: &Settings,
     workspace: &mut Workspace<3>,
@@ -118,7 +119,7 @@ pub(super) fn estimate(
     accept(&solution, settings)?;
     let covariance = Matrix3::from(model.covariance(&problem, &solution, &noise, workspace));
     let [dry, offset] = errors::systematic(window, &solution, workspace);
-    let load = errors::of_load(window, &solution, workspace).ok_or(Rejection::Singular)?;
+    let load = load.and_then(|load| errors::of_load(load, window, &solution, workspace)).ok_or(Rejection::Singular)?;
     let ends_moving = settings.stroke_mm.is_none() && movement.ends_moving();
     let parameters = solution.parameters;
     for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {

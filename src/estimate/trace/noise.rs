@@ -54,11 +54,13 @@ const NOISE_QUANTA: f64 = 8.0;
 /// one the machine itself makes noise in motion.
 const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
-/// Rejects a current whose noise is different in one stretch, as there its gain was different. The check needs a noise
+/// Rejects a current whose noise is different in one stretch, as there its gain was different. `usual` is the noise of
+/// the current until the end of the travel. The check needs a noise
 /// that comes from the sensor. There is no check if the supply ripples, the commutator makes noise, the converter is
 /// coarse, or the sensor is so good that it shows the vibrations of the machine.
 pub(crate) fn noise_level(
     movement: &Movement<'_>,
+    usual: f64,
     settings: &Settings,
     scratch: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
@@ -67,8 +69,7 @@ pub(crate) fn noise_level(
     if quiet.len() < NOISE_SAMPLES {
         return Ok(());
     }
-    let last = (movement.near_end + 1).min(current.len());
-    let usual = second_difference_noise(&current[..last], scratch);
+    let last = movement.near_end + 1;
     if usual < (NOISE_QUANTA * movement.current.quantum).max(LEAST_NOISE * settings.current_noise_a) {
         return Ok(());
     }
