@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Settings, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity},
     estimate::Grade,
 };
 
@@ -164,6 +164,57 @@ fn stiffness_and_friction_keep_their_names_on_machines_of_ratios() {
             let named = named_beside(shift(cause, pct), Gauges { speed, duration, ..unlocking });
             assert!(named.iter().all(|(named, _)| *named == cause), "{cause} {pct} %, {speed:?}: {named:?}");
         }
+    }
+}
+
+/// To the ratios, more friction is the same as more torque before a stiffer spring, so there is doubt about the name. The
+/// change is critical under either name.
+#[test]
+fn friction_beyond_its_critical_limit_is_critical_on_machines_of_ratios() {
+    for speed in [None, Some(0.0)] {
+        let gauges = Gauges { speed, duration: 0.08, ratios_only: true };
+        for events in events_beside(shift(Cause::Friction, 80.0), gauges) {
+            let last = events.iter().rfind(|event| event.cause == Cause::Friction);
+            assert!(last.is_some_and(|event| event.severity == Severity::Critical), "{speed:?}: {events:#?}");
+        }
+    }
+}
+
+/// The logarithms of b0 and a1 vary together, but last for different times. A constant change must not look like an outlier
+/// that fades.
+#[test]
+fn a_constant_change_is_an_alarm_whatever_the_serial_correlations() {
+    let mut machine = Machine::learned(1_250, Scatter { sd: [0.002, 0.02, 0.0005], ..Scatter::USUAL });
+    let mut snapshot = serde_json::to_value(&machine.monitor).unwrap();
+    let tracks = &mut snapshot["tracks"];
+    for at in ["/sides/0/baseline/scatter", "/sides/1/baseline/scatter", "/mixed/scatter"] {
+        let scatter = tracks.pointer_mut(at).unwrap();
+        scatter["natural"] = serde_json::json!([8.0e-6, 1.24e-4, -8.0e-7, 2.0e-3, -9.0e-6, 3.3e-7]);
+        scatter["lag1"] = serde_json::json!([0.84, 0.22, 0.2]);
+    }
+    machine.monitor = MachineMonitor::from_snapshot(&snapshot.to_string()).unwrap();
+    let change = shift(Cause::Kt, 4.0) + shift(Cause::Friction, 60.0);
+    let events = machine.events(60, change);
+    assert!(events.iter().any(|event| event.cause == Cause::Friction), "{events:#?}");
+}
+
+/// A constant force on the toe hinders one direction and helps the other, which no part does.
+#[test]
+fn opposite_changes_of_the_two_directions_are_no_change_of_a_part() {
+    for seed in 0..8 {
+        let mut machine = Machine::learned(1_300 + seed, Scatter::USUAL);
+        let force = |machine: &Machine, pct: f64| {
+            shift(Cause::Friction, if machine.side() == seed as usize % 2 { pct } else { -0.8 * pct })
+        };
+        let mut events: Vec<AlarmEvent> = Vec::new();
+        for throw in 0..300 {
+            let shift = force(&machine, 0.3 * f64::from(throw));
+            events.extend(machine.feed(shift).events);
+        }
+        assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::Unattributed), "{events:#?}");
+        let [first, .., last] = events.as_slice() else { panic!("no critical alarm: {events:#?}") };
+        assert_eq!((first.severity, last.severity), (Severity::Warning, Severity::Critical));
+        assert!(last.text.contains("opposite changes") && last.direction.is_none(), "{}", last.text);
     }
 }
 

@@ -39,6 +39,8 @@ const ONE_SIDED_THROWS: u8 = 6;
 
 /// Least present size of a part that is named, in standard deviations, so that its 95 % interval excludes 0.
 const SHOWN_SD: f64 = 1.96;
+/// Part of the limit from which the present size of a drift may be above it, as the size scatters.
+const PRESENT_PART: f64 = 0.75;
 
 /// Plausible range of the size from the course as part of the size without the error of the model.
 const MODEL_ERROR: Range<f64> = 0.5..2.0;
@@ -117,14 +119,16 @@ impl DriftAlarms {
             evidence.patience += LEVELS_FOLLOW;
         }
         evidence.unchecked = alarms.find_active(cause).is_some_and(|alarm| alarm.is_unchecked);
-        if evidence.claim == Claim::Named
-            && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
-        {
+        let is_of_cause = drift.attribution.as_ref().is_some_and(|attribution| attribution.cause() == cause);
+        let now = is_of_cause.then(|| latest.named_part(latest.direction(cause), &self.history)).flatten();
+        if let Some((now, _)) = &now {
+            // The window may contain throws with a larger drift, or with one of the opposite sign.
+            evidence.certain_size = evidence.certain_size.min(now.relevance(settings) / PRESENT_PART);
+        }
+        if let (Claim::Named, Some((now, _))) = (evidence.claim, now) {
             let size = now.relevance(settings);
             let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
             evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
-            // The window may contain throws with a larger drift, so the present size decides.
-            evidence.undoubted = if size > 1.0 { evidence.undoubted } else { 0.0 };
             let least = 1.0 - settings.deadband_pct / 100.0;
             // A part is named only if its change is significant.
             let has_changed =
@@ -133,7 +137,7 @@ impl DriftAlarms {
             evidence.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
-        if is_intermittent && evidence.undoubted <= settings.critical_factor {
+        if is_intermittent && evidence.certain_size <= settings.critical_factor {
             // Its text says more than a mean of faulty and sound throws.
             evidence.claim = evidence.claim.min(Claim::Counts);
         }
@@ -158,6 +162,9 @@ impl DriftAlarms {
             _ => None,
         };
         let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
+        // Rain lowers the friction of worn slide chairs too.
+        let last_pct = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
+        let may_be_rain = cause == Cause::Friction && last_pct.is_some_and(|pct| pct > 0.0);
         match (transition, event) {
             (Transition::Stay, Some(event)) => {
                 let text = text::one_direction(&event.text);
@@ -172,14 +179,14 @@ impl DriftAlarms {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None if at_once => text::cleared_at_once(name, cause),
+                    None if at_once => text::cleared_at_once(name, cause, may_be_rain),
                     None => text::cleared(name, cause),
                 };
                 step.clear(cause, text);
             }
             // Beside another fault the size is not certain enough for this.
             (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
-                step.remark(cause, text::maybe_repaired(name, cause));
+                step.remark(cause, text::maybe_repaired(name, cause, may_be_rain));
             }
             (Transition::Withdraw, _) => {
                 let other = match latest.drift.origin {
@@ -404,7 +411,7 @@ impl DriftAlarms {
     }
 
     fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {
-        let LatestThrow { drift, order, tracks, settings, .. } = latest;
+        let LatestThrow { drift, order, at, tracks, settings, .. } = latest;
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
         let direction = latest.direction(cause);
@@ -426,7 +433,7 @@ impl DriftAlarms {
         let subject = text::subject(step.name, direction);
         let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
         let is_drying = |main: &Explanation| main.cause == Cause::Friction && DRYING.contains(&main.size);
-        if tracks.may_have_learned_rain() && main.is_some_and(is_drying) {
+        if tracks.may_have_learned_rain(at) && main.is_some_and(is_drying) {
             text += text::RAIN_IN_BASELINE;
         }
         Some(AlarmEvent {

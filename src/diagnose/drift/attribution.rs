@@ -37,6 +37,9 @@ const RISEN_STIFFNESS: f64 = 0.1;
 /// Rise of friction, as a logarithm, from which a stiffer spring beside it is friction at the far end of the rails: it
 /// bends the rails until that end slides.
 const VERY_DRY: f64 = 0.5;
+/// Least sizes of opposite changes of the two directions, in standard deviations and as part of the warning limit.
+const OPPOSITE_SD: f64 = 3.0;
+const OPPOSITE_FROM: f64 = 0.5;
 /// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -58,6 +61,9 @@ pub(crate) enum Naming {
     Beside { known: Explanation, first: Explanation, second: Explanation },
     /// No one or two causes explain the drift; these two together do best.
     Neither(Explanation, Explanation),
+    /// One cause explains the drift of each direction, normal to reverse first, but with opposite signs. No part does
+    /// this; a constant force on the toe does, as it hinders one direction and helps the other.
+    Opposite([Explanation; 2]),
 }
 
 impl Naming {
@@ -66,7 +72,7 @@ impl Naming {
         match self {
             Self::One(one) | Self::Another { new: one, .. } => [Some(one), None],
             Self::Either(a, b) | Self::Both(a, b) | Self::Beside { first: a, second: b, .. } => [Some(a), Some(b)],
-            Self::Neither(..) => [None, None],
+            Self::Neither(..) | Self::Opposite(_) => [None, None],
         }
     }
 
@@ -104,6 +110,8 @@ pub(crate) struct Attribution {
     pub(crate) relevance: f64,
     /// Lead of a single named cause over all explanations without it, as twice the logarithm of the odds.
     pub(crate) lead: f64,
+    /// Size relative to the warning limit if the best explanation without the single named cause is right.
+    pub(super) relevance_otherwise: f64,
     /// Evidence about the motor.
     pub(super) evidence: MotorEvidence,
     /// Change of the back-EMF, if a gauge shows it and not only a shorter duration.
@@ -142,6 +150,7 @@ impl Attribution {
             of_ratios: !window.shows(Cause::Inertia),
             relevance: all.any.relevance(settings),
             lead: 0.0,
+            relevance_otherwise: 0.0,
             evidence,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
@@ -162,8 +171,29 @@ impl Attribution {
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
         let lead = all.score_without(main.cause) - best.score;
-        let one = Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution };
+        let relevance_otherwise = all.relevance_without(main.cause, settings);
+        let naming = Naming::One(main);
+        let one = Self { naming, relevance: main.relevance(settings), lead, relevance_otherwise, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
+    }
+
+    /// The attribution if the last throws of the two directions, in `levels`, do not show opposite changes of its single
+    /// named cause; without one, of the friction.
+    pub(crate) fn unless_opposite(self, levels: &[Option<Window>; 2], settings: &Settings) -> Self {
+        let [Some(normal), Some(reverse)] = levels else { return self };
+        let cause = match self.naming {
+            Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
+            _ => Cause::Friction,
+        };
+        let [a, b] = [normal, reverse].map(|window| window.single(cause, settings));
+        let is_shown = |part: &Explanation| {
+            part.size.abs() > OPPOSITE_SD * part.size_sd && part.relevance(settings) > OPPOSITE_FROM
+        };
+        if a.size * b.size < 0.0 && is_shown(&a) && is_shown(&b) {
+            Self { naming: Naming::Opposite([a, b]), rival: None, runner_up: None, lead: 0.0, ..self }
+        } else {
+            self
+        }
     }
 
     /// The attribution to friction, if friction and stiffness together explain the drift best, without the motor, and

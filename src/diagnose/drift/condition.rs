@@ -52,9 +52,9 @@ pub(crate) enum Claim {
 pub(crate) struct AlarmEvidence {
     /// Evidence for the alarm.
     pub(super) claim: Claim,
-    /// Size relative to the warning limit if the name is beyond doubt, else 0: a critical alarm must not have a wrong
-    /// name.
-    pub(super) undoubted: f64,
+    /// Size relative to the warning limit for a critical alarm, which must not have a wrong name: 0 if there is doubt
+    /// about the name. An alarm that is raised already becomes critical if the drift is so large under any name.
+    pub(super) certain_size: f64,
     /// Number of throws to wait in addition to the on delay.
     pub(super) patience: u32,
     /// Whether the size plus two standard deviations is below half of the limit.
@@ -215,7 +215,7 @@ impl Condition {
 impl Beginning {
     fn after(mut self, evidence: AlarmEvidence, settings: &Settings) -> Self {
         streak(&mut self.named, evidence.claim != Claim::None);
-        streak(&mut self.critical, evidence.undoubted > settings.critical_factor);
+        streak(&mut self.critical, evidence.certain_size > settings.critical_factor);
         self
     }
 }

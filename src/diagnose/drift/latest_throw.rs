@@ -39,7 +39,7 @@ impl LatestThrow<'_> {
     /// The direction of the drift of `cause`; `None` if both directions have it, or while the direction is not known.
     pub(crate) fn direction(self, cause: Cause) -> Option<Direction> {
         let weights = self.drift.weights(cause, self.settings)?;
-        if self.grows_along_stroke(cause) {
+        if self.grows_along_stroke(cause) || self.drift.is_opposite() {
             return None;
         }
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)

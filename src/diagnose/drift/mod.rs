@@ -118,9 +118,16 @@ impl Drift {
         self.levels.iter().chain(&self.last_few).flatten().chain(strongest)
     }
 
-    /// The drift as a change of friction, if it is above its limit and mostly a change of a1.
+    /// Whether the two directions have opposite changes.
+    fn is_opposite(&self) -> bool {
+        self.attribution.as_ref().is_some_and(|attribution| matches!(attribution.naming, Naming::Opposite(_)))
+    }
+
+    /// The drift as a change of friction, if it is above its limit and mostly a change of a1 in the same sense in both
+    /// directions.
     pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
-        let Window { mean, covariance, .. } = self.strongest.as_ref().filter(|_| self.matters())?.window;
+        let is_possible = self.matters() && !self.is_opposite();
+        let Window { mean, covariance, .. } = self.strongest.as_ref().filter(|_| is_possible)?.window;
         let beside = mean.x.abs().max(mean.z.abs());
         let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y / mean.y > STILL_CHANGED);
         (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange {
@@ -140,11 +147,10 @@ impl Drift {
     pub(super) fn evidence(&self, cause: Cause, settings: &Settings) -> AlarmEvidence {
         let excused = self.origin.is_instrument();
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
-        let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
         // A past fault of a sensor or the supply raises no alarm, but it ends none either.
         let other = matches!(self.origin, Origin::Sensor(_) | Origin::Supply) && self.matters()
             || self.attribution.as_ref().is_some_and(|attribution| {
-                matches!(attribution.naming, Naming::One(_))
+                matches!(attribution.naming, Naming::One(_) | Naming::Opposite(_))
                     && !attribution.includes(cause)
                     && attribution.relevance > 1.0
             });
@@ -172,10 +178,12 @@ impl Drift {
         };
         AlarmEvidence {
             claim,
-            // The strongest window may be of the direction with the smaller drift.
-            undoubted: undoubted.map_or(0.0, |attribution| match attribution.naming {
-                Naming::One(_) => attribution.relevance.max(size),
-                _ => attribution.relevance,
+            certain_size: named.map_or(0.0, |attribution| match attribution.naming {
+                // The strongest window may be of the direction with the smaller drift.
+                Naming::One(_) if attribution.lead >= DECISIVE => attribution.relevance.max(size),
+                _ if attribution.lead >= DECISIVE || cause == Cause::Unattributed => attribution.relevance,
+                _ if self.alarmed.contains(&cause) => attribution.relevance.min(attribution.relevance_otherwise),
+                _ => 0.0,
             }),
             patience: named.map_or(0, |attribution| self.patience(attribution)),
             plain_health: is_shown && bound < HEALTHY_BELOW,
@@ -204,7 +212,7 @@ impl Drift {
             Naming::Either(..) | Naming::Beside { .. } => TOO_CLOSE_PATIENCE,
             // One part alone explains the drift nearly as well as the two.
             Naming::Both(..) if matches!(attribution.rival, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
-            Naming::Both(..) | Naming::Neither(..) => UNNAMED_PATIENCE,
+            Naming::Both(..) | Naming::Neither(..) | Naming::Opposite(_) => UNNAMED_PATIENCE,
         };
         // More throws distinguish the part from a sensor that explains the drift as well.
         let is_like_sensor = matches!(self.origin, Origin::Either { waits: Awaited::Throws, .. });

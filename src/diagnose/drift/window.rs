@@ -328,9 +328,9 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// T of the innovations of `window` along its mean, without the largest innovation; for scatter with heavy tails,
-    /// without the two largest. The serial correlation is the highest that is plausible for the machine. An outlier
-    /// that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
+    /// T of the innovations of `window` along those of a lasting change of its mean, without the largest innovation; for
+    /// scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible for
+    /// the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
     fn t_without_outliers(
         &self,
         window: &Window,
@@ -357,8 +357,9 @@ impl<'a> Stream<'a> {
         innovations.truncate(window.throws - outliers);
         let inverse = sym3::inverse(&scatter.of_innovations(innovations.len(), outliers, &phi, &sensor))?;
         let sum: Vector3<f64> = innovations.iter().sum();
-        let along = inverse * window.mean;
-        Some(along.dot(&sum).max(0.0).powi(2) / along.dot(&window.mean))
+        let lasting = window.mean - phi.component_mul(&window.mean);
+        let along = inverse * lasting;
+        Some(along.dot(&sum).max(0.0).powi(2) / along.dot(&lasting))
     }
 
     /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: by the regression of

@@ -7,7 +7,7 @@ use crate::{
         drift::{Attribution, Awaited, CLOSE, DECISIVE, Explanation, IntermittentFault, LimitForecast, Naming, Rival},
         statistics::percent,
     },
-    throw::counted,
+    throw::{Direction, counted},
 };
 
 /// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
@@ -58,6 +58,10 @@ pub(crate) fn drift(
             name(a),
             name(b)
         ),
+        Naming::Opposite(parts) => {
+            let [a, b] = std::array::from_fn(|at| format!("{}: {}", Direction::BOTH[at], change(&parts[at])));
+            format!("opposite changes of the two directions over {over}, like {a}; {b}")
+        }
     };
     let c = attribution.correlation;
     let rule = if attribution.is_contradicted() {
@@ -117,10 +121,20 @@ pub(crate) fn cleared(name: &str, cause: Cause) -> String {
     format!("Machine {name}: {cause} is back to normal.")
 }
 
-/// Text of a drift that has ended within a few throws.
-pub(crate) fn cleared_at_once(name: &str, cause: Cause) -> String {
+/// Text of a drift that has ended within a few throws; `may_be_rain`: rain does this as well.
+pub(crate) fn cleared_at_once(name: &str, cause: Cause, may_be_rain: bool) -> String {
+    let (reason, when) = repair(may_be_rain);
     cleared(name, cause)
-        + " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
+        + &format!(" It came back within a few throws, {reason}: if there was a repair, take a new baseline{when}.")
+}
+
+/// What resembles a drift that ends within a few throws, and the command for a new baseline after a repair.
+fn repair(may_be_rain: bool) -> (&'static str, &'static str) {
+    if may_be_rain {
+        ("as after a repair, or in rain, which passes", " on dry rails (rebaseline)")
+    } else {
+        ("as after a repair", " (rebaseline)")
+    }
 }
 
 /// Text of a drift that counts as weather now, as other machines of the site have it too.
@@ -140,11 +154,12 @@ pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
     )
 }
 
-/// Text of a drift of which the larger part ended within a few throws.
-pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
+/// Text of a drift of which the larger part ended within a few throws; `may_be_rain`: rain does this as well.
+pub(crate) fn maybe_repaired(name: &str, cause: Cause, may_be_rain: bool) -> String {
+    let (reason, when) = repair(may_be_rain);
     format!(
-        "Machine {name}: most of the {} ended within a few throws, as after a repair, but the machine is not as its \
-         baseline. If it was repaired, take a new baseline (rebaseline).",
+        "Machine {name}: most of the {} ended within a few throws, {reason}, but the machine is not as its baseline. \
+         If it was repaired, take a new baseline{when}.",
         if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
     )
 }
@@ -235,6 +250,11 @@ fn advice(attribution: &Attribution) -> String {
             format!("{} {}", look_at(a), look_at(b))
         }
         Naming::Neither(a, b) => format!("{} {} Then check the rest of the drive.", look_at(a), look_at(b)),
+        Naming::Opposite(_) => {
+            "No part of the machine does this: a constant force now helps one direction and hinders \
+             the other. Check the adjustment of the rods, creep of the rails, and what presses on the switch rails."
+                .to_owned()
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 mod courses;
 mod learning;
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +18,9 @@ use super::{
     statistics::{LONGEST_WINDOW, Scatter, Sym3, WINDOWS, median, to_f32},
 };
 use crate::throw::Direction;
+
+/// Time after which the rails are dry again after rain.
+const LONGEST_RAIN: SignedDuration = SignedDuration::from_hours(14 * 24);
 
 /// The temperature hides a fault if its uncertain effect makes the least visible size larger by more than this factor.
 const HIDES_FROM: f64 = 1.5;
@@ -249,8 +252,11 @@ impl Tracks {
 
     /// Whether a baseline may contain rain that began before it or lasted until its end. Such a spell cannot be taken
     /// out, as its throws do not distinguish it from a fault. Within the longest spell, the rails are dry again.
-    pub(super) fn may_have_learned_rain(&self) -> bool {
-        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= LONGEST_SPELL as u64)
+    pub(super) fn may_have_learned_rain(&self, at: Timestamp) -> bool {
+        let is_new = |track: &Track, baseline: &Baseline| {
+            track.since_baseline <= LONGEST_SPELL as u64 && at.duration_since(baseline.taken_at) <= LONGEST_RAIN
+        };
+        self.sides.iter().any(|track| track.baseline.as_ref().is_some_and(|baseline| is_new(track, baseline)))
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
@@ -314,8 +320,10 @@ impl Tracks {
         let detected = best.as_ref().filter(|(tested, ..)| tested.excess > 1.0);
         Drift {
             provisional,
-            attribution: detected
-                .map(|(tested, scatter, side)| attribute((&tested.window, scatter, *side), &last_few, known, settings)),
+            attribution: detected.map(|(tested, scatter, side)| {
+                let found = attribute((&tested.window, scatter, *side), &last_few, known, settings);
+                found.unless_opposite(&levels, settings)
+            }),
             strongest: best.map(|(tested, ..)| tested),
             origin: Origin::default(),
             alarmed: known.causes.clone(),
