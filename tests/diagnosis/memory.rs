@@ -28,6 +28,7 @@ fn throw(machine: &mut Machine) -> Observation {
         supply_v: near(110.0),
         peak_current_a: near(13.0),
         running_current_a: near(1.2),
+        end_rise_a: near(0.2),
         charge_as: near(3.1),
         no_load_speed_rad_per_s: near(17.0),
         ..observation.features
