@@ -24,7 +24,7 @@ pub struct Features {
     pub running_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
-    /// Current from 97 % to 99.5 % of the travel, less that from 50 % to 85 % \[A\]: the force that closes or locks the
+    /// Current from 98 % to 99.5 % of the travel, less that from 50 % to 85 % \[A\]: the force that closes or locks the
     /// points. It is negative if a spring pulls the toe to the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_rise_a: Option<f64>,

@@ -16,7 +16,7 @@ use crate::{
 
 /// Rise that matters, as part of the larger of running current and current at the end. On healthy machines the rise is
 /// constant within some hundredths of this; a rise of 1 doubles the current.
-const RISE: f64 = 0.4;
+const RISE: f64 = 0.3;
 /// Number of throws of a direction in a level, which is their median.
 const LEVEL: usize = 6;
 /// Least significant rise: in standard deviations of one throw while the normal value was learned, and in standard

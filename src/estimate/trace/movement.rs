@@ -41,9 +41,9 @@ pub(crate) const NEAR_END_SHARE: f64 = 0.95;
 /// Parts of the travel in which the current of the running motor, and that at the end of the stroke, are compared. The
 /// end is after the window of the estimate, and before a cut-off at the end position and a push against the stock rail.
 const RUNNING_PART: [f64; 2] = [0.5, 0.85];
-const END_PART: [f64; 2] = [0.97, 0.995];
+const END_PART: [f64; 2] = [0.98, 0.995];
 /// Least number of samples in each of these parts.
-const LEAST_IN_PART: usize = 5;
+const LEAST_IN_PART: usize = 3;
 /// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of
 /// the travel if the noise is smaller.
 const ARRIVED_SIGMAS: f64 = 4.0;
