@@ -20,7 +20,7 @@ fn locking(throw: u32, throws: u32, state: State) -> State {
     State { lock: 0.8 * f64::from(throw.min(throws)) / f64::from(throws), ..state }
 }
 
-/// The current at the end doubles after a third of the ramp.
+/// The slowest of these currents at the end doubles after two thirds of the ramp.
 #[test]
 fn a_growing_force_at_the_end_of_the_stroke_has_an_alarm_before_the_points_do_not_lock() {
     let of_ratios = |seed| Drive::after_in(State::OF_RATIOS, 60, seed, Voltage::Unknown);
@@ -73,7 +73,7 @@ fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mendin
         }
         events
     };
-    let raised = feed(0.3, 40);
+    let raised = feed(0.04, 40);
     assert!(raised.len() == 1 && is_about_the_end(&raised[0]), "{raised:?}");
     assert_eq!(raised[0].direction, Some(Direction::ReverseToNormal));
     let mended = feed(0.0, 60);
@@ -84,7 +84,7 @@ fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mendin
 #[test]
 fn an_adjusted_lock_is_normal_after_a_new_baseline() {
     let mut drive = Drive::after(60, 77_200, Voltage::Unknown);
-    let locked = State { lock: 0.3, ..State::SOUND };
+    let locked = State { lock: 0.04, ..State::SOUND };
     assert_eq!(causes(&drive.events(40, locked)), [Cause::Unattributed]);
     let command = Command::Rebaseline { by: "meier".to_owned(), why: "lock adjusted".to_owned() };
     let at = drive.throw(locked).started_at;
