@@ -24,6 +24,10 @@ pub struct Features {
     pub running_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
+    /// Current from 98 % to 99.5 % of the travel, less that from 50 % to 85 % \[A\]: the force that closes or locks the
+    /// points. It is negative if a spring pulls the toe to the end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_rise_a: Option<f64>,
     /// Integral of the current's magnitude \[A s\]; `None` also if one sample of the inrush is more than a tenth of it.
     pub charge_as: Option<f64>,
     /// Energy that the motor takes from the supply \[J\]: charge times supply voltage; needs `supply_v`.
@@ -67,11 +71,17 @@ impl Features {
                 travel_mm: None,
                 start_position_mm: None,
                 end_position_mm: None,
+                end_rise_a: None,
                 ..self
             },
-            Channel::Current => {
-                Self { peak_current_a: None, running_current_a: None, mean_current_a: None, charge_as: None, ..self }
-            }
+            Channel::Current => Self {
+                peak_current_a: None,
+                running_current_a: None,
+                mean_current_a: None,
+                end_rise_a: None,
+                charge_as: None,
+                ..self
+            },
         }
     }
 }

@@ -19,6 +19,8 @@ pub(crate) type Logger = fn(Throw) -> Throw;
 
 const STEP_S: f64 = 5e-5;
 const STROKE_MM: f64 = 115.0;
+/// Distance before the end of the stroke over which the torque of a lock grows \[mm\].
+const LOCK_MM: f64 = 4.0;
 const MM_PER_RADIAN: f64 = 10.0 / TAU;
 /// Running current of a series-wound motor \[A\]. Its flux is 0.76 of that without saturation, relative to small currents.
 const SATURATING_A: f64 = 7.0;
@@ -50,6 +52,9 @@ pub(crate) struct State {
     pub(crate) play_mm: f64,
     /// Delay of the position behind the current \[s\].
     pub(crate) late_s: f64,
+    /// Torque at the end of the stroke that closes or locks the points, as part of the stall torque. It grows over the
+    /// last [`LOCK_MM`].
+    pub(crate) lock: f64,
 }
 
 impl State {
@@ -71,6 +76,7 @@ impl State {
         brake_s: 0.0,
         play_mm: 0.0,
         late_s: 0.0,
+        lock: 0.0,
     };
 
     /// A brake that releases 20 ms late: it hides the scale of the coefficients, so that the throws give only their
@@ -263,6 +269,7 @@ impl Drive {
         // Flux as a part of that at the running current.
         let is_series = self.is_series;
         let flux = |amperes: f64| if is_series { (amperes / SATURATING_A).tanh() / 1.0_f64.tanh() } else { 1.0 };
+        let lock = state.lock * torque * flux(volts / ohms) * volts / ohms;
         let (mut amperes, mut speed, mut angle) = (0.0_f64, 0.0_f64, 0.0_f64);
         let (mut on, mut since_off, mut pushed_s) = (true, 0.0, 0.0);
         let (mut current, mut toe) = (Vec::new(), Vec::new());
@@ -276,7 +283,8 @@ impl Drive {
                 amperes *= 1.0 - STEP_S / 1e-3;
                 since_off += STEP_S;
             }
-            let drive = torque * flux(amperes) * amperes - viscous * speed - spring * (angle - rest);
+            let locked = (1.0 + (angle - travel) * MM_PER_RADIAN / LOCK_MM).max(0.0) * lock;
+            let drive = torque * flux(amperes) * amperes - viscous * speed - spring * (angle - rest) - locked;
             let has_arrived = angle >= travel;
             let held = has_arrived || time < state.brake_s || (speed == 0.0 && drive <= dry);
             if on && !held {

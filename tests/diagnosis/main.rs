@@ -9,6 +9,7 @@ mod circuit;
 mod climate;
 mod degenerate;
 mod drive;
+mod end;
 mod evaluate;
 mod features;
 mod filling;

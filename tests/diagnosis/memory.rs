@@ -11,7 +11,7 @@ use crate::fleet::{Machine, Scatter, normal};
 
 /// Throws that fill all histories of a monitor, also the blocks of the history since the baseline; and the largest memory
 /// of the monitor then \[bytes\].
-const FULL: (u32, u64) = (650, 7_100);
+const FULL: (u32, u64) = (650, 7_200);
 /// Throws of a machine whose two baselines lack a few of their 50 throws, and the largest memory of its monitor \[bytes\].
 /// All machines of a new fleet learn at the same time.
 const LEARNING: (u32, u64) = (90, 11_000);
@@ -28,6 +28,7 @@ fn throw(machine: &mut Machine) -> Observation {
         supply_v: near(110.0),
         peak_current_a: near(13.0),
         running_current_a: near(1.2),
+        end_rise_a: near(0.2),
         charge_as: near(3.1),
         no_load_speed_rad_per_s: near(17.0),
         ..observation.features

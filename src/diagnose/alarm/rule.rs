@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::diagnose::Cause;
+
 /// The rule that owns an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -13,6 +15,8 @@ pub(crate) enum Rule {
     Features,
     /// A changed acceleration at the start of the movement.
     Start,
+    /// A changed current at the end of the stroke.
+    End,
     /// Departures of single throws.
     Intermittent,
     /// Dates of throws that a correct clock cannot give.
@@ -29,7 +33,16 @@ pub(crate) enum Rule {
 impl Rule {
     /// Whether the rule cannot name the faulty part: its alarm ends when another rule names one.
     pub(crate) const fn knows_no_part(self) -> bool {
-        matches!(self, Self::Features | Self::Start)
+        matches!(self, Self::Features | Self::Start | Self::End)
+    }
+
+    /// Whether a fault of this part, or a changed supply, explains the fault of a rule that cannot name the part. The
+    /// current at the end of the stroke is compared without the change that friction, motor and supply explain.
+    pub(crate) fn is_explained_by(self, cause: Cause) -> bool {
+        match self {
+            Self::End => matches!(cause, Cause::Stiffness),
+            _ => cause.is_part() || matches!(cause, Cause::Supply),
+        }
     }
 
     /// Whether the usual rule of the cause takes over the alarm: the fault was without a named part, or intermittent.

@@ -36,7 +36,8 @@ impl RuleResult {
         let Step { alarms, name, .. } = step;
         match (alarms.owned_by(rule), self) {
             (Some(cause), Self::Nothing) => {
-                let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
+                let supply =
+                    alarms.is_active(Cause::Supply) && rule.knows_no_part() && rule.is_explained_by(Cause::Supply);
                 let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
                 step.clear(cause, text);
             }
@@ -48,7 +49,9 @@ impl RuleResult {
             (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
             (None, Self::Fault(event) | Self::Larger(event))
                 if !rule.knows_no_part()
-                    || !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
+                    || !alarms
+                        .active()
+                        .any(|event| event.cause == Cause::Unattributed || explains(event, rule, alarms)) =>
             {
                 alarms.raise(rule, *event);
             }
@@ -60,19 +63,22 @@ impl RuleResult {
 /// Ends the alarm of a rule that cannot name the faulty part, if another active alarm names the part or the sensor.
 pub(crate) fn withdraw_explained(step: &mut Step) {
     let alarms = &step.alarms;
-    let part = alarms.active().find(|event| explains(event, alarms)).map(|event| event.cause);
-    let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule));
-    if let (Some(part), Some(unnamed)) = (part, unnamed) {
+    let found = [Rule::Features, Rule::Start, Rule::End].into_iter().find_map(|rule| {
+        let unnamed = alarms.owned_by(rule)?;
+        let part = alarms.active().find(|event| explains(event, rule, alarms))?.cause;
+        Some((unnamed, part))
+    });
+    if let Some((unnamed, part)) = found {
         step.clear(unnamed, text::explained(step.name, part));
     }
 }
 
-/// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed
+/// Whether this alarm names the part, or the sensor, that changes the quantity of `rule` in a throw. A changed
 /// supply does not count: the features are compared without the change that it explains. Nor does an offset of a
 /// sensor, which does not change them.
-fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
+fn explains(event: &AlarmEvent, rule: Rule, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
-    event.cause.is_part()
+    event.cause.is_part() && rule.is_explained_by(event.cause)
         || event.cause == Cause::Sensor
             && matches!(event.channel, Some(Current | Position | Clock))
             && alarms.rule(Cause::Sensor) != Some(Rule::Offset)

@@ -31,6 +31,8 @@ pub(crate) enum Gauge {
     Middle,
     /// Published temperature \[°C\], as a difference.
     Air,
+    /// Current at the end of the stroke, less the running current \[A\], as a difference.
+    EndRise,
 }
 
 /// The gauges of a throw, in the order of [`Gauge`]; `None` for unknown ones.
@@ -59,6 +61,7 @@ impl Gauge {
             Self::StartGain => features.start_gain,
             Self::StartDelay => return features.start_delay_s.map(|delay_s| 1e3 * delay_s),
             Self::Rest => return features.quiet_current_a,
+            Self::EndRise => return features.end_rise_a,
             Self::Middle => {
                 let ends = features.start_position_mm.zip(features.end_position_mm);
                 return ends.map(|(start, end)| f64::midpoint(start, end));
@@ -76,7 +79,7 @@ impl Gauge {
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
             Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
             Self::StartDelay | Self::Middle => 0.2,
-            Self::Air => 0.0,
+            Self::Air | Self::EndRise => 0.0,
         }
     }
 

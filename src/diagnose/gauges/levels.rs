@@ -160,6 +160,15 @@ impl Gauges {
         are_enough.then_some(departures)
     }
 
+    /// Two gauges in the last throws of a direction that contain both, newest first.
+    pub(super) fn pairs(&self, direction: Direction, gauges: [Gauge; 2]) -> impl Iterator<Item = (f64, f64)> {
+        let of_side = self.recent.iter().rev().filter(move |shown| shown.side() == direction.side());
+        of_side.filter_map(move |shown| {
+            let [a, b] = gauges.map(|gauge| shown.value(gauge).map(f64::from));
+            a.zip(b)
+        })
+    }
+
     /// Normal values of a gauge in the directions in which it is known.
     pub(super) fn normals(&self, gauge: Gauge) -> impl Iterator<Item = f64> {
         self.sides.iter().filter_map(move |side| side.of(gauge)).map(|(centre, _)| f64::from(centre))

@@ -11,7 +11,7 @@ use super::{
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DriftAlarms, Instruments},
-    gauges::{FeatureWatch, StartWatch},
+    gauges::{EndWatch, FeatureWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
     text,
@@ -39,6 +39,7 @@ pub struct MachineMonitor {
     instruments: Instruments,
     features: FeatureWatch,
     start: StartWatch,
+    end: EndWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
@@ -270,7 +271,7 @@ impl MachineMonitor {
 
     /// Clears the alarms of rules that lose their last throws, and so could not clear them later.
     fn end_rules(&mut self, now: Timestamp) {
-        let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
+        let of_rules = [Rule::Features, Rule::Start, Rule::End, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
         // Throws do not show whether the clock of the logger is right; their dates do.
         let sensor = self.alarms.owned_by(Rule::Dates).is_none().then_some(Cause::Sensor);
@@ -293,6 +294,7 @@ impl MachineMonitor {
         self.instruments.forget_recent();
         self.features = FeatureWatch::default();
         self.start = StartWatch::default();
+        self.end = EndWatch::default();
         self.drift.reset();
         self.end_rules(now);
     }

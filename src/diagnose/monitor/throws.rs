@@ -146,6 +146,10 @@ impl MachineMonitor {
         for sensor in [Channel::Current, Channel::Position] {
             self.instruments.judge_offset(sensor, step);
         }
+        // No estimate shows the end of the stroke. This rule comes before that of the features, which names no place.
+        if features.end_rise_a.is_some() {
+            self.end.judge(&self.instruments.gauges, step).apply(Rule::End, step);
+        }
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, step);
@@ -183,6 +187,7 @@ impl MachineMonitor {
                 running_current_a: all.running_current_a,
                 charge_as: all.charge_as,
                 quiet_current_a: all.quiet_current_a,
+                end_rise_a: all.end_rise_a,
                 ..Features::default()
             }
         };

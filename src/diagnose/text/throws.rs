@@ -3,8 +3,8 @@
 use super::subject;
 use crate::{
     diagnose::{
-        gauges::{Gauge, GaugeChange},
-        statistics::Level,
+        gauges::{EndChange, Gauge, GaugeChange},
+        statistics::{Level, percent},
     },
     throw::Direction,
 };
@@ -86,6 +86,29 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
         gain.pct().abs(),
         gain.half_width_pct(),
         running.pct()
+    )
+}
+
+/// Text for a current at the end of the stroke that has risen in these directions, over `throws` throws of each.
+pub(crate) fn end(name: &str, changes: &[&EndChange], throws: usize) -> String {
+    let change = |change: &&EndChange| {
+        let EndChange { direction, rise_a, expected_a, running, .. } = change;
+        let pct =
+            if *expected_a > 0.0 { format!(" ({:+.0} %)", 100.0 * rise_a.value / expected_a) } else { String::new() };
+        format!(
+            "{direction} from {expected_a:.2} to {:.2} A (±{:.2} A){pct}, with a running current of {:+.0} %",
+            expected_a + rise_a.value,
+            1.96 * rise_a.sd,
+            percent(*running)
+        )
+    };
+    let changes: Vec<String> = changes.iter().map(change).collect();
+    format!(
+        "Machine {name}: the current over the last millimetres of the stroke has risen, over {throws} throws of a \
+         direction: {}. The running current does not explain this: a force that closes or locks the points has grown. \
+         If it grows further, the points will not lock. Check the adjustment of lock, stretcher bar and detector, the \
+         lock for dirt and lubrication, and the gap between switch rail and stock rail.",
+        changes.join("; ")
     )
 }
 

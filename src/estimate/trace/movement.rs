@@ -38,6 +38,12 @@ const ON_SIGMAS: f64 = 5.0;
 const DRIVING_SHARE: f64 = 0.5;
 /// Share of the travel at which the estimation stops: after it the toe runs into the stock rail.
 pub(crate) const NEAR_END_SHARE: f64 = 0.95;
+/// Parts of the travel in which the current of the running motor, and that at the end of the stroke, are compared. The
+/// end is after the window of the estimate, and before a cut-off at the end position and a push against the stock rail.
+const RUNNING_PART: [f64; 2] = [0.5, 0.85];
+const END_PART: [f64; 2] = [0.98, 0.995];
+/// Least number of samples in each of these parts.
+const LEAST_IN_PART: usize = 3;
 /// The toe has arrived within this many standard deviations of the noise from its end position, or within this share of
 /// the travel if the noise is smaller.
 const ARRIVED_SIGMAS: f64 = 4.0;
@@ -239,6 +245,22 @@ impl<'a> Movement<'a> {
         }
     }
 
+    /// The current at the end of the stroke, less that of the running motor \[A\]. It is a difference, so that friction
+    /// over the whole stroke cancels.
+    fn end_rise_a(&self) -> Option<f64> {
+        let off = self.motor_off?;
+        let is_clear = self.travel_mm > 0.0 && self.position_noise_mm <= LARGEST_POSITION_SHARE * self.travel_mm;
+        let (drive, len) = (self.drive(), self.position_mm.len());
+        let mean_a = |[from, to]: [f64; 2], since: usize| {
+            let reached = |share: f64, since| (since..len).find(|&k| self.progress_mm(k) >= share * self.travel_mm);
+            let from = reached(from, since)?;
+            let to = reached(to, from)?.min(off + 1);
+            (to >= from + LEAST_IN_PART).then(|| drive * mean(self.current_a[from..to].iter().copied()))
+        };
+        let end_a = is_clear.then(|| mean_a(END_PART, self.near_end)).flatten()?;
+        Some(end_a - mean_a(RUNNING_PART, self.start())?).filter(|rise_a| rise_a.is_finite())
+    }
+
     /// The features that follow from the course alone.
     pub(crate) fn features(&self) -> Features {
         let start = self.start();
@@ -257,6 +279,7 @@ impl<'a> Movement<'a> {
                 .filter(|running| !running.is_empty())
                 .map(|running| mean(self.current_a[running].iter().map(magnitude))),
             mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
+            end_rise_a: self.end_rise_a(),
             charge_as: on_s
                 .map(|on_s| on_s * self.mean_a)
                 .filter(|charge_as| charge_as.is_finite() && is_measured(*charge_as)),

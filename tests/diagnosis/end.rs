@@ -1,0 +1,129 @@
+//! A force that closes or locks the points and grows over the last millimetres of the stroke, after the window of the
+//! estimate.
+
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, Severity},
+    throw::Direction,
+};
+
+use crate::{
+    drive::{Drive, State, Voltage},
+    fleet::in_parallel,
+};
+
+fn is_about_the_end(event: &AlarmEvent) -> bool {
+    event.cause == Cause::Unattributed && event.text.contains("over the last millimetres of the stroke")
+}
+
+/// The state with a locking force, which grows over this number of throws to 80 % of the stall force.
+fn locking(throw: u32, throws: u32, state: State) -> State {
+    State { lock: 0.8 * f64::from(throw.min(throws)) / f64::from(throws), ..state }
+}
+
+/// The slowest of these currents at the end doubles after two thirds of the ramp.
+#[test]
+fn a_growing_force_at_the_end_of_the_stroke_has_an_alarm_before_the_points_do_not_lock() {
+    let of_ratios = |seed| Drive::after_in(State::OF_RATIOS, 60, seed, Voltage::Unknown);
+    let series = |seed| {
+        let mut drive = Drive::series(seed);
+        drive.stay_healthy(60, State::SOUND);
+        drive
+    };
+    let slow = |seed| {
+        let mut drive = Drive::new(seed, Voltage::Unknown);
+        drive.rate_hz = 100.0;
+        drive.stay_healthy(60, State::SOUND);
+        drive
+    };
+    let lives = in_parallel(8, |seed| {
+        let (mut drive, state) = match seed {
+            0..3 => (Drive::after(60, 77_000 + seed, Voltage::alternating(seed)), State::SOUND),
+            3..5 => (of_ratios(77_000 + seed), State::OF_RATIOS),
+            5..7 => (series(77_000 + seed), State::SOUND),
+            _ => (slow(77_000 + seed), State::SOUND),
+        };
+        let (mut events, mut throws) = (Vec::new(), Vec::new());
+        for throw in 1..=250 {
+            let new = drive.feed(locking(throw, 250, state)).events;
+            throws.extend(new.iter().map(|_| throw));
+            events.extend(new);
+        }
+        (seed, events, throws)
+    });
+    for (seed, events, throws) in lives {
+        println!("{seed}: {throws:?} {:?}", events.iter().map(|event| &event.text).collect::<Vec<_>>());
+        let raised = events.first().filter(|event| is_about_the_end(event)).unwrap();
+        assert!(raised.severity == Severity::Warning && throws[0] <= 83, "seed {seed}, {}: {raised:?}", throws[0]);
+        assert!(
+            events.iter().any(|event| is_about_the_end(event) && event.severity == Severity::Critical),
+            "{events:?}"
+        );
+        assert!(events.iter().all(|event| !event.cause.is_part()), "seed {seed}: {events:?}");
+    }
+}
+
+#[test]
+fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mending() {
+    let mut drive = Drive::after(60, 77_100, Voltage::Unknown);
+    let mut feed = |lock: f64, throws: u32| -> Vec<AlarmEvent> {
+        let mut events = Vec::new();
+        for _ in 0..throws {
+            let lock = if drive.next() == Direction::ReverseToNormal { lock } else { 0.0 };
+            events.extend(drive.feed(State { lock, ..State::SOUND }).events);
+        }
+        events
+    };
+    let raised = feed(0.03, 40);
+    assert!(!raised.is_empty() && raised.iter().all(is_about_the_end), "{raised:?}");
+    assert_eq!(raised[0].direction, Some(Direction::ReverseToNormal));
+    let mended = feed(0.0, 60);
+    let states: Vec<AlarmState> = mended.iter().map(|event| event.state).collect();
+    assert_eq!(states, [AlarmState::ClearedUnacknowledged], "{mended:?}");
+}
+
+#[test]
+fn an_adjusted_lock_is_normal_after_a_new_baseline() {
+    let mut drive = Drive::after(60, 77_200, Voltage::Unknown);
+    let locked = State { lock: 0.03, ..State::SOUND };
+    let raised = drive.events(40, locked);
+    assert!(!raised.is_empty() && raised.iter().all(is_about_the_end), "{raised:?}");
+    let command = Command::Rebaseline { by: "meier".to_owned(), why: "lock adjusted".to_owned() };
+    let at = drive.throw(locked).started_at;
+    drive.monitor.command(&command, at, &pointsd::diagnose::Settings::default()).unwrap();
+    drive.stay_healthy(120, locked);
+}
+
+#[test]
+fn a_fault_of_another_part_is_no_force_at_the_end() {
+    let sound = State::SOUND;
+    let faults = [
+        State { friction: 2.0, ..sound },
+        State { friction: 0.5, ..sound },
+        State { torque: 0.7, back_emf: 0.7, ..sound },
+        State { stiffness: 2.0, ..sound },
+        State { stiffness: 0.4, ..sound },
+        State { inertia: 1.5, ..sound },
+        State { volts: 0.75, ..sound },
+        State { ohms: 1.5, ..sound },
+        State { current_gain: 1.5, ..sound },
+        State { current_offset_a: 0.3, ..sound },
+        State { position_gain: 0.85, ..sound },
+        State { position_offset_mm: 5.0, ..sound },
+        State { position_noise_mm: 0.4, ..sound },
+        State { clock: 1.3, ..sound },
+        State { brake_s: 0.03, ..sound },
+        State { play_mm: 1.0, ..sound },
+        State { late_s: 0.01, ..sound },
+    ];
+    let about_the_end = in_parallel(2 * faults.len() as u64, |life| {
+        let fault = faults[usize::try_from(life / 2).unwrap()];
+        let mut drive = Drive::new(77_300 + life, Voltage::alternating(life));
+        if life % 2 == 0 {
+            (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+        }
+        drive.stay_healthy(60, sound);
+        let events = drive.events(60, fault);
+        events.into_iter().find(is_about_the_end).map(|event| format!("{fault:?}: {}", event.text))
+    });
+    assert_eq!(about_the_end.into_iter().flatten().collect::<Vec<_>>(), [] as [String; 0]);
+}
