@@ -20,6 +20,7 @@ mod loaded;
 mod logger;
 mod memory;
 mod motor_kind;
+mod open;
 mod operational;
 mod pairs;
 mod rails;
