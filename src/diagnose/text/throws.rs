@@ -35,6 +35,9 @@ pub(crate) fn incomplete(
             "{name}: {what}: the toe moved {back_mm:.1} mm and returned to its start. A throw that is reversed midway \
              does this. If it was not reversed, an obstruction between the rails pushed the toe back."
         ),
+        Some(Rejection::MovedBackwards { back_mm, returned: false }) => {
+            format!("{name}: {what}: the toe moved back by {back_mm:.1} mm during the throw. {check}")
+        }
         _ if is_usual_current => format!(
             "{name}: {what}. {check} The current was that of a complete throw, so check the position sensor too: it \
              may be stuck."

@@ -114,7 +114,7 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
-    jumps(movement, noise_mm)?;
+    jumps(movement, furthest, noise_mm)?;
     let back_mm = backwards(movement);
     if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBackwards { back_mm, returned: travel_mm < RETURNED_SHARE * back_mm });
@@ -330,10 +330,16 @@ const JUMP_SIGMAS: f64 = 10.0;
 const JUMP_QUANTA: f64 = 3.0;
 const LARGEST_QUANTUM_MM: f64 = 0.5;
 
-/// Rejects a step of the position between two samples that the speed of the machine does not explain.
-fn jumps(movement: &Movement<'_>, noise_mm: f64) -> Result<(), Rejection> {
-    let span = movement.arrived.saturating_sub(movement.start()).max(1);
-    let mean_step = movement.travel_mm / span as f64;
+/// Rejects a step of the position between two samples that the speed of the machine does not explain. `furthest_mm`:
+/// largest distance from the first position.
+fn jumps(movement: &Movement<'_>, furthest_mm: f64, noise_mm: f64) -> Result<(), Rejection> {
+    let since_start = |sample: usize| sample.saturating_sub(movement.start()).max(1) as f64;
+    // A toe that returned to its start moved both ways while the motor was on.
+    let mean_step = if movement.travel_mm < RETURNED_SHARE * furthest_mm {
+        2.0 * furthest_mm / since_start(movement.motor_off.unwrap_or(movement.arrived))
+    } else {
+        movement.travel_mm / since_start(movement.arrived)
+    };
     let allowed = JUMP_MEAN_STEPS * mean_step
         + JUMP_SIGMAS * noise_mm
         + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
