@@ -36,8 +36,8 @@ pub struct Observation {
     pub unused_fields: Option<String>,
     /// The configured stroke \[mm\] of a complete throw whose travel is too short for it; else `None`.
     pub short_of_stroke_mm: Option<f64>,
-    /// Whether the throw began where an incomplete one left the toe, and moved the toe back to where that one began. The
-    /// monitor sets it, from its memory of the throw before.
+    /// Whether the throw began where the one before left the toe open, and moved the toe to where that one began. The
+    /// monitor sets it.
     pub began_open: bool,
 }
 
@@ -99,8 +99,8 @@ impl Observation {
         self.outcome.as_ref()?.as_ref().err()
     }
 
-    /// Whether the points did not complete their movement (obstruction, no detection). A short movement back from where
-    /// an incomplete throw left the toe is complete.
+    /// Whether the points did not complete their movement (obstruction, no detection). The short movement of an open toe
+    /// is complete.
     pub(super) fn is_incomplete(&self) -> bool {
         !self.began_open && self.rejection().is_some_and(Rejection::is_incomplete)
     }

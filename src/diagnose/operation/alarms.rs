@@ -91,7 +91,7 @@ pub(crate) struct Operation {
     /// Position at the end of the last throw \[mm\].
     #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
-    /// Positions at the start and the end of the last throw \[mm\], if it was incomplete.
+    /// Positions at the start and the end of the last throw \[mm\], if the toe did not stay closed.
     #[serde(skip_serializing_if = "Option::is_none")]
     left_open_mm: Option<[f32; 2]>,
     /// The sentence about the unused fields of the last throw, and the number of throws with unused fields.
@@ -317,8 +317,8 @@ impl Operation {
         is_unusual
     }
 
-    /// Whether the throw only moves the toe back from where an incomplete throw left it to where that one began. Its short
-    /// travel then shows neither an obstruction nor a fault of the position sensor.
+    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel then
+    /// shows neither an obstruction nor a fault of the position sensor.
     pub(crate) fn begins_open(&mut self, throw: &Observation) -> bool {
         let Features { start_position_mm: start, end_position_mm: end, .. } = throw.features;
         let before = self.left_open_mm.take();
@@ -329,7 +329,7 @@ impl Operation {
         };
         let is_short = throw.estimate().is_some() || matches!(throw.rejection(), Some(Rejection::Incomplete { .. }));
         let begins_open = is_short && before.zip(ends).is_some_and(is_back);
-        self.left_open_mm = ends.filter(|_| throw.is_incomplete() && !begins_open);
+        self.left_open_mm = ends.filter(|_| matches!(throw.rejection(), Some(Rejection::Reopened { .. })));
         begins_open
     }
 
