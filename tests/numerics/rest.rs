@@ -101,7 +101,7 @@ fn a_toe_that_does_not_stay_at_its_end_is_open() {
             recorded.current.truncate(kept);
             recorded.identify(&settings).outcome
         };
-        for rest_a in [0.0, 0.25] {
+        for rest_a in [0.0, 0.1] {
             let what = format!("{direction}, {stroke_mm:?}, {rest_a} A");
             for back_mm in [0.0, 2.0, 4.5] {
                 let found = after(back_mm, rest_a, 0.0, 0.6);

@@ -239,9 +239,10 @@ fn stroke(
     if movement.ends_moving() && movement.ends_driven() {
         return Err(Rejection::EndMissing { travel_mm });
     }
-    let reached_mm = movement.position.mean + movement.sign * travel_mm;
-    if let Some(reopened) = reopened.filter(|_| is_at_end(movement, reached_mm, stroke_mm)) {
-        return Err(reopened.clone());
+    if let Some(&Rejection::Reopened { back_mm, position_mm }) = reopened
+        && is_at_end(movement, position_mm + movement.sign * back_mm, stroke_mm)
+    {
+        return Err(Rejection::Reopened { back_mm, position_mm });
     }
     let has_wrong_gain = travel_mm > WRONG_GAIN_SHARE * stroke_mm && ends_complete(movement, noise_mm, scratch);
     if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
