@@ -36,6 +36,9 @@ pub struct Observation {
     pub unused_fields: Option<String>,
     /// The configured stroke \[mm\] of a complete throw whose travel is too short for it; else `None`.
     pub short_of_stroke_mm: Option<f64>,
+    /// Whether the throw began where the one before left the toe open, and moved the toe to where that one began. The
+    /// monitor sets it.
+    pub began_open: bool,
 }
 
 /// An estimate as input of the diagnosis.
@@ -96,9 +99,16 @@ impl Observation {
         self.outcome.as_ref()?.as_ref().err()
     }
 
-    /// Whether the points did not complete their movement (obstruction, no detection).
+    /// Whether the points did not complete their movement (obstruction, no detection). The short movement of an open toe
+    /// is complete.
     pub(super) fn is_incomplete(&self) -> bool {
-        self.rejection().is_some_and(Rejection::is_incomplete)
+        !self.began_open && self.rejection().is_some_and(Rejection::is_incomplete)
+    }
+
+    /// The sensor with unusable values in this throw, and in which way.
+    pub(super) fn unusable(&self) -> Option<Unusable> {
+        let is_clipped = matches!(self.rejection(), Some(Rejection::Clipped { .. }));
+        self.faulty_sensor().map(if is_clipped { Unusable::Clipped } else { Unusable::Values })
     }
 
     /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the movement lasts too
@@ -110,12 +120,12 @@ impl Observation {
         }
     }
 
-    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
-    /// duration and charge are lower bounds.
+    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement, or
+    /// the movement began with an open toe, duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
         let is_cut_off =
             matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
-        !self.is_incomplete() && !is_cut_off
+        !self.is_incomplete() && !self.began_open && !is_cut_off
     }
 
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.
@@ -139,6 +149,8 @@ impl Observation {
 pub(super) enum Unusable {
     /// The values are impossible, stuck or too noisy.
     Values(SensorChannel),
+    /// The values reach the end of the measuring range.
+    Clipped(SensorChannel),
     /// The position is missing, and the machine had one before.
     Missing,
     /// Measured movement and named direction contradict each other, and did not before.
@@ -149,7 +161,7 @@ impl Unusable {
     /// The sensor that the alarm names.
     pub(super) fn channel(self) -> SensorChannel {
         match self {
-            Self::Values(channel) => channel,
+            Self::Values(channel) | Self::Clipped(channel) => channel,
             Self::Missing | Self::Reversed => SensorChannel::Position,
         }
     }

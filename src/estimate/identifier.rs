@@ -365,6 +365,7 @@ fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection
     let untrusted = matches!(
         outcome,
         Err(Rejection::NoMovement
+            | Rejection::MovedBackwards { returned: true, .. }
             | Rejection::NotFinite { channel: Channel::Position, .. }
             | Rejection::ImplausibleValue { channel: Channel::Position, .. }
             | Rejection::Noisy { channel: Channel::Position, .. }

@@ -150,10 +150,23 @@ pub enum Rejection {
         rate_hz: f64,
     },
     /// The toe moved backwards during the throw.
-    #[error("the toe moved back by {back_mm:.1} mm during the throw")]
+    #[error(
+        "the toe moved back by {back_mm:.1} mm during the throw{}",
+        if *.returned { ", to its start: the throw was reversed midway, or the toe was pushed back" } else { "" }
+    )]
     MovedBackwards {
         /// Largest distance back from the furthest position \[mm\].
         back_mm: f64,
+        /// Whether the toe ended at its start.
+        returned: bool,
+    },
+    /// The toe arrived, and did not stay there.
+    #[error("reopened: the toe came back by {back_mm:.1} mm after its arrival, and stands open at {position_mm:.1} mm")]
+    Reopened {
+        /// Distance back from the furthest position \[mm\].
+        back_mm: f64,
+        /// Position of the toe at the end \[mm\].
+        position_mm: f64,
     },
     /// A channel reached the limit of its range and stayed there.
     #[error("the {channel} is clipped at {limit:.3} from {at_s:.3} s on")]
@@ -437,7 +450,11 @@ impl Rejection {
     pub fn is_incomplete(&self) -> bool {
         matches!(
             self,
-            Self::NoMovement | Self::Incomplete { .. } | Self::Obstructed { .. } | Self::MovedBackwards { .. }
+            Self::NoMovement
+                | Self::Incomplete { .. }
+                | Self::Obstructed { .. }
+                | Self::MovedBackwards { .. }
+                | Self::Reopened { .. }
         )
     }
 }

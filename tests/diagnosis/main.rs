@@ -21,6 +21,7 @@ mod loaded;
 mod logger;
 mod memory;
 mod motor_kind;
+mod open;
 mod operational;
 mod pairs;
 mod rails;

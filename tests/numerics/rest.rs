@@ -1,8 +1,9 @@
 //! The current at rest: of a detection circuit, of electronics, of the sensor, or not recorded.
 
-use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Motor, Settings};
+use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Motor, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensor, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
+use rand::RngExt as _;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 /// A recorded throw.
@@ -77,6 +78,49 @@ fn a_detection_current_after_the_throw_is_no_motor_that_stalls() {
                 .unwrap_err();
             assert!(refused.is_incomplete(), "{direction}, {obstruction_mm} mm: {refused}");
         }
+    }
+}
+
+/// After the end of the motor the rails push the toe back: elastically on a sound machine, and further if nothing holds it.
+#[test]
+fn a_toe_that_does_not_stay_at_its_end_is_open() {
+    let sensors = Sensors { after_s: 0.6, ..Sensors::default() };
+    for (direction, stroke_mm) in Direction::BOTH.into_iter().flat_map(|way| [(way, None), (way, Some(115.0))]) {
+        let settings = Settings { stroke_mm, ..Settings::default() };
+        let after = |back_mm: f64, rest_a: f64, noise_mm: f64, kept_s: f64| {
+            let mut recorded = Recorded::new(&Parameters::default(), &sensors, direction, None).at_rest(0.0, rest_a);
+            let mut rng = ChaCha8Rng::seed_from_u64(4);
+            for (k, mm) in recorded.position.iter_mut().enumerate() {
+                let back = k.saturating_sub(recorded.off) as f64 / 200.0;
+                *mm -= direction.sign() * back_mm * back.min(1.0);
+                *mm += noise_mm * rng.sample::<f64, _>(rand_distr::StandardNormal);
+            }
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index of the trace")]
+            let kept = recorded.off + (1000.0 * kept_s) as usize;
+            recorded.position.truncate(kept);
+            recorded.current.truncate(kept);
+            recorded.identify(&settings).outcome
+        };
+        for rest_a in [0.0, 0.1] {
+            let what = format!("{direction}, {stroke_mm:?}, {rest_a} A");
+            for back_mm in [0.0, 2.0, 4.5] {
+                let found = after(back_mm, rest_a, 0.0, 0.6);
+                assert!(found.is_ok(), "{what}, {back_mm} mm: {found:?}");
+            }
+            for noise_mm in [0.0, 0.3] {
+                let found = after(12.0, rest_a, noise_mm, 0.6).unwrap_err();
+                if rest_a > 0.0 && stroke_mm.is_none() && matches!(found, Rejection::Obstructed { .. }) {
+                    // The current at rest looks like that of a motor which drives the open toe.
+                    continue;
+                }
+                let Rejection::Reopened { back_mm, position_mm } = found else { panic!("{what}: {found}") };
+                let end_mm = if direction.sign() > 0.0 { 103.0 } else { 12.0 };
+                assert!((back_mm - 12.0).abs() < 1.0 && (position_mm - end_mm).abs() < 1.0, "{what}: {found}");
+            }
+        }
+        // The recording ends with the motor.
+        let found = after(12.0, 0.0, 0.0, 0.02);
+        assert!(found.is_ok(), "{direction}, {stroke_mm:?}: {found:?}");
     }
 }
 

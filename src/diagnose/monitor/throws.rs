@@ -48,6 +48,12 @@ impl MachineMonitor {
             observation.direction = None;
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
+        if self.operation.begins_open(&observation) {
+            // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
+            let observation = observation.to_mut();
+            (observation.began_open, observation.short_of_stroke_mm) = (true, None);
+            observation.outcome.take_if(|outcome| outcome.is_ok());
+        }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
         }
@@ -81,7 +87,7 @@ impl MachineMonitor {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
             self.operation.on_sensors(implausible, step);
-            let unusable = observation.faulty_sensor().map(Unusable::Values);
+            let unusable = observation.unusable();
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
             self.operation.on_channel(unusable, step);
@@ -156,7 +162,8 @@ impl MachineMonitor {
         rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
         self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
-        let is_comparable = !observation.is_incomplete() && !self.has_lost_position(observation);
+        let is_comparable =
+            !observation.is_incomplete() && !observation.began_open && !self.has_lost_position(observation);
         if let (Some(direction), Some(duration_s), true) = (direction, features.duration_s, is_comparable)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {

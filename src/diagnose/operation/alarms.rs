@@ -91,6 +91,9 @@ pub(crate) struct Operation {
     /// Position at the end of the last throw \[mm\].
     #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
+    /// Positions at the start and the end of the last throw \[mm\], if the toe did not stay closed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    left_open_mm: Option<[f32; 2]>,
     /// The sentence about the unused fields of the last throw, and the number of throws with unused fields.
     #[serde(skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
@@ -188,8 +191,11 @@ impl Operation {
             self.since_gap = self.since_gap.saturating_add(1);
         }
         if incomplete {
-            let text = text::incomplete(step.name, in_direction, in_a_row, is_usual_current);
-            let severity = if in_a_row == 1 { Severity::Warning } else { Severity::Critical };
+            let rejection = observation.rejection();
+            let text = text::incomplete(step.name, in_direction, in_a_row, rejection, is_usual_current);
+            // Without the toe sensor, points that open again seem closed.
+            let is_open = matches!(rejection, Some(Rejection::Reopened { .. }));
+            let severity = if in_a_row == 1 && !is_open { Severity::Warning } else { Severity::Critical };
             step.alarms.raise_or_escalate(step.event(Cause::IncompleteThrow, severity, text));
         } else if is_known && self.complete >= enough {
             step.clear(Cause::IncompleteThrow, text::complete_again(step.name, self.complete));
@@ -309,6 +315,22 @@ impl Operation {
             return false;
         }
         is_unusual
+    }
+
+    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel then
+    /// shows neither an obstruction nor a fault of the position sensor.
+    pub(crate) fn begins_open(&mut self, throw: &Observation) -> bool {
+        let Features { start_position_mm: start, end_position_mm: end, .. } = throw.features;
+        let before = self.left_open_mm.take();
+        let ends = start.zip(end).map(|(start, end)| [start, end].map(to_f32));
+        let is_back = |([from, to], [start, end]): ([f32; 2], [f32; 2])| {
+            let near = to_f32(LARGEST_SHIFT) * (to - from).abs();
+            (start - to).abs() < near && (end - from).abs() < near
+        };
+        let is_short = throw.estimate().is_some() || matches!(throw.rejection(), Some(Rejection::Incomplete { .. }));
+        let begins_open = is_short && before.zip(ends).is_some_and(is_back);
+        self.left_open_mm = ends.filter(|_| matches!(throw.rejection(), Some(Rejection::Reopened { .. })));
+        begins_open
     }
 
     /// Whether the movement contradicts the direction that the logger names: names exchanged, or always the same name.

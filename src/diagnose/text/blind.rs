@@ -28,6 +28,8 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
         Some(RejectionCode::EndMissing) => {
             "that the logger records until the motor is off, and whether the machine became slow"
         }
+        Some(RejectionCode::Reopened) => "lock, brake and drive, which must hold the toe closed",
+        Some(RejectionCode::Clipped) => "the measuring range of the logger, which is too small",
         Some(RejectionCode::NotPositive) => {
             "neutral_mm, as a wrong one makes the friction of one direction negative, then the machine and its sensors"
         }

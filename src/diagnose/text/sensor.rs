@@ -178,6 +178,12 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
                 ),
             )
         }
+        Unusable::Clipped(channel) => (
+            format!("the values of the {channel} are clipped at the limit of a range"),
+            "the measuring range of the logger, which is too small for these values, then the range of the sensor; \
+             throws_not_evaluated has the limit"
+                .into(),
+        ),
         Unusable::Missing => (
             "the logger no longer sends a toe position (position_mm)".into(),
             "the sensor and its cable, and the logger's configuration".into(),

@@ -6,23 +6,44 @@ use crate::{
         gauges::{EndChange, Gauge, GaugeChange},
         statistics::{Level, percent},
     },
+    estimate::Rejection,
     throw::Direction,
 };
 
-/// Text of `in_a_row` consecutive incomplete throws, of one direction or of the machine. `is_usual_current`: the
-/// current was that of a complete throw.
-pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32, is_usual_current: bool) -> String {
+/// Text of `in_a_row` consecutive incomplete throws, of one direction or of the machine. `last`: why the last one is
+/// incomplete; `is_usual_current`: its current was that of a complete throw.
+pub(crate) fn incomplete(
+    name: &str,
+    direction: Option<Direction>,
+    in_a_row: u32,
+    last: Option<&Rejection>,
+    is_usual_current: bool,
+) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
         _ => format!("{in_a_row} throws in a row were not completed"),
     };
-    let sensor = if is_usual_current {
-        " The current was that of a complete throw, so check the position sensor too: it may be stuck."
-    } else {
-        ""
-    };
     let name = subject(name, direction);
-    format!("{name}: {what}. Check for an obstruction between the rails, and detection.{sensor}")
+    let check = "Check for an obstruction between the rails, and detection.";
+    match last {
+        Some(Rejection::Reopened { back_mm, position_mm }) => format!(
+            "{name}: {what}: after its arrival the toe came back by {back_mm:.1} mm, and stands open at {position_mm:.1} \
+             mm. Check at once whether the points are closed and locked. Then check lock, brake and drive, which must \
+             hold the toe, and for an obstruction between the rails."
+        ),
+        Some(Rejection::MovedBackwards { back_mm, returned: true }) => format!(
+            "{name}: {what}: the toe moved {back_mm:.1} mm and returned to its start. A throw that is reversed midway \
+             does this. If it was not reversed, an obstruction between the rails pushed the toe back."
+        ),
+        Some(Rejection::MovedBackwards { back_mm, returned: false }) => {
+            format!("{name}: {what}: the toe moved back by {back_mm:.1} mm during the throw. {check}")
+        }
+        _ if is_usual_current => format!(
+            "{name}: {what}. {check} The current was that of a complete throw, so check the position sensor too: it \
+             may be stuck."
+        ),
+        _ => format!("{name}: {what}. {check}"),
+    }
 }
 
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {

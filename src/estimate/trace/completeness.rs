@@ -54,6 +54,11 @@ const LAST_SHARE: f64 = 0.01;
 /// Largest movement back after the end of a complete throw \[mm\], beyond the noise: an obstruction pushes the toe
 /// back.
 const LARGEST_REBOUND_MM: f64 = 1.0;
+/// Largest movement back of a toe that stays closed \[mm\], beyond the noise: the rails and the drive spring back from
+/// the stock rail. The sound machines of three generators spring back by up to 4 mm, and a lock must detect a gap of
+/// 5 mm. If the toe then ends before the least travel of a complete throw, the smaller value counts.
+const LARGEST_RETURN_MM: f64 = 5.0;
+const LARGEST_SHORT_RETURN_MM: f64 = 3.0;
 /// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale
 /// of the sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. Noise may
 /// reduce the travel by this many standard deviations.
@@ -69,6 +74,8 @@ const LEAST_CURRENT_SIGMAS: f64 = 6.0;
 /// multiple of the noise's standard deviation, as the largest noise of several thousand samples counts.
 const WRONG_WAY_SHARE: f64 = 0.02;
 const WRONG_WAY_SIGMAS: f64 = 10.0;
+/// Largest travel of a toe that returned to its start, as share of its movement back.
+const RETURNED_SHARE: f64 = 0.1;
 /// Largest displacement of three consecutive positions at the start of the motor, in standard deviations of the noise.
 /// Noise exceeds it in 1 of 1,000,000 healthy throws.
 const EARLY_SIGMAS: f64 = 2.8;
@@ -107,15 +114,19 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
-    jumps(movement, noise_mm)?;
+    jumps(movement, furthest, noise_mm)?;
     let back_mm = backwards(movement);
     if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
-        return Err(Rejection::MovedBackwards { back_mm });
+        return Err(Rejection::MovedBackwards { back_mm, returned: travel_mm < RETURNED_SHARE * back_mm });
     }
     if travel_mm < least {
         // The toe moved and returned to its start, or the movement is noise.
         let is_noise = travel_mm < LEAST_TRAVEL_SIGMAS * noise_mm && travel_mm > LEAST_TRAVEL_MM;
-        return Err(if is_noise { noisy } else { Rejection::MovedBackwards { back_mm: furthest - travel_mm } });
+        return Err(if is_noise {
+            noisy
+        } else {
+            Rejection::MovedBackwards { back_mm: furthest - travel_mm, returned: true }
+        });
     }
     let off = movement.motor_off.unwrap_or(movement.arrived);
     let stalled_s = at(off.saturating_sub(movement.arrived));
@@ -128,8 +139,9 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
         let (value, at_s) = (position[off], at(movement.arrived));
         return Err(Rejection::Stuck { channel: Channel::Position, value, at_s, stuck_s: stalled_s });
     }
+    let reopened = reopened(movement, settings, noise_mm);
     if let Some(stroke_mm) = settings.stroke_mm {
-        stroke(movement, stroke_mm, noise_mm, scratch)?;
+        stroke(movement, stroke_mm, noise_mm, reopened.as_ref(), scratch)?;
     }
     let is_whole = |stroke_mm| travel_mm + WHOLE_SIGMAS * noise_mm > WHOLE_SHARE * stroke_mm;
     if stalled_s > LONGEST_STALL_S && !settings.stroke_mm.is_some_and(is_whole) {
@@ -137,6 +149,9 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
             return Err(noisy);
         }
         return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
+    }
+    if let Some(reopened) = reopened {
+        return Err(reopened);
     }
     let duration_s = at(movement.near_end.saturating_sub(start));
     if duration_s > LONGEST_MOVEMENT_S {
@@ -184,8 +199,36 @@ pub(crate) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
     travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm
 }
 
-/// Rejects a travel that is too short or too long for the stroke.
-fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+/// A toe that arrived and came back; `None` if it stayed. The furthest mean of a few samples counts, as single ones are
+/// noise, and the end of the motor may be known too late.
+fn reopened(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> Option<Rejection> {
+    let Movement { position_mm: position, sign, travel_mm, near_end, end_mm: position_mm, .. } = *movement;
+    let progress_mm = |mm: f64| sign * (mm - movement.position.mean);
+    let means = position[near_end..].chunks_exact(MIN_QUIET).map(|part| progress_mm(mean(part.iter().copied())));
+    let ended_mm = progress_mm(position_mm);
+    let back_mm = means.fold(travel_mm, f64::max) - ended_mm;
+    let ends_short = settings.stroke_mm.is_some_and(|stroke_mm| {
+        is_short(ended_mm, stroke_mm, noise_mm) && !is_at_end(movement, position_mm, stroke_mm)
+    });
+    let largest_mm = if ends_short { LARGEST_SHORT_RETURN_MM } else { LARGEST_RETURN_MM };
+    (back_mm > largest_mm + WHOLE_SIGMAS * noise_mm).then_some(Rejection::Reopened { back_mm, position_mm })
+}
+
+/// Whether a position is at the end of the stroke. A throw that begins with an open toe is short, and ends there.
+fn is_at_end(movement: &Movement<'_>, position_mm: f64, stroke_mm: f64) -> bool {
+    let end_mm = if movement.sign > 0.0 { stroke_mm } else { 0.0 };
+    (position_mm - end_mm).abs() < (1.0 - COMPLETE_SHARE) * stroke_mm
+}
+
+/// Rejects a travel that is too short or too long for the stroke. `reopened`: the toe did not stay at its furthest
+/// position, which was perhaps the end of the stroke.
+fn stroke(
+    movement: &Movement<'_>,
+    stroke_mm: f64,
+    noise_mm: f64,
+    reopened: Option<&Rejection>,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
     let travel_mm = movement.travel_mm;
     if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
         return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
@@ -195,6 +238,11 @@ fn stroke(movement: &Movement<'_>, stroke_mm: f64, noise_mm: f64, scratch: &mut 
     }
     if movement.ends_moving() && movement.ends_driven() {
         return Err(Rejection::EndMissing { travel_mm });
+    }
+    if let Some(&Rejection::Reopened { back_mm, position_mm }) = reopened
+        && is_at_end(movement, position_mm + movement.sign * back_mm, stroke_mm)
+    {
+        return Err(Rejection::Reopened { back_mm, position_mm });
     }
     let has_wrong_gain = travel_mm > WRONG_GAIN_SHARE * stroke_mm && ends_complete(movement, noise_mm, scratch);
     if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
@@ -283,10 +331,16 @@ const JUMP_SIGMAS: f64 = 10.0;
 const JUMP_QUANTA: f64 = 3.0;
 const LARGEST_QUANTUM_MM: f64 = 0.5;
 
-/// Rejects a step of the position between two samples that the speed of the machine does not explain.
-fn jumps(movement: &Movement<'_>, noise_mm: f64) -> Result<(), Rejection> {
-    let span = movement.arrived.saturating_sub(movement.start()).max(1);
-    let mean_step = movement.travel_mm / span as f64;
+/// Rejects a step of the position between two samples that the speed of the machine does not explain. `furthest_mm`:
+/// largest distance from the first position.
+fn jumps(movement: &Movement<'_>, furthest_mm: f64, noise_mm: f64) -> Result<(), Rejection> {
+    let since_start = |sample: usize| sample.saturating_sub(movement.start()).max(1) as f64;
+    // A toe that returned to its start moved both ways while the motor was on.
+    let mean_step = if movement.travel_mm < RETURNED_SHARE * furthest_mm {
+        2.0 * furthest_mm / since_start(movement.motor_off.unwrap_or(movement.arrived))
+    } else {
+        movement.travel_mm / since_start(movement.arrived)
+    };
     let allowed = JUMP_MEAN_STEPS * mean_step
         + JUMP_SIGMAS * noise_mm
         + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
