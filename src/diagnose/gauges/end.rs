@@ -34,14 +34,14 @@ pub(crate) struct EndWatch {
 
 /// The current at the end of the stroke in the last throws of a direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct EndChange {
-    pub(crate) direction: Direction,
+struct EndChange {
+    direction: Direction,
     /// Rise that the running current does not explain \[A\].
-    pub(crate) rise_a: Level,
+    rise_a: Level,
     /// Current that the running current explains \[A\].
-    pub(crate) expected_a: f64,
+    expected_a: f64,
     /// Change of the logarithm of the running current.
-    pub(crate) running: f64,
+    running: f64,
     /// Size relative to the least rise that matters and is significant.
     size: f64,
 }
@@ -75,6 +75,10 @@ impl EndChange {
         let size = rise_a.value / matters.max(SIGNIFICANT_SD * usual_sd.max(sd));
         Some(Self { direction, rise_a, expected_a: now_a - rise_a.value, running: running - usual_running, size })
     }
+
+    fn text(&self) -> String {
+        text::end_change(self.direction, self.expected_a, self.rise_a, self.running)
+    }
 }
 
 impl EndWatch {
@@ -92,7 +96,8 @@ impl EndWatch {
         let is_critical = largest.is_some_and(|size| size > step.settings.critical_factor);
         let severity = if is_critical { Severity::Critical } else { Severity::Warning };
         let direction = if let [only] = risen[..] { Some(only.direction) } else { None };
-        let event = step.event(Cause::Unattributed, severity, text::end(step.name, &risen, LEVEL));
+        let changes: Vec<String> = risen.iter().map(|change| change.text()).collect();
+        let event = step.event(Cause::Unattributed, severity, text::end(step.name, &changes, LEVEL));
         RuleResult::Fault(Box::new(AlarmEvent { direction, ..event }))
     }
 }

@@ -1,8 +1,8 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
 //! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature, rise at the end).
-//! Each gauge is used as the logarithm of its ratio to the normal value of the direction, but delay of the start, current
-//! at rest, middle, temperature and rise at the end as a difference. Errors of sensors, clock and supply change the gauges in other ways than faults of
-//! parts, which distinguishes the two.
+//! Each gauge is used as the logarithm of its ratio to the normal value of the direction, but delay of the start,
+//! current at rest, middle, temperature and rise at the end as a difference. Errors of sensors, clock and supply change
+//! the gauges in other ways than faults of parts, which distinguishes the two.
 
 mod circuit;
 mod end;
@@ -15,7 +15,7 @@ mod start;
 mod supply;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
-pub(super) use end::{EndChange, EndWatch};
+pub(super) use end::EndWatch;
 pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{GaugeChange, Gauges};

@@ -3,7 +3,7 @@
 use super::subject;
 use crate::{
     diagnose::{
-        gauges::{EndChange, Gauge, GaugeChange},
+        gauges::{Gauge, GaugeChange},
         statistics::{Level, percent},
     },
     estimate::Rejection,
@@ -110,26 +110,27 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
     )
 }
 
-/// Text for a current at the end of the stroke that has risen in these directions, over `throws` throws of each.
-pub(crate) fn end(name: &str, changes: &[&EndChange], throws: usize) -> String {
-    let change = |change: &&EndChange| {
-        let EndChange { direction, rise_a, expected_a, running, .. } = change;
-        let pct =
-            if *expected_a > 0.0 { format!(" ({:+.0} %)", 100.0 * rise_a.value / expected_a) } else { String::new() };
-        format!(
-            "{direction} from {expected_a:.2} to {:.2} A (±{:.2} A){pct}, with a running current of {:+.0} %",
-            expected_a + rise_a.value,
-            1.96 * rise_a.sd,
-            percent(*running)
-        )
-    };
-    let changes: Vec<String> = changes.iter().map(change).collect();
+/// Text for a current at the end of the stroke that has risen, over `throws` throws of a direction; `changes`: a part by
+/// [`end_change`] for each direction in which it has.
+pub(crate) fn end(name: &str, changes: &[String], throws: usize) -> String {
     format!(
         "Machine {name}: the current over the last millimetres of the stroke has risen, over {throws} throws of a \
          direction: {}. The running current does not explain this: a force that closes or locks the points has grown. \
          If it grows further, the points will not lock. Check the adjustment of lock, stretcher bar and detector, the \
          lock for dirt and lubrication, and the gap between switch rail and stock rail.",
         changes.join("; ")
+    )
+}
+
+/// The current at the end of the stroke has risen by `rise_a` above `expected_a` \[A\], while the logarithm of the running
+/// current changed by `running`.
+pub(crate) fn end_change(direction: Direction, expected_a: f64, rise_a: Level, running: f64) -> String {
+    let pct = if expected_a > 0.0 { format!(" ({:+.0} %)", 100.0 * rise_a.value / expected_a) } else { String::new() };
+    format!(
+        "{direction} from {expected_a:.2} to {:.2} A (±{:.2} A){pct}, with a running current of {:+.0} %",
+        expected_a + rise_a.value,
+        1.96 * rise_a.sd,
+        percent(running)
     )
 }
 

@@ -55,7 +55,7 @@ const LAST_SHARE: f64 = 0.01;
 /// back.
 const LARGEST_REBOUND_MM: f64 = 1.0;
 /// Largest movement back of a toe that stays closed \[mm\], beyond the noise: the rails and the drive spring back from
-/// the stock rail. The sound machines of three generators spring back by up to 4 mm, and a lock must detect a gap of
+/// the stock rail. Simulated sound machines with magnets spring back by up to 4 mm, and a lock must detect a gap of
 /// 5 mm. If the toe then ends before the least travel of a complete throw, the smaller value counts.
 const LARGEST_RETURN_MM: f64 = 5.0;
 const LARGEST_SHORT_RETURN_MM: f64 = 3.0;
