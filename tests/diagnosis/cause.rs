@@ -193,8 +193,7 @@ fn a_constant_change_is_an_alarm_whatever_the_serial_correlations() {
         scatter["lag1"] = serde_json::json!([0.84, 0.22, 0.2]);
     }
     machine.monitor = MachineMonitor::from_snapshot(&snapshot.to_string()).unwrap();
-    let change = shift(Cause::Kt, 4.0) + shift(Cause::Friction, 60.0);
-    let events = machine.events(60, change);
+    let events = machine.events(60, Vector3::new(0.065, 0.54, 0.02));
     assert!(events.iter().any(|event| event.cause == Cause::Friction), "{events:#?}");
 }
 
