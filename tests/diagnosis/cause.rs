@@ -202,7 +202,7 @@ fn opposite_changes_of_the_two_directions_are_no_change_of_a_part() {
     for seed in 0..8 {
         let mut machine = Machine::learned(1_300 + seed, Scatter::USUAL);
         let force = |machine: &Machine, pct: f64| {
-            shift(Cause::Friction, if machine.side() == seed as usize % 2 { pct } else { -0.8 * pct })
+            shift(Cause::Friction, if machine.side() as u64 == seed % 2 { pct } else { -0.8 * pct })
         };
         let mut events: Vec<AlarmEvent> = Vec::new();
         for throw in 0..300 {
