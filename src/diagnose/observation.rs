@@ -105,6 +105,11 @@ impl Observation {
         !self.began_open && self.rejection().is_some_and(Rejection::is_incomplete)
     }
 
+    /// Whether the points completed a movement over the whole stroke.
+    pub(super) fn covers_stroke(&self) -> bool {
+        !self.is_incomplete() && !self.began_open
+    }
+
     /// The sensor with unusable values in this throw, and in which way.
     pub(super) fn unusable(&self) -> Option<Unusable> {
         let is_clipped = matches!(self.rejection(), Some(Rejection::Clipped { .. }));
@@ -125,7 +130,7 @@ impl Observation {
     pub(super) fn is_whole(&self) -> bool {
         let is_cut_off =
             matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
-        !self.is_incomplete() && !self.began_open && !is_cut_off
+        self.covers_stroke() && !is_cut_off
     }
 
     /// Whether the sampling rate is too low for an estimate. All throws of such a logger have features only.

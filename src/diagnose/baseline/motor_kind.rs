@@ -26,10 +26,7 @@ impl ShownMotor {
     /// Adds a throw of a machine in service.
     pub(crate) fn learn(&mut self, observation: &Observation, parameters: Option<Parameters>) {
         let features = &observation.features;
-        let is_whole = !observation.is_incomplete()
-            && !observation.began_open
-            && features.travel_mm.is_some()
-            && features.duration_s.is_some();
+        let is_whole = observation.covers_stroke() && features.travel_mm.is_some() && features.duration_s.is_some();
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return };
         let counts = &mut self.0[direction.side()];
         if *counts % OTHER < FIRST {

@@ -121,12 +121,12 @@ impl DriftAlarms {
         evidence.unchecked = alarms.find_active(cause).is_some_and(|alarm| alarm.is_unchecked);
         let is_of_cause = drift.attribution.as_ref().is_some_and(|attribution| attribution.cause() == cause);
         let now = is_of_cause.then(|| latest.named_part(latest.direction(cause), &self.history)).flatten();
-        if let Some((now, _)) = &now {
+        let now = now.map(|(now, _)| (now, now.relevance(settings)));
+        if let Some((_, size)) = now {
             // The window may contain throws with a larger drift, or with one of the opposite sign.
-            evidence.certain_size = evidence.certain_size.min(now.relevance(settings) / PRESENT_PART);
+            evidence.certain_size = evidence.certain_size.min(size / PRESENT_PART);
         }
-        if let (Claim::Named, Some((now, _))) = (evidence.claim, now) {
-            let size = now.relevance(settings);
+        if let (Claim::Named, Some((now, size))) = (evidence.claim, now) {
             let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
             evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
             let least = 1.0 - settings.deadband_pct / 100.0;

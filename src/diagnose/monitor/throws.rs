@@ -162,8 +162,7 @@ impl MachineMonitor {
         rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
         self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
-        let is_comparable =
-            !observation.is_incomplete() && !observation.began_open && !self.has_lost_position(observation);
+        let is_comparable = observation.covers_stroke() && !self.has_lost_position(observation);
         if let (Some(direction), Some(duration_s), true) = (direction, features.duration_s, is_comparable)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
