@@ -335,12 +335,11 @@ const LARGEST_QUANTUM_MM: f64 = 0.5;
 /// largest distance from the first position.
 fn jumps(movement: &Movement<'_>, furthest_mm: f64, noise_mm: f64) -> Result<(), Rejection> {
     let since_start = |sample: usize| sample.saturating_sub(movement.start()).max(1) as f64;
-    // A toe that returned to its start moved both ways while the motor was on.
-    let mean_step = if movement.travel_mm < RETURNED_SHARE * furthest_mm {
-        2.0 * furthest_mm / since_start(movement.motor_off.unwrap_or(movement.arrived))
-    } else {
-        movement.travel_mm / since_start(movement.arrived)
-    };
+    let mut mean_step = movement.travel_mm / since_start(movement.arrived);
+    // A toe that returned to its start moved both ways, at least once, while the motor was on.
+    if movement.travel_mm < RETURNED_SHARE * furthest_mm {
+        mean_step = mean_step.max(2.0 * furthest_mm / since_start(movement.motor_off.unwrap_or(movement.arrived)));
+    }
     let allowed = JUMP_MEAN_STEPS * mean_step
         + JUMP_SIGMAS * noise_mm
         + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
