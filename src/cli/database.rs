@@ -56,10 +56,14 @@ impl Location {
     }
 }
 
-/// The failure of reading a database: either it cannot be opened, or the file or the statement is not usable.
-pub(super) fn cannot_open(error: StoreError) -> Failure {
-    let exit =
-        if matches!(error, StoreError::Open { .. } | StoreError::Damaged { .. }) { Exit::NoInput } else { Exit::Data };
+/// The failure of reading a database: it cannot be opened, reading or writing failed, or the file or the statement is
+/// not usable.
+pub(super) fn unreadable(error: StoreError) -> Failure {
+    let exit = match error {
+        StoreError::Open { .. } | StoreError::Damaged { .. } => Exit::NoInput,
+        StoreError::Foreign(_) | StoreError::Schema(_) | StoreError::Statement(_) => Exit::Data,
+        _ => Exit::Io,
+    };
     Failure::new(exit, error)
 }
 

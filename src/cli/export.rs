@@ -12,13 +12,13 @@ use jiff::Timestamp;
 
 use super::{
     Exit, Failure, Outcome, argument,
-    database::{Location, cannot_open},
+    database::{Location, unreadable},
     output,
     runtime::block_on,
     sql::text,
 };
 use crate::{
-    store::{Export, Exported, StoreError},
+    store::{Export, Exported},
     throw::MachineId,
 };
 
@@ -31,7 +31,7 @@ use crate::{
 /// import` takes time, direction, boot and number from there.
 ///
 /// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66
-/// there is no database; 73 a file cannot be created; 78 the configuration is invalid.
+/// there is no database; 73 a file cannot be created; 74 reading or writing failed; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd export > throws.csv\n  \
     pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]
@@ -57,7 +57,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     block_on(async {
         let Arguments { machine, since, until, .. } = arguments;
-        let mut export = Export::open(&path, machine.clone(), *since, *until).await.map_err(cannot_open)?;
+        let mut export = Export::open(&path, machine.clone(), *since, *until).await.map_err(unreadable)?;
         let mut out = csv::Writer::from_writer(io::stdout().lock());
         let mut columns = export.columns().await.map_err(unreadable)?;
         if arguments.traces.is_some() {
@@ -87,10 +87,6 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         }
         Ok(Exit::Ok)
     })
-}
-
-fn unreadable(error: StoreError) -> Failure {
-    Failure::new(Exit::Data, error)
 }
 
 fn written(result: csv::Result<()>) -> Result<(), Failure> {

@@ -92,7 +92,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })?;
     config.store.path.clone_from(&into);
     runtime::block_on(async {
-        let old = Reader::open_outside(&from).await.map_err(database::cannot_open)?;
+        let old = Reader::open_outside(&from).await.map_err(database::unreadable)?;
         // Checked before the new database is created, so that an error leaves no file behind.
         let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
         require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;

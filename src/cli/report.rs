@@ -6,7 +6,7 @@ use anyhow::Context as _;
 
 use super::{
     Exit, Outcome, ResultExt, argument,
-    database::{Location, cannot_open},
+    database::{Location, unreadable},
     output,
     runtime::block_on,
 };
@@ -25,8 +25,8 @@ use crate::{
 /// the configuration.
 ///
 /// Exit codes: 0 written; 64 --out names another format than HTML; 65 the file is no database of pointsd, or of another
-/// version; 66 there is no database, or no throw of this machine; 73 the file cannot be written; 78 the configuration
-/// is invalid.
+/// version; 66 there is no database, or no throw of this machine; 73 the file cannot be written; 74 reading or writing
+/// failed; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {
@@ -53,8 +53,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let machine = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
-        let reader = Reader::open_outside(&path).await.map_err(cannot_open)?;
-        web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
+        let reader = Reader::open_outside(&path).await.map_err(unreadable)?;
+        web::report(&reader, machine, span, &diagnosis).await.map_err(unreadable)
     })?;
     let unknown = || format!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
     let page = page.with_context(unknown).or_exit(Exit::NoInput)?;

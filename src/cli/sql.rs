@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::{
     Exit, Outcome, ResultExt,
-    database::{Location, cannot_open},
+    database::{Location, unreadable},
     output,
     runtime::block_on,
     terminal::harmless,
@@ -58,8 +58,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         Err(StoreError::Output(error)) if error.kind() == io::ErrorKind::InvalidInput => {
             Err(error).or_exit(Exit::Usage)
         }
-        Err(error @ StoreError::Output(_)) => Err(error).or_exit(Exit::Io),
-        Err(error) => Err(cannot_open(error)),
+        Err(error) => Err(unreadable(error)),
     }
 }
 

@@ -96,7 +96,8 @@ impl StoreError {
     /// Turns an error of SQLite into that of an operator's statement.
     pub(super) fn statement(source: sqlx::Error) -> Self {
         match (primary_code(&source), source.as_database_error().map(sqlx::error::DatabaseError::message)) {
-            (Some(1), Some(message)) => Self::Statement(message.to_owned()),
+            // `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` and `RANGE`.
+            (Some(1 | 18 | 19 | 20 | 25), Some(message)) => Self::Statement(message.to_owned()),
             // `SQLITE_READONLY`.
             (Some(8), Some(_)) => Self::writes(),
             // `SQLITE_CANTOPEN`, with this message of the statement ATTACH.
