@@ -101,12 +101,22 @@ async fn a_throw_of_unknown_direction_counts_until_the_next_one() {
     unknown.health.direction = None;
     judge(&store, unknown).await.unwrap();
     assert_eq!(directions().await, [None]);
-    let in_view = async || query::<(String,)>(&store, "SELECT direction FROM machine_health").await;
+    let in_view =
+        async || query::<(String,)>(&store, "SELECT direction FROM machine_health ORDER BY started_at DESC").await;
     assert_eq!(in_view().await, [("unknown".to_owned(),)]);
     let row = spooled(&store, "21B", "b1", 2).await;
     judge(&store, judgement(row, "21B")).await.unwrap();
     assert_eq!(directions().await, [Some(Direction::NormalToReverse)]);
     assert_eq!(in_view().await, [("normal_to_reverse".to_owned(),)]);
+    // The position sensor dies.
+    let row = spooled(&store, "21B", "b1", 3).await;
+    let mut unknown = judgement(row, "21B");
+    unknown.health.direction = None;
+    judge(&store, unknown).await.unwrap();
+    assert_eq!(directions().await, [None, Some(Direction::NormalToReverse)]);
+    assert_eq!(in_view().await, [("unknown".to_owned(),), ("normal_to_reverse".to_owned(),)]);
+    let plan: Vec<(i64, i64, i64, String)> = query(&store, "EXPLAIN QUERY PLAN SELECT * FROM machine_health").await;
+    assert!(plan.iter().any(|(.., step)| step.starts_with("SEARCH later USING PRIMARY KEY")), "{plan:?}");
 }
 
 #[tokio::test]
