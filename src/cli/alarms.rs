@@ -8,7 +8,7 @@ use jiff::Timestamp;
 use super::{
     Exit, Failure, Outcome, ResultExt as _, argument,
     operator::{self, Connection},
-    output,
+    output, terminal,
 };
 use crate::{
     bus,
@@ -81,10 +81,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
         if is_history && found.len() >= MAX_HISTORY as usize {
-            eprintln!(
+            terminal::complain(format_args!(
                 "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
                 found.len()
-            );
+            ));
         }
         let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
         if is_history {

@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, output};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, terminal};
 use crate::daemon::config::{Document, overlay, set};
 use crate::simulate::{Coefficients, Condition, Conditions, Parameters, Recording, Sensors};
 use crate::throw::{Direction, OutOfRange};
@@ -137,7 +137,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         text(&truth, &arguments.out)
     };
     if is_stdout {
-        eprintln!("{summary}");
+        terminal::complain(summary);
     } else {
         output::line(summary)?;
     }
