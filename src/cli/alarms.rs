@@ -17,7 +17,7 @@ use crate::{
     store::Window,
     throw::{MachineId, utc},
     web,
-    wire::{self, Alarm, Health, Kind, MAX_HISTORY},
+    wire::{self, Alarm, Health, Kind, MAX_HISTORY, Scope},
 };
 
 /// Least number of similar open alarms about machines not monitored or lost data that are printed as one entry. A cut
@@ -127,7 +127,7 @@ fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
 
 /// The key of a machine, or of all machines.
 fn key(machine: Option<&MachineId>, kind: Kind) -> String {
-    machine.map_or_else(|| wire::every_key(kind), |machine| wire::machine_key(machine, kind))
+    machine.map_or_else(|| Scope::default().key_expression(kind), |machine| wire::machine_key(machine, kind))
 }
 
 fn selector(arguments: &Arguments) -> String {
