@@ -26,7 +26,7 @@ use crate::throw::{Direction, OutOfRange};
   pointsim throw --out other.csv --set machine.stroke_mm=150 --set machine.rails.slide_friction=0.1
 
 Exit codes: 0 written; 64 wrong command line; 73 the CSV file cannot be created; 78 the configuration file cannot be
-read, or a machine or sensor value is out of its range.")]
+read, or a machine or sensor value is unknown or out of its range.")]
 pub(super) struct Arguments {
     /// The CSV file to write: `time_s,current_a,position_mm`; - for standard output, with the coefficients on standard
     /// error.
