@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity},
-    estimate::Grade,
+    estimate::{Grade, Rejection},
 };
 
 use crate::fleet::{Machine, Scatter, normal, shift};
@@ -213,6 +213,26 @@ fn opposite_changes_of_the_two_directions_are_no_change_of_a_part() {
         let [first, .., last] = events.as_slice() else { panic!("no critical alarm: {events:#?}") };
         assert_eq!((first.severity, last.severity), (Severity::Warning, Severity::Critical));
         assert!(last.text.contains("opposite changes") && last.direction.is_none(), "{}", last.text);
+    }
+}
+
+/// Slide chairs that become dry along a part of the stroke brake the toe early in one direction and late in the other, as
+/// a weaker and a stiffer spring would. Later the throws of one direction give no estimate.
+#[test]
+fn opposite_changes_that_grow_fast_name_no_spring() {
+    for seed in 0..8 {
+        let mut machine = Machine::learned(1_400 + seed, Scatter::USUAL);
+        let mut events: Vec<AlarmEvent> = Vec::new();
+        for throw in 0..120 {
+            let pct = 1.5 * f64::from(throw.min(40));
+            let is_braked_early = machine.side() as u64 == seed % 2;
+            let mut observation = machine.throw(shift(Cause::Stiffness, if is_braked_early { -pct } else { pct }));
+            if throw > 40 && is_braked_early {
+                observation.outcome = Some(Err(Rejection::NotPositive { b0: 14.0, a1: 1.4, a0: -0.01 }));
+            }
+            events.extend(machine.observe(&observation).events);
+        }
+        assert!(!events.is_empty() && events.iter().all(|event| !event.cause.is_part()), "{seed}: {events:#?}");
     }
 }
 

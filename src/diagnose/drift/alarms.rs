@@ -71,6 +71,8 @@ pub(crate) struct DriftAlarms {
     pub(crate) intermittent: Intermittent,
     /// Time and number of the first throw of a fall of friction that still lasts.
     pub(crate) fallen: Option<(Timestamp, u64)>,
+    /// Whether the two directions had opposite changes, and since then a drift that they do not share.
+    pub(crate) opposite: bool,
     /// A slow change of the friction \[%\] that raises no alarm, as it may come from the season.
     pub(crate) season_pct: Option<f64>,
     /// The change of (ln b0, ln a1, ln a0) at the last throw that the other machines of the site have too; it is
@@ -86,6 +88,8 @@ impl DriftAlarms {
         self.unjudged = 0;
         self.history.push(residual, latest.order);
         self.follow_onset(latest, step);
+        let LatestThrow { drift, settings, .. } = latest;
+        self.opposite = drift.is_opposite() || self.opposite && drift.matters() && !drift.is_in_both(settings);
         let weather = self.beside_weather(latest);
         for (index, cause) in Cause::DRIFTS.into_iter().enumerate() {
             let active = severity_of_drift(cause, step.alarms);
@@ -113,6 +117,11 @@ impl DriftAlarms {
         let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
         evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
         evidence.claim = evidence.claim.min(self.new_part(cause, latest).unwrap_or(weather));
+        if self.opposite && cause != Cause::Unattributed {
+            // Later the throws of one direction may give no estimate, and those of the other look like a worn part.
+            (evidence.claim, evidence.certain_size) = (evidence.claim.min(Claim::Counts), 0.0);
+        }
+        evidence.other_name &= !(self.opposite && cause == Cause::Unattributed);
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
             evidence.patience += LEVELS_FOLLOW;
@@ -321,6 +330,7 @@ impl DriftAlarms {
         self.history = History::default();
         self.onset = None;
         self.fallen = None;
+        self.opposite = false;
         self.season_pct = None;
     }
 

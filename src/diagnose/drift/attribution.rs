@@ -38,8 +38,8 @@ const RISEN_STIFFNESS: f64 = 0.1;
 /// bends the rails until that end slides.
 const VERY_DRY: f64 = 0.5;
 /// Least sizes of opposite changes of the two directions, in standard deviations and as part of the warning limit.
-const OPPOSITE_SD: f64 = 3.0;
-const OPPOSITE_FROM: f64 = 0.5;
+const OPPOSITE_SD: f64 = 2.5;
+const OPPOSITE_FROM: f64 = 0.4;
 /// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -177,22 +177,26 @@ impl Attribution {
         one.since_known(&all, case).unwrap_or(one)
     }
 
-    /// The attribution if the last throws of the two directions, in `levels`, do not show opposite changes of its single
-    /// named cause; without one, of the friction.
-    pub(crate) fn unless_opposite(self, levels: &[Option<Window>; 2], settings: &Settings) -> Self {
-        let [Some(normal), Some(reverse)] = levels else { return self };
-        let cause = match self.naming {
-            Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
-            _ => Cause::Friction,
+    /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
+    /// without one, of friction or stiffness. `levels`: means of the last throws of each direction, over several lengths.
+    pub(crate) fn unless_opposite(self, levels: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
+        let causes: &[Cause] = match &self.naming {
+            Naming::One(main) | Naming::Another { new: main, .. } => &[main.cause],
+            _ => &[Cause::Friction, Cause::Stiffness],
         };
-        let [a, b] = [normal, reverse].map(|window| window.single(cause, settings));
         let is_shown = |part: &Explanation| {
             part.size.abs() > OPPOSITE_SD * part.size_sd && part.relevance(settings) > OPPOSITE_FROM
         };
-        if a.size * b.size < 0.0 && is_shown(&a) && is_shown(&b) {
-            Self { naming: Naming::Opposite([a, b]), rival: None, runner_up: None, lead: 0.0, ..self }
-        } else {
-            self
+        let opposite = levels.into_iter().find_map(|[normal, reverse]| {
+            let windows = [normal.as_ref()?, reverse.as_ref()?];
+            causes.iter().find_map(|cause| {
+                let parts = windows.map(|window| window.single(*cause, settings));
+                (parts[0].size * parts[1].size < 0.0 && parts.iter().all(is_shown)).then_some(parts)
+            })
+        });
+        match opposite {
+            Some(parts) => Self { naming: Naming::Opposite(parts), rival: None, runner_up: None, lead: 0.0, ..self },
+            None => self,
         }
     }
 

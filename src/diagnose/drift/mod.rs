@@ -69,6 +69,8 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 const HEALTHY_BELOW: f64 = 0.5;
 /// Largest change of b0 or a0, relative to that of a1, in a change of friction, which the weather can cause.
 const BESIDE_WEATHER: f64 = 0.67;
+/// Least size of a part that both directions show, in standard deviations.
+const SAME_SIGN_SD: f64 = 2.0;
 /// A change lasts while the last few throws have at least this part of it.
 const STILL_CHANGED: f64 = 0.5;
 
@@ -118,8 +120,19 @@ impl Drift {
         self.levels.iter().chain(&self.last_few).flatten().chain(strongest)
     }
 
+    /// Whether the last throws of both directions show the named part, with the same sign.
+    pub(super) fn is_in_both(&self, settings: &Settings) -> bool {
+        let main = self.attribution.as_ref().and_then(Attribution::main);
+        let [Some(normal), Some(reverse)] = &self.last_few else { return false };
+        main.is_some_and(|main| {
+            let [a, b] = [normal, reverse].map(|window| window.single(main.cause, settings));
+            let is_shown = |part: &Explanation| part.size.abs() > SAME_SIGN_SD * part.size_sd;
+            a.size * b.size > 0.0 && is_shown(&a) && is_shown(&b)
+        })
+    }
+
     /// Whether the two directions have opposite changes.
-    fn is_opposite(&self) -> bool {
+    pub(super) fn is_opposite(&self) -> bool {
         self.attribution.as_ref().is_some_and(|attribution| matches!(attribution.naming, Naming::Opposite(_)))
     }
 

@@ -251,9 +251,9 @@ fn advice(attribution: &Attribution) -> String {
         }
         Naming::Neither(a, b) => format!("{} {} Then check the rest of the drive.", look_at(a), look_at(b)),
         Naming::Opposite(_) => {
-            "No worn part does this: a constant force helps one direction and hinders the other, or friction has changed \
-             along a part of the stroke. Check the adjustment of the rods, creep of the rails, what presses on the \
-             switch rails, and single dry slide chairs."
+            "No worn part does this: a constant force helps one direction and hinders the other, friction has changed \
+             along a part of the stroke, or the position sensor is no longer linear. Check the adjustment of the rods, \
+             creep of the rails, what presses on the switch rails, single dry slide chairs, and the sensor."
                 .to_owned()
         }
     }

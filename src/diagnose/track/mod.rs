@@ -322,7 +322,7 @@ impl Tracks {
             provisional,
             attribution: detected.map(|(tested, scatter, side)| {
                 let found = attribute((&tested.window, scatter, *side), &last_few, known, settings);
-                found.unless_opposite(&levels, settings)
+                found.unless_opposite([&levels, &last_few], settings)
             }),
             strongest: best.map(|(tested, ..)| tested),
             origin: Origin::default(),
