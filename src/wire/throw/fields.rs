@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     super::Invalid,
-    values::{Channel, Count},
+    values::{Channel, Count, Supply},
 };
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
@@ -35,14 +35,6 @@ pub(super) struct Fields {
     pub(super) supply_v: Option<Supply>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) anti_alias_hz: Option<f64>,
-}
-
-/// The supply voltage \[V\]: a number, or a value for each sample of the current.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
-pub(super) enum Supply {
-    Number(f64),
-    Samples(Channel),
 }
 
 impl From<&Throw> for Fields {

@@ -79,7 +79,8 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
         );
     }
     let said =
-        error.to_string().replace("expected f64", "must be a number").replace("expected a string", "must be a text");
+        error.to_string().replace("expected f64", "expected a number").replace("expected a string", "must be a text");
+    let said = said.replace("expected a number", "must be a number");
     let said = said.replace("expected struct Fields", "must be an object with the fields of a throw");
     match name {
         Some(name) if error.is_data() => format!("{name}: {said}"),

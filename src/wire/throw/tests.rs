@@ -1,3 +1,4 @@
+use allocation_counter::measure;
 use proptest::prelude::*;
 
 use super::*;
@@ -122,6 +123,16 @@ fn unusable_json_is_an_error_with_the_reason() {
     }
     for bytes in [&b""[..], b"{", b"[]", b"{} {}", b"nan", &b"[".repeat(100_000)] {
         assert!(decode_throw(Encoding::Json, bytes).is_err());
+    }
+}
+
+/// A message whose nested arrays would be a tree of many times its size.
+#[test]
+fn no_json_takes_a_large_multiple_of_its_size() {
+    let nested = format!("{{\"supply_v\":[{}]}}", vec!["[0]"; 1 << 18].join(","));
+    for message in [nested] {
+        let taken = measure(|| assert!(decode_throw(Encoding::Json, message.as_bytes()).is_err()));
+        assert!(taken.bytes_max < 2 * message.len() as u64, "{}: {taken:?}", &message[..40]);
     }
 }
 

