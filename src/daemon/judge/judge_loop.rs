@@ -128,8 +128,8 @@ impl JudgeLoop {
         for adopted in adopted.chunks(CHANGES) {
             self.record_all(adopted.into()).await?;
         }
-        let mut tick = time::interval(TICK);
-        let mut beat = time::interval(Duration::from_secs(1));
+        let mut tick = clock::every(TICK);
+        let mut beat = clock::every(Duration::from_secs(1));
         let mut may_be_pending = true;
         loop {
             self.shared.status.heartbeats.beat(TaskName::Identify);

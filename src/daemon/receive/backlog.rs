@@ -104,8 +104,7 @@ impl Backlog {
 
     pub(crate) async fn run(mut self) {
         let (mut round, mut until_next_round) = (Instant::now(), PAUSE);
-        let mut check = time::interval(MISSING_CHECK);
-        check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut check = clock::every(MISSING_CHECK);
         let mut may_miss = true;
         let mut loggers = self.shared.loggers.clone();
         loop {

@@ -232,7 +232,7 @@ impl ReceiveLoop {
 
     async fn receive(&mut self) {
         let mut batch = Vec::with_capacity(BATCH);
-        let mut beat = time::interval(Duration::from_secs(1));
+        let mut beat = clock::every(Duration::from_secs(1));
         let mut open = true;
         loop {
             let count = tokio::select! {

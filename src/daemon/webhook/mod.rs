@@ -200,7 +200,7 @@ impl Notifier {
 
     /// Waits until `end`, with heartbeats: a loop that waits on purpose does not hang.
     async fn wait<T>(&self, end: impl Future<Output = T>) -> T {
-        let (mut end, mut pace) = (pin!(end), time::interval(BEAT));
+        let (mut end, mut pace) = (pin!(end), clock::every(BEAT));
         loop {
             tokio::select! {
                 biased;
