@@ -149,10 +149,12 @@ impl Poison {
     }
 }
 
-/// Messages just below the limit of 16 MiB, of which a careless decoder makes many times as much memory.
-fn swelling() -> [Vec<u8>; 1] {
+/// Messages just below the limit of 16 MiB, of which a careless decoder makes many times as much memory: a tree of
+/// arrays, and an error with escaped characters.
+fn swelling() -> [Vec<u8>; 2] {
     let nested = format!("{{\"supply_v\":[{}]}}", vec!["[0]"; (4 << 20) - 8].join(","));
-    [nested.into_bytes()]
+    let text = format!("{{\"sample_rate_hz\":\"{}\"}}", "\u{7f}".repeat((16 << 20) - 32));
+    [nested, text].map(String::into_bytes)
 }
 
 /// Waits until the daemon has received and handled `sent` messages.

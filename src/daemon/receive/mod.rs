@@ -40,6 +40,8 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause after a failed write: the delay until freed disk space is used.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
+/// Longest reason of a quarantined message \[characters\], so that alarms and the status stay readable.
+const MAX_REASON: usize = 512;
 /// Largest number of remembered hashes of quarantined messages; a larger set is cleared.
 const REFUSED_BEFORE: usize = 10_000;
 
@@ -369,6 +371,7 @@ fn guarded(
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
         let Message { key, payload: beginning, bytes, .. } = message;
+        let reason = reason.chars().take(MAX_REASON).collect();
         QuarantinedMessage { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
     })
 }
@@ -406,12 +409,13 @@ mod tests {
         let decoded = ["good", "poison", "good"].map(|key| {
             guarded(message(key), Timestamp::UNIX_EPOCH, |message| {
                 assert!(message.key != "poison", "a defect of the decoder");
-                Err("read".to_owned())
+                Err("é".repeat(10 * MAX_REASON))
             })
         });
         let reasons = decoded.map(|refused| refused.unwrap_err().reason);
         assert!(
-            reasons[1].contains("the decoder failed") && [0, 2].iter().all(|at| reasons[*at] == "read"),
+            reasons[1].contains("the decoder failed")
+                && [0, 2].iter().all(|at| reasons[*at].chars().count() == MAX_REASON),
             "{reasons:?}"
         );
     }
