@@ -20,6 +20,12 @@
 //! | [`web`] | the dashboard with its commands, and the metrics | core, `store`, `daemon` |
 //! | [`cli`] | the commands of `pointsd` and `pointsim` | everything above |
 
+#![warn(
+    clippy::print_stderr,
+    clippy::print_stdout,
+    reason = "they panic when the stream cannot be written: use cli::output and cli::terminal"
+)]
+
 pub mod bus;
 pub mod cli;
 pub mod daemon;

@@ -8,7 +8,7 @@ use jiff::Timestamp;
 use super::{
     Exit, Failure, Outcome, ResultExt as _, argument,
     operator::{self, Connection},
-    output,
+    output, terminal,
 };
 use crate::{
     bus,
@@ -17,7 +17,7 @@ use crate::{
     store::Window,
     throw::{MachineId, utc},
     web,
-    wire::{self, Alarm, Health, Kind, MAX_HISTORY},
+    wire::{self, Alarm, Health, Kind, MAX_HISTORY, Scope},
 };
 
 /// Least number of similar open alarms about machines not monitored or lost data that are printed as one entry. A cut
@@ -81,10 +81,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
         if is_history && found.len() >= MAX_HISTORY as usize {
-            eprintln!(
+            terminal::complain(format_args!(
                 "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
                 found.len()
-            );
+            ));
         }
         let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
         if is_history {
@@ -127,7 +127,7 @@ fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
 
 /// The key of a machine, or of all machines.
 fn key(machine: Option<&MachineId>, kind: Kind) -> String {
-    machine.map_or_else(|| wire::every_key(kind), |machine| wire::machine_key(machine, kind))
+    machine.map_or_else(|| Scope::default().key_expression(kind), |machine| wire::machine_key(machine, kind))
 }
 
 fn selector(arguments: &Arguments) -> String {

@@ -21,7 +21,7 @@ const REDRAW: Duration = Duration::from_millis(100);
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  pointsd backup --config /etc/pointsd/pointsd.toml /mnt/usb/points-2026-03-01.db\n\n\
-    Exit codes: 0 copied, 65 the file is no database of pointsd, 66 there is no database, 73 the copy cannot be created, 74 reading or writing failed, 78 the configuration is invalid."
+    Exit codes: 0 copied, 65 the file is no database of pointsd, 66 there is no database, or it cannot be opened, 73 the copy cannot be created, 74 reading or writing failed, 78 the configuration is invalid."
 )]
 pub(super) struct Arguments {
     /// The new file.

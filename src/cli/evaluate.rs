@@ -11,7 +11,7 @@ use clap::Args;
 use comfy_table::{Cell, Table};
 use parking_lot::Mutex;
 
-use super::{Exit, Outcome, output};
+use super::{Exit, Outcome, output, terminal};
 use crate::{
     diagnose::Settings,
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
@@ -60,7 +60,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     output::result(arguments.json, &report, || tables(&report))?;
     let shortfalls = report.shortfalls();
     for shortfall in &shortfalls {
-        eprintln!("goal not met: {shortfall}");
+        terminal::complain(format_args!("goal not met: {shortfall}"));
     }
     Ok(if shortfalls.is_empty() { Exit::Ok } else { Exit::Negative })
 }

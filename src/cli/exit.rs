@@ -29,6 +29,10 @@ pub(super) enum Exit {
     Config = 78,
 }
 
+/// The exit codes that every command has beside those in its own help.
+pub(super) const COMMON_CODES: &str = "Exit codes of every command, beside those in its help: 64 the command line is wrong; \
+    70 an internal error; 74 standard output cannot be written.";
+
 /// The premature end of a command.
 #[derive(Debug)]
 pub(super) enum Failure {

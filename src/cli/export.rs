@@ -31,7 +31,8 @@ use crate::{
 /// import` takes time, direction, boot and number from there.
 ///
 /// Exit codes: 0 exported; 1 no stored throw matches; 65 the file is no database of pointsd, or of another version; 66
-/// there is no database; 73 a file cannot be created; 74 reading or writing failed; 78 the configuration is invalid.
+/// there is no database, or it cannot be opened; 73 a file cannot be created; 74 reading or writing failed; 78 the
+/// configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd export > throws.csv\n  \
     pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]

@@ -91,7 +91,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     match reason.filter(|_| found.outcome.is_err()) {
         None => Ok(Exit::Ok),
         Some(reason) => {
-            eprintln!("rejected: {}: {reason}", arguments.file.display());
+            terminal::complain(format_args!("rejected: {}: {reason}", arguments.file.display()));
             Ok(Exit::Negative)
         }
     }

@@ -14,7 +14,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, run::located, runtime};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, run::located, runtime, terminal};
 use crate::{
     daemon::{
         Judged, Offline, clock,
@@ -166,14 +166,14 @@ async fn import(
 
 /// Warns that a throw is older than an earlier one in the database: throws are judged in the order of the import.
 fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp, file: &Path) {
-    eprintln!(
+    terminal::complain(format_args!(
         "warning: {}: this throw is of {}, before the last one of {machine} in the database, of {}. Imported throws are \
          judged as the newest, so the state and the alarms of the machine are now those of an older time. To evaluate old \
          recordings only, import them into another database ([store] path)",
         file.display(),
         utc(&started_at),
         utc(&last)
-    );
+    ));
 }
 
 fn is_json(file: &Path) -> bool {

@@ -21,7 +21,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// The throws are simulated before the load, so that the simulation does not limit the rate; new sensor noise makes
 /// each trace different. The machines are new to the daemon: use a temporary database.
 ///
-/// Exit codes: 0 all throws were judged; 1 some were not; 64 invalid option; 69 no daemon.
+/// Exit codes: 0 all throws were judged; 1 some were not; 64 invalid option; 69 no daemon; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: the peak load of a national network, for a minute\n  \
                         pointsim load --machines 20000 --rate 500 --seconds 60")]

@@ -33,7 +33,7 @@ mod table1;
 mod terminal;
 mod throw;
 
-use exit::{Exit, Failure, Outcome, ResultExt};
+use exit::{COMMON_CODES, Exit, Failure, Outcome, ResultExt};
 
 /// Runs `pointsd` with the arguments of the process and returns the exit code.
 pub fn pointsd() -> std::process::ExitCode {

@@ -3,13 +3,13 @@
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 use super::{
-    Outcome, alarms, backup, check, commands, completions, demo, evaluate, export, identify, import, man, replay,
-    report, run, sql, status,
+    COMMON_CODES, Outcome, alarms, backup, check, commands, completions, demo, evaluate, export, identify, import, man,
+    replay, report, run, sql, status,
 };
 
 /// Condition monitoring of railway point machines: identifies every throw and names the part that is wearing out.
 #[derive(Debug, Parser)]
-#[command(name = "pointsd", version)]
+#[command(name = "pointsd", version, after_help = COMMON_CODES)]
 pub(super) struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -2,11 +2,11 @@
 
 use clap::{CommandFactory as _, Parser, Subcommand};
 
-use super::{Outcome, completions, limits, load, man, simulate_run, table1, throw};
+use super::{COMMON_CODES, Outcome, completions, limits, load, man, simulate_run, table1, throw};
 
 /// Simulated point machines: publishes throws, writes traces, repeats the tests of the study.
 #[derive(Debug, Parser)]
-#[command(name = "pointsim", version)]
+#[command(name = "pointsim", version, after_help = COMMON_CODES)]
 pub(super) struct Arguments {
     #[command(subcommand)]
     command: Command,

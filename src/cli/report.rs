@@ -25,8 +25,8 @@ use crate::{
 /// the configuration.
 ///
 /// Exit codes: 0 written; 64 --out names another format than HTML; 65 the file is no database of pointsd, or of another
-/// version; 66 there is no database, or no throw of this machine; 73 the file cannot be written; 74 reading or writing
-/// failed; 78 the configuration is invalid.
+/// version; 66 there is no database, it cannot be opened, or it has no throw of this machine; 73 the file cannot be
+/// written; 74 reading or writing failed; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {

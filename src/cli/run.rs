@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{
     Exit, Failure, Outcome, ResultExt,
-    runtime::{self, Requested, Signals},
+    runtime::{self, Signals},
 };
 use crate::{
     daemon::{
@@ -62,6 +62,8 @@ pub(super) fn located(error: StartError, file: Option<&Path>) -> Failure {
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
     let mut signals = Signals::listen()?;
+    // A SIGHUP during the start has its effect after it.
+    let mut hangup = runtime::hangup()?;
     let listening = match config.web.listen {
         Some(address) => Some(Listening::bind(address).await.or_exit(Exit::Unavailable)?),
         None => None,
@@ -81,10 +83,8 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     tracing::info!(database = %daemon.store().path().display(), listens_on = ?daemon.locators().await, "ready");
     let ended = loop {
         tokio::select! {
-            asked = signals.next() => match asked {
-                Requested::Stop => break None,
-                Requested::Reload => reload(&daemon, arguments.config.as_deref()).await,
-            },
+            () = signals.stop() => break None,
+            _ = hangup.recv() => reload(&daemon, arguments.config.as_deref()).await,
             task = daemon.ended() => break Some(task),
         }
     };

@@ -40,41 +40,32 @@ pub(super) fn log(settings: &Log) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The signals SIGTERM and SIGINT, which stop a command, and SIGHUP, which reloads its configuration.
+/// The signals that stop a command: SIGTERM and SIGINT.
 pub(super) struct Signals {
     terminate: Signal,
     interrupt: Signal,
-    reload: Signal,
-}
-
-/// The action that a signal requests.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Requested {
-    Stop,
-    Reload,
 }
 
 impl Signals {
     pub(super) fn listen() -> Result<Self, Failure> {
-        let listen = |kind| signal(kind).or_exit(Exit::Software);
-        Ok(Self {
-            terminate: listen(SignalKind::terminate())?,
-            interrupt: listen(SignalKind::interrupt())?,
-            reload: listen(SignalKind::hangup())?,
-        })
+        Ok(Self { terminate: on(SignalKind::terminate())?, interrupt: on(SignalKind::interrupt())? })
     }
 
-    /// Waits for the next signal.
-    pub(super) async fn next(&mut self) -> Requested {
+    /// Waits for a signal to stop.
+    pub(super) async fn stop(&mut self) {
         tokio::select! {
-            _ = self.terminate.recv() => Requested::Stop,
-            _ = self.interrupt.recv() => Requested::Stop,
-            _ = self.reload.recv() => Requested::Reload,
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
         }
     }
+}
 
-    /// Waits for a signal to stop; ignores SIGHUP.
-    pub(super) async fn stop(&mut self) {
-        while self.next().await != Requested::Stop {}
-    }
+/// SIGHUP. A command that does not call this keeps the default action: it ends with its terminal, or continues under
+/// `nohup`.
+pub(super) fn hangup() -> Result<Signal, Failure> {
+    on(SignalKind::hangup())
+}
+
+fn on(kind: SignalKind) -> Result<Signal, Failure> {
+    signal(kind).or_exit(Exit::Software)
 }

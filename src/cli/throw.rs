@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, output};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, terminal};
 use crate::daemon::config::{Document, overlay, set};
 use crate::simulate::{Coefficients, Condition, Conditions, Parameters, Recording, Sensors};
 use crate::throw::{Direction, OutOfRange};
@@ -26,7 +26,7 @@ use crate::throw::{Direction, OutOfRange};
   pointsim throw --out other.csv --set machine.stroke_mm=150 --set machine.rails.slide_friction=0.1
 
 Exit codes: 0 written; 64 wrong command line; 73 the CSV file cannot be created; 78 the configuration file cannot be
-read, or a machine or sensor value is out of its range.")]
+read, or a machine or sensor value is unknown or out of its range.")]
 pub(super) struct Arguments {
     /// The CSV file to write: `time_s,current_a,position_mm`; - for standard output, with the coefficients on standard
     /// error.
@@ -137,7 +137,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         text(&truth, &arguments.out)
     };
     if is_stdout {
-        eprintln!("{summary}");
+        terminal::complain(summary);
     } else {
         output::line(summary)?;
     }

@@ -80,7 +80,7 @@ impl From<AlarmOne> for Alarm {
             Some(until) => State::Shelved { until, by: shelved_by, why, beneath: Box::new(state) },
             None => state,
         };
-        Self { state, rule: Rule::Usual, is_unchecked: false, last }
+        Self { state, ..Self::cleared(Rule::Usual, last) }
     }
 }
 

@@ -28,6 +28,9 @@ pub struct Features {
     /// points. It is negative if a spring pulls the toe to the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_rise_a: Option<f64>,
+    /// Time for which the motor ran after the arrival of the toe \[s\]; needs the position.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub run_on_s: Option<f64>,
     /// Integral of the current's magnitude \[A s\]; `None` also if one sample of the inrush is more than a tenth of it.
     pub charge_as: Option<f64>,
     /// Energy that the motor takes from the supply \[J\]: charge times supply voltage; needs `supply_v`.
@@ -59,10 +62,11 @@ pub struct Features {
 impl Features {
     /// The features without those that depend on the sampling rate.
     pub(super) fn without_times(self) -> Self {
-        Self { duration_s: None, release_s: None, charge_as: None, ..self }
+        Self { duration_s: None, release_s: None, run_on_s: None, charge_as: None, ..self }
     }
 
-    /// The features without those that depend on a channel that is not reliable.
+    /// The features without those that depend on a channel that is not reliable. Single wrong values of the current change
+    /// neither the duration nor the current at rest.
     pub(super) fn without(self, channel: Channel) -> Self {
         match channel {
             Channel::Position => Self {
@@ -72,6 +76,7 @@ impl Features {
                 start_position_mm: None,
                 end_position_mm: None,
                 end_rise_a: None,
+                run_on_s: None,
                 ..self
             },
             Channel::Current => Self {

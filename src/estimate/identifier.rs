@@ -96,7 +96,8 @@ impl Identifier {
         let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
         copy_finite(current, &raw_current);
         let at_rest = if factor > 1 { level_before(current) } else { 0.0 };
-        let linear = settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz().is_none();
+        let linear =
+            settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz(trace.sample_rate_hz()).is_none();
         let released = (factor > 1 && has_position)
             .then(|| release::at_full_rate(current, raw_interval_s, linear, scratch))
             .flatten();
@@ -128,7 +129,14 @@ impl Identifier {
             .and_then(|()| completeness::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
-            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
+            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released))
+            .map_err(|mut reason| {
+                // Its samples were counted before the decimation already, or not at all.
+                if let Rejection::TooSlow { rate_hz, .. } = &mut reason {
+                    *rate_hz *= factor as f64;
+                }
+                reason
+            });
         let moved = direction_moved(&movement, &outcome);
         let mut features = features_of(throw, &movement, &outcome, settings);
         if let Ok(estimate) = &outcome
@@ -210,7 +218,7 @@ impl Buffers {
         released: Option<f64>,
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / movement.interval_s;
-        let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
+        let filter_hz = throw.possible_anti_alias_hz(rate_hz);
         noise::resolved(movement, settings)?;
         let noisy = noise::plausible(movement, settings).err();
         let no_inrush = completeness::inrush(movement, &mut self.scratch);

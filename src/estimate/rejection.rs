@@ -146,7 +146,7 @@ pub enum Rejection {
         duration_s: f64,
         /// The limit \[s\].
         longest_s: f64,
-        /// Sampling rate in the message, after decimation to about 1 kHz \[Hz\].
+        /// Sampling rate in the message \[Hz\].
         rate_hz: f64,
     },
     /// The toe moved backwards during the throw.
@@ -237,8 +237,14 @@ pub enum Rejection {
     },
     /// The toe starts later or earlier than the current shows.
     #[error(
-        "the toe starts {delay_ms:.1} ms later than the current shows: a brake that releases late, play, lost motion, or channels \
-         that are not synchronous"
+        "the toe starts {:.1} ms {} than the current shows: {}",
+        delay_ms.abs(),
+        if *delay_ms < 0.0 { "earlier" } else { "later" },
+        if *delay_ms < 0.0 {
+            "channels that are not synchronous, or another start than the model's"
+        } else {
+            "a brake that releases late, play, lost motion, or channels that are not synchronous"
+        }
     )]
     LateStart {
         /// Delay \[ms\]; negative for an early start.

@@ -30,7 +30,7 @@ use crate::{
     daemon::clock,
     simulate::FleetSettings,
     throw::{MachineId, Throw, ThrowRef, Trace},
-    wire::{self, Alarm, Encoding, Health, Kind},
+    wire::{self, Alarm, Encoding, Health, Kind, Scope},
 };
 
 /// Number of simulated machines; all other machines repeat their throws.
@@ -196,7 +196,7 @@ fn subscribe<M: DeserializeOwned>(
             tracking.lock().on_message(&throw, now);
         }
     };
-    let subscribed = session.declare_subscriber(wire::every_key(kind)).callback(on_message).wait();
+    let subscribed = session.declare_subscriber(Scope::default().key_expression(kind)).callback(on_message).wait();
     subscribed.map_err(BusError::new("subscribe to the answers of the daemons"))
 }
 

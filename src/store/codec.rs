@@ -51,7 +51,7 @@ enum Codec {
 }
 
 /// A stored channel.
-#[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Channel {
     pub(super) codec: String,
     pub(super) data: Vec<u8>,

@@ -135,9 +135,9 @@ impl Store {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
-    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. Returns for
-    /// each whether it was written; a throw that was judged before gives false.
-    pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
+    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. A throw that was
+    /// judged before keeps its judgement.
+    pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<(), StoreError> {
         self.writer.write(judgements).await
     }
 

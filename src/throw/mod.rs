@@ -121,14 +121,10 @@ impl Throw {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))
     }
 
-    /// The cut-off of the filter \[Hz\], if it is declared and possible. A filter with a cut-off above half of the
-    /// sampling rate suppresses no alias.
-    pub fn possible_anti_alias_hz(&self) -> Option<f64> {
-        self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= self.half_rate_hz() * 1.0001)
-    }
-
-    fn half_rate_hz(&self) -> f64 {
-        0.5 * self.trace.sample_rate_hz()
+    /// The cut-off of the filter \[Hz\], if it is declared and possible at the sampling rate `rate_hz`. A filter with a
+    /// cut-off above half of this rate suppresses no alias.
+    pub fn possible_anti_alias_hz(&self, rate_hz: f64) -> Option<f64> {
+        self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001)
     }
 
     /// The optional fields whose values are not possible.
@@ -137,8 +133,10 @@ impl Throw {
         let mut add = |key: &str, value, must| {
             fields.push(OutOfRange { key: key.to_owned(), value: rounded(value), must });
         };
-        if let Some(hz) = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none()) {
-            let half = brief(rounded(self.half_rate_hz()));
+        if let Some(hz) =
+            self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz(self.trace.sample_rate_hz()).is_none())
+        {
+            let half = brief(rounded(0.5 * self.trace.sample_rate_hz()));
             add("anti_alias_hz", hz, format!("above 0 and up to {half} Hz, half of sample_rate_hz"));
         }
         if let Some(volts) = self.supply_v.filter(|_| self.possible_supply_v().is_none()) {

@@ -45,6 +45,7 @@ fn takes_none(query: Option<&str>) -> Result<(), Failure> {
 
 pub(super) async fn status(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     takes_none(query.as_deref())?;
+    let _permit = web.read_permit().await?;
     Ok(page::json(&json!(web.view.status.answer(&web.view.store).await)))
 }
 

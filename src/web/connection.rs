@@ -1,6 +1,6 @@
 //! HTTP connections with limits on their number, their requests (one each), their bytes and their time. At the largest
-//! number, the connection that has waited longest for its client is closed, so that slow clients do not block others: for
-//! the request, or for the client to read the response.
+//! number, a new connection closes the connection that has waited longest for its client (for the request, or for the
+//! client to read the response), so that slow clients do not block others.
 
 use std::{
     collections::VecDeque,
@@ -111,12 +111,13 @@ impl Waiting {
         waiting.front().map(|(since, _)| *since)
     }
 
-    /// Waits for a permit for a new connection. If there is none, connections that wait for longer than [`GRACE`] are
-    /// closed, the oldest first.
+    /// Waits for a permit for a new connection. If there is none, the connection that has waited longest is closed, if it
+    /// waits for longer than [`GRACE`]; if its permit is not free after [`GRACE`], the next one is closed.
     async fn permit(&self, permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
+        let mut not_before = Instant::now();
         loop {
             // Without such a connection look again later, as a handler may end.
-            let due = self.oldest().unwrap_or_else(Instant::now) + GRACE;
+            let due = not_before.max(self.oldest().unwrap_or_else(Instant::now) + GRACE);
             tokio::select! {
                 biased;
                 // The acquisition cannot fail, as the semaphore is never closed.
@@ -125,6 +126,7 @@ impl Waiting {
             }
             if self.oldest().is_some_and(|since| since.elapsed() >= GRACE) {
                 drop(self.0.lock().pop_front());
+                not_before = Instant::now() + GRACE;
             }
         }
     }
@@ -186,12 +188,33 @@ async fn eviction(evicted: &mut Option<oneshot::Receiver<()>>) {
 #[cfg(test)]
 mod tests {
     use axum::{Extension, routing::get};
-    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    use tokio::{
+        io::{AsyncReadExt as _, AsyncWriteExt as _},
+        task::JoinSet,
+    };
 
     use super::*;
 
     /// More than the buffers of a connection hold.
     static LARGE: [u8; 16 << 20] = [0; 16 << 20];
+
+    #[tokio::test]
+    async fn a_new_connection_closes_one_other() {
+        let (permits, waiting) = (Arc::new(Semaphore::new(CONNECTIONS)), Waiting::default());
+        let mut connections = JoinSet::new();
+        for _ in 0..CONNECTIONS {
+            let (permit, evicted) = (Arc::clone(&permits).try_acquire_owned().unwrap(), waiting.add());
+            connections.spawn(async move {
+                let _ = evicted.await;
+                drop(permit);
+            });
+        }
+        time::sleep(2 * GRACE).await;
+        let _new = waiting.permit(&permits).await.unwrap();
+        time::sleep(GRACE).await;
+        let closed = std::iter::from_fn(|| connections.try_join_next()).count();
+        assert_eq!(closed, 1);
+    }
 
     #[tokio::test]
     async fn clients_that_do_not_read_their_responses_make_way() {

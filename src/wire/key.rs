@@ -29,11 +29,6 @@ pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
-/// Key expression of all machines.
-pub fn every_key(kind: Kind) -> String {
-    format!("{PREFIX}*/*/{}", kind.as_ref())
-}
-
 /// The key of a daemon's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a daemon (`site` and `id`
 /// of its section `[monitor]`) has the form of a machine's name.
 pub fn monitor_alive_key(MachineId { site, machine }: &MachineId) -> String {

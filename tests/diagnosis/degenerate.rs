@@ -73,6 +73,7 @@ impl Degenerate {
             running_current_a: Some(value(3.0)),
             mean_current_a: Some(value(3.5)),
             end_rise_a: Some(value(0.2)),
+            run_on_s: Some(value(0.04)),
             charge_as: Some(value(15.0)),
             energy_j: self.supply_v.map(|v| value(15.0) * v),
             quiet_current_a: Some(value(0.01)),

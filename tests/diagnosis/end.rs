@@ -81,6 +81,45 @@ fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mendin
     assert_eq!(states, [AlarmState::ClearedUnacknowledged], "{mended:?}");
 }
 
+/// An alarm without a named part, or about a sensor, hides no force at the end; the earlier fault stays in the text.
+#[test]
+fn an_earlier_fault_hides_no_force_at_the_end() {
+    let late = State { brake_s: 0.04, ..State::OF_RATIOS };
+    let long = State { position_gain: 0.85, ..State::SOUND };
+    for (before, earlier, cause) in [(State::OF_RATIOS, late, Cause::Unattributed), (State::SOUND, long, Cause::Sensor)]
+    {
+        let mut drive = Drive::after_in(before, 60, 77_400, Voltage::Published);
+        let first = drive.events(40, earlier);
+        assert!(!first.is_empty() && first.iter().all(|event| event.cause == cause), "{first:?}");
+        let mut events: Vec<AlarmEvent> = Vec::new();
+        for throw in 1..=120 {
+            events.extend(drive.feed(locking(throw, 120, earlier)).events);
+        }
+        let found: Vec<&AlarmEvent> = events.iter().filter(|event| is_about_the_end(event)).collect();
+        assert!(found.iter().any(|event| event.severity == Severity::Critical), "{cause}: {events:?}");
+        assert!(found[0].state == AlarmState::ActiveUnacknowledged, "{cause}: {:?}", found[0]);
+        if cause == Cause::Unattributed {
+            assert!(found[0].text.starts_with(&first.last().unwrap().text), "{}", found[0].text);
+        }
+        println!("{:?}", events.iter().map(|event| (&event.text, event.severity, event.state)).collect::<Vec<_>>());
+    }
+}
+
+/// The force of a lock vanishes: it is broken, or its spring is.
+#[test]
+fn a_lock_that_gives_no_force_any_more_is_named() {
+    let lives = in_parallel(4, |seed| {
+        let mut drive =
+            Drive::after_in(State { lock: 0.08, ..State::SOUND }, 60, 77_500 + seed, Voltage::alternating(seed));
+        drive.events(30, State::SOUND)
+    });
+    for events in lives {
+        let [event] = &events[..] else { panic!("{events:?}") };
+        assert!(is_about_the_end(event) && event.severity == Severity::Warning, "{event:?}");
+        assert!(event.text.contains("has fallen") && event.text.contains("whether the points lock"), "{}", event.text);
+    }
+}
+
 #[test]
 fn an_adjusted_lock_is_normal_after_a_new_baseline() {
     let mut drive = Drive::after(60, 77_200, Voltage::Unknown);
@@ -115,14 +154,16 @@ fn a_fault_of_another_part_is_no_force_at_the_end() {
         State { play_mm: 1.0, ..sound },
         State { late_s: 0.01, ..sound },
     ];
-    let about_the_end = in_parallel(2 * faults.len() as u64, |life| {
-        let fault = faults[usize::try_from(life / 2).unwrap()];
+    let about_the_end = in_parallel(4 * faults.len() as u64, |life| {
+        let fault = faults[usize::try_from(life / 4).unwrap()];
         let mut drive = Drive::new(77_300 + life, Voltage::alternating(life));
         if life % 2 == 0 {
             (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
         }
-        drive.stay_healthy(60, sound);
-        let events = drive.events(60, fault);
+        // Every second machine has a lock, whose force could seem to fall too.
+        let lock = if life % 4 < 2 { 0.0 } else { 0.05 };
+        drive.stay_healthy(60, State { lock, ..sound });
+        let events = drive.events(60, State { lock, ..fault });
         events.into_iter().find(is_about_the_end).map(|event| format!("{fault:?}: {}", event.text))
     });
     assert_eq!(about_the_end.into_iter().flatten().collect::<Vec<_>>(), [] as [String; 0]);

@@ -34,5 +34,6 @@ mod site;
 mod slow_loggers;
 mod snapshot;
 mod start;
+mod stroke;
 mod table1_lives;
 mod weather;

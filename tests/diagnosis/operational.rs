@@ -310,6 +310,36 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
     assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
+/// The alarm about a mended sensor ends, although another one was disturbed once in the meantime.
+#[test]
+fn a_disturbance_of_another_sensor_keeps_no_alarm_of_a_mended_one() {
+    let mut machine = machine();
+    let events = feed(&mut machine, 4, disturb);
+    assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))]);
+    assert_eq!(feed(&mut machine, 8, |_| {}), []);
+    let noisy = Rejection::Noisy { channel: Channel::Current, measured: 2.0, expected: 0.02 };
+    assert_eq!(feed(&mut machine, 1, |throw| throw.outcome = Some(Err(noisy.clone()))), []);
+    assert_eq!(summary(&feed(&mut machine, 20, |_| {})), [ended(Cause::Sensor)]);
+}
+
+/// A sensor that fails while another one is faulty has its own event, and the text still names the first.
+#[test]
+fn a_wrong_voltage_is_not_hidden_by_a_wrong_temperature() {
+    let mut machine = machine();
+    let hot = |throw: &mut Observation| throw.temperature_c = Some(850.0);
+    let both = |throw: &mut Observation| {
+        hot(throw);
+        throw.features.supply_v = Some(0.0);
+    };
+    let only_volts = |throw: &mut Observation| throw.features.supply_v = Some(0.0);
+    assert_eq!(channels(&feed(&mut machine, 20, hot)), [(Cause::Sensor, Some(SensorChannel::Temperature))]);
+    let events = feed(&mut machine, 20, both);
+    assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Supply))]);
+    assert!(events[0].text.contains("0 V") && events[0].text.contains("850"), "{}", events[0].text);
+    assert_eq!(feed(&mut machine, 20, only_volts), [], "the voltage is still wrong");
+    assert_eq!(summary(&feed(&mut machine, 20, |_| {})), [ended(Cause::Sensor)]);
+}
+
 /// At the end of a maintenance the rules forget the last throws, so the alarms that come from them must end too.
 #[test]
 fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {

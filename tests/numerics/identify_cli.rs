@@ -1,7 +1,7 @@
 //! `pointsd identify` on recordings of users: an error is one sentence that names the reason and the place.
 
 use std::fmt::Write as _;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use pointsd::simulate::{Parameters, Sensors};
 use pointsd::throw::Direction;
@@ -32,6 +32,18 @@ fn identify(text: &str) -> Output {
 
 fn pointsd(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_pointsd")).args(arguments).output().unwrap()
+}
+
+/// The reason of a rejection goes to standard error. If this cannot be written, the exit code has the result.
+#[test]
+fn a_rejected_recording_has_its_exit_code_without_standard_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("throw.csv");
+    std::fs::write(&file, csv().lines().take(100).collect::<Vec<_>>().join("\n")).unwrap();
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut identify = Command::new(env!("CARGO_BIN_EXE_pointsd"));
+    let status = identify.arg("identify").arg(&file).stdout(Stdio::null()).stderr(full).status().unwrap();
+    assert_eq!(status.code(), Some(1));
 }
 
 #[test]

@@ -163,13 +163,17 @@ fn a_client_without_its_router_says_so_and_can_be_stopped() {
     let mut line = String::new();
     BufReader::new(logger.stderr.take().unwrap()).read_line(&mut line).unwrap();
     assert!(line.contains("no router answers at"), "{line}");
+    let caught = u64::from_str_radix(&status_of(logger.id(), "SigCgt"), 16).unwrap();
+    assert_eq!(caught & 1, 0, "SIGHUP has its default action: the logger ends with its terminal");
     send_signal("-INT", logger.id());
     assert!(logger.wait().unwrap().success());
 
-    // The daemon is ready as soon as its router is back.
+    // The daemon is ready as soon as its router is back. A SIGHUP during the start has its effect after it.
     let (daemon, ready) = rig.launch();
     daemon.until_log("no router answers at");
+    daemon.signal("-HUP");
     let _router = away.start();
     ready.recv_timeout(PATIENCE).unwrap();
+    daemon.until_log("configuration reloaded");
     daemon.terminate();
 }

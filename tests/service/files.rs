@@ -179,6 +179,19 @@ async fn a_database_of_another_version_is_refused_with_the_reason() {
     refused(&["run"], 74, "by a newer version of pointsd");
 }
 
+/// The value is larger than the memory of the process. Neither the statement nor the file is wrong.
+#[tokio::test]
+async fn a_query_that_runs_out_of_memory_is_a_failed_read() {
+    let rig = Rig::new();
+    fs::write(rig.database(), []).unwrap();
+    rig.change(include_str!("../storage/released.sql")).await;
+    let mut sql = Command::new("sh");
+    sql.env("MALLOC_ARENA_MAX", "2").args(["-c", "ulimit -v 800000; exec \"$@\"", "sh"]);
+    sql.arg(pointsd(&[]).get_program()).args(["sql", "SELECT length(CAST(zeroblob(900000000) AS TEXT))", "--database"]);
+    let error = ends(74, sql.arg(rig.database()));
+    assert!(error.contains("out of memory"), "{error}");
+}
+
 /// The names of the commands in `--help`.
 fn commands(help: &str) -> Vec<String> {
     let listed =

@@ -44,7 +44,7 @@ const INTERVAL_S: f64 = 1200.0;
 /// the end, unless --keep or --folder is given.
 ///
 /// Exit codes: 0 all four faults named right, no alarm on the healthy machine; 1 otherwise; 69 zenoh or the dashboard
-/// cannot be used; 73 the database cannot be created.
+/// cannot be used; 70 a task of the daemon ended; 73 the database cannot be created; 74 the database cannot be used.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd demo --seed 7")]
 pub(super) struct Arguments {
@@ -160,7 +160,8 @@ fn config(database: &Path) -> Result<Config, Failure> {
         database.display().to_string()
     );
     let document = Document::parse("demo".as_ref(), text).or_exit(Exit::Config)?;
-    Config::from_document(&document).or_exit(Exit::Config)
+    // Only the path of the database can be invalid. The user has no file whose line the error could name.
+    Config::from_document(&document).map_err(|error| anyhow!(error.problem)).or_exit(Exit::CannotCreate)
 }
 
 fn client(endpoint: &str) -> Result<zenoh::Config, Failure> {
@@ -182,4 +183,16 @@ fn logger_settings(seed: u64) -> LoggerSettings {
 fn fleet() -> FleetSettings {
     let faults = (0..).zip(MACHINES).filter_map(|(machine, fault)| Some(FleetFault { machine, fault: fault? }));
     FleetSettings { machines: MACHINES.len(), faults: faults.collect(), ..FleetSettings::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_without_a_database_is_an_output_that_cannot_be_created() {
+        let Err(Failure::Error { exit, error }) = config(Path::new("/no/such/folder/points.db")) else { panic!() };
+        assert_eq!(exit, Exit::CannotCreate);
+        assert!(error.to_string().starts_with("the folder /no/such/folder of the database: "), "{error}");
+    }
 }

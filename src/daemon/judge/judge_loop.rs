@@ -89,7 +89,7 @@ enum Changes {
 impl Changes {
     async fn store(&self, store: &Store) -> Result<(), StoreError> {
         match self {
-            Self::Judgements(judgements) => store.judge_all(Arc::clone(judgements)).await.map(drop),
+            Self::Judgements(judgements) => store.judge_all(Arc::clone(judgements)).await,
             Self::Outcomes(outcomes) => store.record_all(Arc::clone(outcomes)).await,
         }
     }

@@ -188,7 +188,6 @@ impl Monitors {
         } else {
             monitor.observe_beside(&observation, &common, settings)
         };
-        verdict.events.extend(dated.events);
         let repeated_trace = repeats.then_some(Irregularity::RepeatedTrace);
         let repeated_number = stored.renumbered.then_some(Irregularity::RepeatedNumber);
         for irregularity in repeated_trace.into_iter().chain(repeated_number) {
@@ -197,7 +196,7 @@ impl Monitors {
             verdict.present.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut events = [boot.events, configuration_events.unwrap_or_default()].concat();
+        let mut events = [dated.events, boot.events, configuration_events.unwrap_or_default()].concat();
         events.append(&mut verdict.events);
         let outcome = Outcome { command, ..outcome(&stored.machine, is_last.then_some(&*monitor), at, events) };
         // Only for throws without changes of the coefficients: their health has the changes of the ratios.

@@ -175,10 +175,12 @@ impl Command {
     /// A further sentence for the operator, about the alarms that the command ended or brought back; empty without such
     /// alarms. `events` are those of the command.
     pub fn consequence(&self, events: &[AlarmEvent]) -> String {
+        let is_last = |at: usize| events[at + 1..].iter().all(|later| later.cause != events[at].cause);
         let named = |are_active: bool| {
-            let events = events.iter().filter(|event| event.state.is_active() == are_active);
+            let last = events.iter().enumerate().filter(|(at, _)| is_last(*at)).map(|(_, event)| event);
+            let of_state = last.filter(|event| event.state.is_active() == are_active);
             let names: Vec<String> =
-                events.map(|event| format!("{} {}", event.severity.as_str(), event.cause)).collect();
+                of_state.map(|event| format!("{} {}", event.severity.as_str(), event.cause)).collect();
             names.join(", ")
         };
         let (ended, active) = (named(false), named(true));

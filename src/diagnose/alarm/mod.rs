@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub(super) use command::Maintenance;
 pub use command::{Command, CommandError};
 pub(super) use rule::Rule;
-pub(super) use rule_result::{RuleResult, count_over};
+pub(super) use rule_result::{OVER_BELOW, RuleResult, count_over};
 pub(super) use step::Step;
 
 use super::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity, statistics::is_default, text};
@@ -106,14 +106,23 @@ impl State {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Alarm {
     pub(super) state: State,
-    /// The rule that owns the alarm: only this rule may clear it.
+    /// The rule that owns the alarm and clears it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub(super) rule: Rule,
+    /// Other rules whose fault was added to the text of the alarm, see [`Alarms::add_fault`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) added: Vec<Rule>,
     /// Whether the alarm is from before a maintenance, and no evidence after it has confirmed it yet.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) is_unchecked: bool,
     /// Latest event, with cause, severity and identity.
     pub(super) last: AlarmEvent,
+}
+
+impl Alarm {
+    pub(super) fn cleared(rule: Rule, last: AlarmEvent) -> Self {
+        Self { state: State::Cleared, rule, added: Vec::new(), is_unchecked: false, last }
+    }
 }
 
 /// The open alarms of one machine.
@@ -184,12 +193,51 @@ impl Alarms {
     }
 
     /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
-    /// not change, with two exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
-    /// part or whose fault was intermittent, and the evidence of an alarm from before a maintenance is replaced. Returns
-    /// whether the alarm changed.
+    /// not change, with three exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
+    /// part or whose fault was intermittent, the evidence of an alarm from before a maintenance is replaced, and a fault
+    /// without a named part is added to that of another rule. Returns whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
-        let stands = |alarm: &Alarm| !(alarm.is_unchecked || rule == Rule::Usual && alarm.rule.gives_way());
-        !self.find_active(event.cause).is_some_and(stands) && self.raise_anew(rule, event)
+        match self.find_active(event.cause) {
+            Some(alarm) if rule == Rule::Usual && alarm.rule.gives_way() => {
+                let severity = alarm.last.severity.max(event.severity);
+                self.raise_anew(rule, AlarmEvent { severity, ..event })
+            }
+            Some(alarm) if !alarm.is_unchecked => {
+                event.cause == Cause::Unattributed && alarm.rule != rule && self.add_fault(rule, event)
+            }
+            _ => self.raise_anew(rule, event),
+        }
+    }
+
+    /// Adds a fault without a named part to the active alarm about another one, whose rule stays its owner: with a more
+    /// severe fault the alarm escalates; one at another place, or intermittent, is added to its text, once. Returns
+    /// whether the alarm changed.
+    fn add_fault(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let Some(index) = self.find(event.cause) else { return false };
+        let Alarm { state, rule: owner, added, last, .. } = &mut self.open[index];
+        let (owner, is_worse) = (*owner, event.severity > last.severity);
+        let is_new = !added.contains(&rule);
+        if !is_worse && !(is_new && rule.sees_other_faults_than(owner)) {
+            return false;
+        }
+        let text = if is_new { format!("{} {}", last.text, event.text) } else { event.text.clone() };
+        if is_new {
+            added.push(rule);
+        }
+        if is_worse {
+            *state.beneath_mut() = State::Active { acknowledged: None };
+            self.renew(index, owner, AlarmEvent { text, ..event });
+        } else {
+            self.event(index, event.event_at, Actor::default(), Some(text));
+        }
+        true
+    }
+
+    /// Takes note that `rule` sees no fault any more, so that its next one is added again.
+    pub(super) fn remove_fault(&mut self, rule: Rule) {
+        for alarm in &mut self.open {
+            alarm.added.retain(|added| *added != rule);
+        }
     }
 
     /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
@@ -197,24 +245,40 @@ impl Alarms {
     pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
-            self.open.push(Alarm { state: State::Cleared, rule, is_unchecked: false, last });
+            self.open.push(Alarm::cleared(rule, last));
             self.open.len() - 1
         });
-        *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+        let alarm = &mut self.open[index];
+        // The new text is about the fault of this rule alone.
+        alarm.added.clear();
+        *alarm.state.beneath_mut() = State::Active { acknowledged: None };
         self.renew(index, rule, event);
         true
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
-    /// another rule, it changes to the new fault if that `is_new`. So one alarm does not hide another fault.
+    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one fault
+    /// does not hide another.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
-        let is_other = |alarm: &Alarm| {
+        let is_other = |alarm: &&Alarm| {
             alarm.last.channel != event.channel
                 || event.cause == Cause::Supply && alarm.rule != rule
                 || alarm.rule == Rule::Offset
         };
-        let changes = is_new && self.find_active(event.cause).is_some_and(is_other);
-        if changes { self.raise_anew(rule, event) } else { self.raise(rule, event) }
+        match self.find_active(event.cause).filter(is_other).filter(|_| is_new) {
+            Some(before) => {
+                let text = text::after_another(&event.text, &before.last.text);
+                self.raise_anew(rule, AlarmEvent { text, ..event })
+            }
+            None => self.raise(rule, event),
+        }
+    }
+
+    /// The sensor whose alarm explains changed values in a throw. Wrong dates do not change any, and an offset is
+    /// subtracted.
+    pub(super) fn distorting_sensor(&self) -> Option<SensorChannel> {
+        let alarm = self.find_active(Cause::Sensor)?;
+        alarm.last.channel.filter(|_| !matches!(alarm.rule, Rule::Dates | Rule::Offset))
     }
 
     /// The sensor that the active sensor alarm names.
@@ -255,7 +319,7 @@ impl Alarms {
     /// if its cause has an open alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
         let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
-        self.open.push(Alarm { state, rule: Rule::Usual, is_unchecked: false, last });
+        self.open.push(Alarm { state, ..Alarm::cleared(Rule::Usual, last) });
         self.event(self.open.len() - 1, at, Actor::default(), Some(text));
     }
 

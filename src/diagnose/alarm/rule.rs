@@ -1,4 +1,4 @@
-//! The rule that owns an alarm. Several rules raise the same alarm; only its owner ends it.
+//! The rule that owns an alarm. Several rules raise the same alarm; its owner ends it when the fault has ended.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,10 @@ pub(crate) enum Rule {
     Start,
     /// A changed current at the end of the stroke.
     End,
+    /// A changed travel of the toe.
+    Travel,
+    /// A motor that runs on after the arrival of the toe.
+    RunOn,
     /// Departures of single throws.
     Intermittent,
     /// Dates of throws that a correct clock cannot give.
@@ -33,7 +37,7 @@ pub(crate) enum Rule {
 impl Rule {
     /// Whether the rule cannot name the faulty part: its alarm ends when another rule names one.
     pub(crate) const fn knows_no_part(self) -> bool {
-        matches!(self, Self::Features | Self::Start | Self::End)
+        matches!(self, Self::Features | Self::Start | Self::End | Self::Travel | Self::RunOn)
     }
 
     /// Whether a fault of this part, or a changed supply, explains the fault of a rule that cannot name the part. The
@@ -41,8 +45,16 @@ impl Rule {
     pub(crate) fn is_explained_by(self, cause: Cause) -> bool {
         match self {
             Self::End => matches!(cause, Cause::Stiffness),
+            Self::Travel | Self::RunOn => false,
             _ => cause.is_part() || matches!(cause, Cause::Supply),
         }
+    }
+
+    /// Whether this rule and `other`, which both name no part, see different faults. The usual rule, that of the features
+    /// and that of the start see a changed movement.
+    pub(crate) fn sees_other_faults_than(self, other: Self) -> bool {
+        let is_own = |rule: Self| matches!(rule, Self::End | Self::Travel | Self::RunOn | Self::Intermittent);
+        self != other && (is_own(self) || is_own(other))
     }
 
     /// Whether the usual rule of the cause takes over the alarm: the fault was without a named part, or intermittent.

@@ -4,7 +4,7 @@ use super::{Alarms, Rule, Step};
 use crate::diagnose::{AlarmEvent, Cause, SensorChannel, text};
 
 /// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
-const OVER_BELOW: f64 = 0.5;
+pub(crate) const OVER_BELOW: f64 = 0.5;
 
 /// Counts the consecutive throws in which a fault has ended; `size` is the measured quantity as part of its limit. If
 /// it is `None`, the count stays.
@@ -47,11 +47,9 @@ impl RuleResult {
                 alarms.escalate(rule, AlarmEvent { cause, ..*event });
             }
             (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
+            (None, Self::Nothing) => alarms.remove_fault(rule),
             (None, Self::Fault(event) | Self::Larger(event))
-                if !rule.knows_no_part()
-                    || !alarms
-                        .active()
-                        .any(|event| event.cause == Cause::Unattributed || explains(event, rule, alarms)) =>
+                if !(rule.knows_no_part() && alarms.active().any(|event| explains(event, rule, alarms))) =>
             {
                 alarms.raise(rule, *event);
             }
@@ -74,12 +72,14 @@ pub(crate) fn withdraw_explained(step: &mut Step) {
 }
 
 /// Whether this alarm names the part, or the sensor, that changes the quantity of `rule` in a throw. A changed
-/// supply does not count: the features are compared without the change that it explains. Nor does an offset of a
-/// sensor, which does not change them.
+/// supply does not count: the features are compared without the change that it explains. A sensor explains some of the
+/// features, so their rule considers it, and it does not explain a rise at the end of the stroke only.
 fn explains(event: &AlarmEvent, rule: Rule, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
-    event.cause.is_part() && rule.is_explained_by(event.cause)
+    // The last few throws of an intermittent fault are mostly sound, and so are the features, which are medians.
+    let is_median = rule == Rule::Features && alarms.rule(event.cause) == Some(Rule::Intermittent);
+    event.cause.is_part() && rule.is_explained_by(event.cause) && !is_median
         || event.cause == Cause::Sensor
-            && matches!(event.channel, Some(Current | Position | Clock))
-            && alarms.rule(Cause::Sensor) != Some(Rule::Offset)
+            && rule == Rule::Start
+            && matches!(alarms.distorting_sensor(), Some(Current | Position | Clock))
 }

@@ -344,12 +344,13 @@ pub(super) fn filling<'a>(
 /// Trend of the throws of both directions: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; 0 for a
 /// coefficient without a trend that matters.
 pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
-    /// [`trend::AT_THE_END`] applies to this number of last throws of both baselines together: one direction may
+    /// [`trend::AT_THE_END`] applies to this number of last throws of all baselines together: one direction may
     /// complete its baseline two throws before the other.
     const LAST: usize = 4;
     /// Sign of wear: a weaker motor, more friction, more stiffness.
     const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
-    let is_end = filling.len() + LAST > 2 * settings.baseline_throws;
+    // The throws of one direction may all be without an estimate.
+    let is_end = filling.len() + LAST > filling.directions() * settings.baseline_throws;
     let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };
     let slopes = filling.slopes(bound.evidence);
     let limits = Cause::OF_COEFFICIENTS.map(|cause| settings.limit_pct(cause));

@@ -60,6 +60,10 @@ const SMALL_STEP_SD: f64 = 2.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
+/// Least number of throws with a temperature for a fit: the least number in a baseline. With fewer, the scatter is that of
+/// all throws.
+const LEAST_KNOWN: usize = 12;
+
 /// Whether the last throws show a drift, which must not be learned as normal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -127,28 +131,30 @@ impl Temperature {
             let lines = per_k.map(|k| Line { mean: [0.0, k, 0.0], ..Line::default() });
             return Self { source: TemperatureSource::Configured, lines, ..none };
         }
-        if known.len() < throws.len() {
-            return none;
-        }
-        let n = throws.len() as f64;
-        let t: Vec<f64> = throws.iter().map(|(_, celsius)| celsius.unwrap_or(reference) - reference).collect();
-        let t_mean = t.iter().sum::<f64>() / n;
-        let x_mean = throws.iter().map(|(x, _)| x).sum::<Vector3<f64>>() / n;
-        let information: f64 = t.iter().map(|t| (t - t_mean).powi(2)).sum();
-        let together: Vector3<f64> = t.iter().zip(throws).map(|(t, (x, _))| (x - x_mean) * (t - t_mean)).sum();
+        // The first throws may be without a temperature: later ones without it have that of the throw before.
+        let few = known.len() < LEAST_KNOWN;
+        let with_distance = throws.iter().filter_map(|(x, celsius)| match celsius {
+            None if few => Some((0.0, x)),
+            celsius => Some((celsius.as_ref()? - reference, x)),
+        });
+        let throws_used: Vec<(f64, &Vector3<f64>)> = with_distance.collect();
+        let n = throws_used.len() as f64;
+        let t_mean = throws_used.iter().map(|(t, _)| t).sum::<f64>() / n;
+        let x_mean = throws_used.iter().map(|(_, x)| *x).sum::<Vector3<f64>>() / n;
+        let information: f64 = throws_used.iter().map(|(t, _)| (t - t_mean).powi(2)).sum();
+        let together: Vector3<f64> = throws_used.iter().map(|(t, x)| (*x - x_mean) * (t - t_mean)).sum();
         let slope = together / information.max(f64::MIN_POSITIVE);
-        let rest: Vec<Vector3<f64>> =
-            t.iter().zip(throws).map(|(t, (x, _))| x - x_mean - slope * (t - t_mean)).collect();
+        let rest: Vec<Vector3<f64>> = throws_used.iter().map(|(t, x)| *x - x_mean - slope * (t - t_mean)).collect();
         let square: Vector3<f64> = rest.iter().map(|r| r.component_mul(r)).sum();
         let lagged: Vector3<f64> = rest.iter().zip(&rest[1..]).map(|(a, b)| a.component_mul(b)).sum();
         let variance = square / (n - 2.0).max(1.0);
         let lag1 = |i: usize| lagged[i] / square[i].max(f64::MIN_POSITIVE) + 2.0 / n;
         let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1(i)));
         let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
-        let is_fitted = spans && throws.len() >= settings.baseline_throws;
+        let is_fitted = spans && !few && throws.len() >= settings.baseline_throws;
         let lines = std::array::from_fn(|i| {
             let mut line = Line::unknown(i, noise[i]);
-            for (t, (x, _)) in t.iter().zip(throws) {
+            for (t, x) in &throws_used {
                 line.follow(WANDERS_SD * WANDERS_SD * variance[i], *t, x[i] - x_mean[i], noise[i]);
             }
             line.set_level(noise[i] / n);
@@ -332,6 +338,30 @@ mod tests {
         }
         let after = temperature.effect_sd(10.0);
         assert!(before.min() > 0.0 && (after - before).norm() < 1e-9, "{before:?} {after:?}");
+    }
+
+    /// The sensor began later than the logger, or was read again only after the first throws of a new baseline.
+    #[test]
+    fn first_throws_without_a_temperature_leave_its_effect_known_or_stated() {
+        let celsius = |k: usize| f64::from(u32::try_from(k % 16).unwrap()) - 4.0;
+        let logs: [_; 60] = std::array::from_fn(|k| {
+            let scatter = 1e-3 * ((7 * k) % 13) as f64;
+            Vector3::new(scatter, scatter - 0.01 * celsius(k), scatter)
+        });
+        let learn = |without: usize| {
+            let throws: [_; 60] = std::array::from_fn(|k| (logs[k], (k >= without).then(|| celsius(k))));
+            Temperature::learn(&throws, &Settings::default())
+        };
+        for without in [0, 1, 30] {
+            let temperature = learn(without);
+            let (effect, sd) = (temperature.effect(30.0).y, temperature.effect_sd(30.0));
+            assert!((effect + 0.3).abs() < 2.0 * sd.y && sd.y < 0.15 && sd.min() > 0.0, "{without}: {effect} {sd:?}");
+        }
+        for without in [50, 58, 59] {
+            let temperature = learn(without);
+            assert_eq!(temperature.source, TemperatureSource::None, "{without}");
+            assert!(temperature.effect_sd(30.0).y > 0.2, "{without}: {:?}", temperature.effect_sd(30.0));
+        }
     }
 
     /// After a season, a slow fault at a temperature that stays must not become an effect of the temperature.

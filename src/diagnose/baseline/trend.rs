@@ -66,6 +66,11 @@ impl Filling {
         self.throws.len()
     }
 
+    /// Number of directions with throws.
+    pub(crate) fn directions(&self) -> usize {
+        [0, 1].into_iter().filter(|side| self.throws.iter().any(|throw| throw.side == *side)).count()
+    }
+
     /// The residuals of coefficient `i`, clipped; `reach`: least bound of the clipping.
     pub(crate) fn values(&self, i: usize, reach: f64) -> Vec<f64> {
         let reach = reach.max(CLIP_SD * self.sd[i]);

@@ -81,7 +81,7 @@ pub(crate) struct DriftAlarms {
 }
 
 impl DriftAlarms {
-    /// Applies the latest throw, with its residual.
+    /// Applies the latest throw, with its residual. After all rules, [`Self::renew`] must follow.
     pub(crate) fn judge(&mut self, latest: LatestThrow, residual: &Vector3<f64>, step: &mut Step) {
         self.unjudged = 0;
         self.history.push(residual, latest.order);
@@ -95,7 +95,6 @@ impl DriftAlarms {
             let becomes_one_sided = self.becomes_one_sided(index, direction, step.alarms);
             self.apply(cause, transition, becomes_one_sided, latest, step);
         }
-        self.renew(latest, step.alarms);
     }
 
     /// The evidence of the latest throw for an alarm about `cause`. `weather`: the strongest claim beside the weather;
@@ -122,9 +121,13 @@ impl DriftAlarms {
         let is_of_cause = drift.attribution.as_ref().is_some_and(|attribution| attribution.cause() == cause);
         let now = is_of_cause.then(|| latest.named_part(latest.direction(cause), &self.history)).flatten();
         let now = now.map(|(now, _)| (now, now.relevance(settings)));
-        if let Some((_, size)) = now {
+        if let Some((now, size)) = now {
             // The window may contain throws with a larger drift, or with one of the opposite sign.
             evidence.certain_size = evidence.certain_size.min(size / PRESENT_PART);
+            // Nor may a critical alarm be about a size whose interval contains 0.
+            if now.size.abs() < SHOWN_SD * now.size_sd {
+                evidence.certain_size = 0.0;
+            }
         }
         if let (Claim::Named, Some((now, size))) = (evidence.claim, now) {
             let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
@@ -261,6 +264,7 @@ impl DriftAlarms {
             && let Some(cause) = step.alarms.owned_by(Rule::Intermittent)
         {
             self.intermittent.end();
+            self.now.retain(|drifting| drifting.cause != cause);
             step.clear(cause, text::intermittent_unknown(step.name, cause));
         }
     }
@@ -301,12 +305,15 @@ impl DriftAlarms {
         !self.suspicion(None, alarms).is_none()
     }
 
-    /// Counts a throw that cannot be judged. After 24 of them in a row the present sizes are unknown.
-    pub(crate) fn on_unjudged(&mut self) {
+    /// Counts a throw that cannot be judged. Returns whether the present is unknown, after 24 of them in a row.
+    pub(crate) fn on_unjudged(&mut self) -> bool {
         self.unjudged = self.unjudged.saturating_add(1);
-        if self.unjudged >= LONGEST_WINDOW {
+        let is_unknown = self.unjudged >= LONGEST_WINDOW;
+        if is_unknown {
             self.now.clear();
+            self.shared = Default::default();
         }
+        is_unknown
     }
 
     /// Discards the history after a new baseline, as its residuals are from the old one.
@@ -336,7 +343,7 @@ impl DriftAlarms {
     }
 
     /// Updates the present drifts after a throw.
-    fn renew(&mut self, latest: LatestThrow, alarms: &Alarms) {
+    pub(crate) fn renew(&mut self, latest: LatestThrow, alarms: &Alarms) {
         let LatestThrow { drift, settings, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);

@@ -21,7 +21,7 @@ pub(super) const CHANGED_SD: f64 = 3.0;
 /// The drifts of a machine that have an alarm, with its gauges and baselines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Known<'a> {
-    /// The causes with an active alarm.
+    /// The causes of the active drift alarms, without those of rules that name no part.
     pub(crate) causes: Vec<Cause>,
     /// Mean change of (ln b0, ln a1, ln a0) over the throws since these alarms were raised, without the last throws;
     /// `None` with too few throws.

@@ -204,8 +204,7 @@ impl Instruments {
     /// Whether a changed resistance between supply and motor explains a drift. The resistance changes the inrush
     /// current and the speed. The inrush accelerates the machine, so b0 changes a little too.
     fn circuit_explains(&self, attribution: &Attribution, window: &Window) -> bool {
-        let knows_weather = self.gauges.level(Gauge::Air, WINDOWS[0]).is_some();
-        let Some(circuit) = self.gauges.circuit(knows_weather) else { return false };
+        let Some(circuit) = self.gauges.circuit() else { return false };
         let of_inrush = self.gauges.motor_of_inrush(circuit.level.value);
         // Heat changes the motion as a bad contact does, so a change that heat explains counts as well.
         let is_changed = circuit.is_shown && !circuit.is_doubtful;
@@ -334,10 +333,11 @@ impl Instruments {
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
+            let is_alone = !step.alarms.active().any(|event| event.cause.is_drift());
             let event = AlarmEvent {
                 runner_up: Some(fault.runner_up),
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
-                ..step.sensor(fault.channel, text::sensor(step.name, &fault)).of_size(fault.size)
+                ..step.sensor(fault.channel, text::sensor(step.name, &fault, is_alone)).of_size(fault.size)
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {

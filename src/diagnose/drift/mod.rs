@@ -92,7 +92,7 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Tested>,
     /// Origin of the drift, by the gauges.
     pub(super) origin: Origin,
-    /// The causes with an active alarm.
+    /// The causes of the active drift alarms, without those of rules that name no part.
     pub(super) alarmed: Vec<Cause>,
     /// Whether a direction has a baseline, but too few throws for a level.
     pub(super) is_half_seen: bool,

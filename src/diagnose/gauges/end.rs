@@ -1,5 +1,5 @@
-//! A risen current at the end of the stroke: the force that closes or locks the points has grown. The window of the
-//! estimate ends before it, so neither coefficients nor ratios show it. The next step is points that do not lock.
+//! A changed current at the end of the stroke: the force that closes or locks the points has grown, or is lost. The window
+//! of the estimate ends before it, so neither coefficients nor ratios show it. The next step is points that do not lock.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,12 +14,12 @@ use crate::{
     throw::Direction,
 };
 
-/// Rise that matters, as part of the larger of running current and current at the end. On healthy machines the rise is
+/// Change that matters, as part of the larger of running current and current at the end. On healthy machines the rise is
 /// constant within some hundredths of this; a rise of 1 doubles the current.
 const RISE: f64 = 0.3;
 /// Number of throws of a direction in a level, which is their median.
 const LEVEL: usize = 6;
-/// Least significant rise: in standard deviations of one throw while the normal value was learned, and in standard
+/// Least significant change: in standard deviations of one throw while the normal value was learned, and in standard
 /// deviations of a level with the scatter of its throws. A force that grows may scatter by much more than before.
 const SIGNIFICANT_SD: f64 = 4.0;
 /// Standard deviation of a median of [`LEVEL`] values, as part of that of one value.
@@ -28,7 +28,7 @@ const OF_MEDIAN: f64 = 0.5;
 /// Watches the current at the end of the stroke.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct EndWatch {
-    /// Consecutive throws without a rise.
+    /// Consecutive throws without a change.
     calm: u32,
 }
 
@@ -36,13 +36,13 @@ pub(crate) struct EndWatch {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct EndChange {
     direction: Direction,
-    /// Rise that the running current does not explain \[A\].
+    /// Rise that the running current does not explain \[A\]; negative for a fall.
     rise_a: Level,
     /// Current that the running current explains \[A\].
     expected_a: f64,
     /// Change of the logarithm of the running current.
     running: f64,
-    /// Size relative to the least rise that matters and is significant.
+    /// Size relative to the least change that matters and is significant.
     size: f64,
 }
 
@@ -72,7 +72,7 @@ impl EndChange {
         // With a spring, the running current of one direction may be small.
         let running_a = mean(&gauges.normals(Gauge::Running).map(f64::exp).collect::<Vec<f64>>());
         let matters = RISE * running_a.max(usual_running.exp() + usual_a);
-        let size = rise_a.value / matters.max(SIGNIFICANT_SD * usual_sd.max(sd));
+        let size = rise_a.value.abs() / matters.max(SIGNIFICANT_SD * usual_sd.max(sd));
         Some(Self { direction, rise_a, expected_a: now_a - rise_a.value, running: running - usual_running, size })
     }
 
@@ -88,16 +88,18 @@ impl EndWatch {
             Direction::BOTH.into_iter().filter_map(|direction| EndChange::of(gauges, direction)).collect();
         let largest = changes.iter().map(|change| change.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);
-        let risen: Vec<&EndChange> = changes.iter().filter(|change| change.size > 1.0).collect();
-        if risen.is_empty() {
+        let changed: Vec<&EndChange> = changes.iter().filter(|change| change.size > 1.0).collect();
+        if changed.is_empty() {
             let is_calm = self.calm >= step.settings.off_delay_throws;
             return if is_calm { RuleResult::Nothing } else { RuleResult::Unclear };
         }
-        let is_critical = largest.is_some_and(|size| size > step.settings.critical_factor);
+        // Points whose lock or spring gives less force still close.
+        let has_risen = changed.iter().any(|change| change.rise_a.value > 0.0);
+        let is_critical = has_risen && largest.is_some_and(|size| size > step.settings.critical_factor);
         let severity = if is_critical { Severity::Critical } else { Severity::Warning };
-        let direction = if let [only] = risen[..] { Some(only.direction) } else { None };
-        let changes: Vec<String> = risen.iter().map(|change| change.text()).collect();
-        let event = step.event(Cause::Unattributed, severity, text::end(step.name, &changes, LEVEL));
+        let direction = if let [only] = changed[..] { Some(only.direction) } else { None };
+        let changes: Vec<String> = changed.iter().map(|change| change.text()).collect();
+        let event = step.event(Cause::Unattributed, severity, text::end(step.name, &changes, has_risen, LEVEL));
         RuleResult::Fault(Box::new(AlarmEvent { direction, ..event }))
     }
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::{Gauge, GaugeChange, Gauges, sd_of_mean};
 use crate::{
     diagnose::{
-        Cause, Severity,
+        Cause, SensorChannel, Severity,
         alarm::{RuleResult, Step, count_over},
         statistics::{LONGEST_WINDOW, LastValues, Level, median, percent, to_f32},
         text,
@@ -166,6 +166,19 @@ impl FeatureWatch {
         }
         (self.reported, self.season_pct) = (0.0, None);
         RuleResult::Nothing
+    }
+
+    /// Whether a fault of this sensor explains all features that are changed in the last throws.
+    pub(crate) fn is_explained_by(&self, sensor: SensorChannel) -> bool {
+        let found = (0..WATCHED.len()).filter_map(|at| self.largest(at)).filter(|change| change.size > 1.0);
+        let changed: Vec<Gauge> = found.map(|found| found.change.gauge).collect();
+        let is_measured = |gauge: &Gauge| match gauge {
+            Gauge::Duration => matches!(sensor, SensorChannel::Position | SensorChannel::Clock),
+            Gauge::Charge => matches!(sensor, SensorChannel::Current | SensorChannel::Clock),
+            Gauge::Travel => sensor == SensorChannel::Position,
+            _ => sensor == SensorChannel::Current,
+        };
+        !changed.is_empty() && changed.iter().all(is_measured)
     }
 
     /// Whether features of the last throws were compared with normal values.

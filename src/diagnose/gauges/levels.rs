@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Gauge, Normal, Values, sd_of_mean, values};
+use super::{Gauge, Normal, Values, sd_of_mean};
 use crate::{
     diagnose::statistics::{LastValues, Level, WINDOWS, median, moving_range_sd},
     estimate::Features,
@@ -18,6 +18,8 @@ const MAGNETS: (f64, f64) = (-0.001, 0.0006);
 /// Largest change of running current and charge at which a current is usual, as logarithms: the weather changes them by
 /// this.
 const USUAL_CURRENT: f64 = 0.15;
+/// Largest change of the travel of a throw that stops where it always stops, as a logarithm.
+const USUAL_TRAVEL: f64 = 0.02;
 
 /// A changed gauge.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,7 +85,8 @@ pub(crate) struct Gauges {
 impl Gauges {
     /// Adds a throw. If the machine is `suspicious`, the throw is not used for the normal values.
     pub(crate) fn push(&mut self, direction: Direction, features: &Features, celsius: Option<f64>, suspicious: bool) {
-        let (side, values) = (direction.side(), values(features, celsius));
+        let side = direction.side();
+        let values = self.sides[side].values(features, celsius);
         if !suspicious {
             self.sides[side].learn(values);
         }
@@ -106,7 +109,8 @@ impl Gauges {
         features: &Features,
         celsius: Option<f64>,
     ) -> [Option<(f32, f32)>; N] {
-        let (normal, values) = (&self.sides[direction.side()], values(features, celsius));
+        let normal = &self.sides[direction.side()];
+        let values = normal.values(features, celsius);
         let supplied = normal.supplied(&values);
         gauges.map(|gauge| {
             let (centre, sd) = normal.of(gauge)?;
@@ -115,6 +119,12 @@ impl Gauges {
             let by_weather = normal.of_weather(gauge, &values);
             Some((change - change.clamp(from + by_weather.min(0.0), to + by_weather.max(0.0)), sd))
         })
+    }
+
+    /// Whether a travel is that of a normal throw.
+    pub(crate) fn is_usual_travel(&self, direction: Direction, travel_mm: f64) -> bool {
+        let normal = self.sides[direction.side()].of(Gauge::Travel);
+        normal.is_some_and(|(centre, _)| (travel_mm.ln() - f64::from(centre)).abs() < USUAL_TRAVEL)
     }
 
     /// Whether the current of a throw is as in a normal throw: as large, and flowing as long.
@@ -271,13 +281,27 @@ mod tests {
         assert!(level.sd < 0.01, "without a temperature nothing is known about its effect: {level:?}");
     }
 
+    /// The weather of the throws from which the normal values were learned is unknown.
+    #[test]
+    fn a_temperature_that_is_published_later_changes_no_resistance() {
+        let mut gauges = Gauges::default();
+        for at in 0..3 * LEARNED.1 {
+            let celsius = (at >= LEARNED.1).then_some(-20.0);
+            let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(0.9)) };
+            gauges.push(NORMAL, &features, celsius, false);
+        }
+        let level = gauges.level(Gauge::Resistance, WINDOWS[0]).unwrap();
+        assert!(level.value.abs() < 1e-6, "{level:?}");
+        assert_eq!(gauges.level(Gauge::Air, WINDOWS[0]), None);
+    }
+
     #[test]
     fn a_resistance_that_scatters_much_is_not_judged() {
         for (scatter, is_judged) in [(0.02_f64, true), (0.3, false)] {
             let mut gauges = Gauges::default();
             let mut push = |ohm: f64| {
                 let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(ohm)) };
-                gauges.push(NORMAL, &features, None, false);
+                gauges.push(NORMAL, &features, Some(20.0), false);
             };
             for at in 0..LEARNED.1 {
                 push(0.9 * if at % 2 == 0 { scatter.exp() } else { (-scatter).exp() });
@@ -285,7 +309,7 @@ mod tests {
             for _ in 0..WINDOWS[1] {
                 push(18.0);
             }
-            assert_eq!(gauges.circuit(true).is_some_and(|circuit| circuit.size > 1.0), is_judged, "{scatter}");
+            assert_eq!(gauges.circuit().is_some_and(|circuit| circuit.size > 1.0), is_judged, "{scatter}");
         }
     }
 
@@ -297,7 +321,12 @@ mod tests {
                 let back_emf_v_s_per_rad = Some(4.0);
                 let peak_current_a = Some(peak_a);
                 let features = features(36.0, 7.0, Some(ohm));
-                gauges.push(direction, &Features { peak_current_a, back_emf_v_s_per_rad, ..features }, None, false);
+                gauges.push(
+                    direction,
+                    &Features { peak_current_a, back_emf_v_s_per_rad, ..features },
+                    Some(20.0),
+                    false,
+                );
             };
             for _ in 0..LEARNED.1 {
                 for direction in Direction::BOTH {
@@ -308,7 +337,7 @@ mod tests {
                 push(NORMAL, if falls_in_both { 0.5 } else { 0.9 }, 45.0);
                 push(Direction::ReverseToNormal, 0.5, 45.0);
             }
-            let circuit = gauges.circuit(true).unwrap();
+            let circuit = gauges.circuit().unwrap();
             assert!(circuit.size > 1.0 && circuit.is_doubtful != falls_in_both, "{falls_in_both}: {circuit:?}");
         }
     }

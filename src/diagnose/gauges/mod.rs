@@ -13,6 +13,7 @@ mod normal;
 mod offset;
 mod start;
 mod supply;
+mod travel;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use end::EndWatch;
@@ -21,6 +22,7 @@ pub(super) use gauge::Gauge;
 pub(super) use levels::{GaugeChange, Gauges};
 pub(super) use start::StartWatch;
 pub(super) use supply::dry_rise;
+pub(super) use travel::TravelWatch;
 
 use self::{
     gauge::{Values, heat, values},

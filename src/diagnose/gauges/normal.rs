@@ -2,8 +2,11 @@
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Gauge, Values};
-use crate::diagnose::statistics::{centre_and_sd, skewed_sd, to_f32};
+use super::{Gauge, Values, values};
+use crate::{
+    diagnose::statistics::{centre_and_sd, skewed_sd, to_f32},
+    estimate::Features,
+};
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
@@ -62,6 +65,14 @@ impl Normal {
     /// Centre and standard deviation of a gauge.
     pub(super) fn of(&self, gauge: Gauge) -> Option<(f32, f32)> {
         self.known[gauge as usize]
+    }
+
+    /// The gauges of a throw. A temperature that is published only after the normal values were learned says nothing
+    /// about the weather in which they were, so it is not used.
+    pub(super) fn values(&self, features: &Features, celsius: Option<f64>) -> Values {
+        let has_air =
+            self.of(Gauge::Air).is_some() || self.learned.get(Gauge::Air as usize).is_some_and(|air| !air.is_empty());
+        values(features, celsius.filter(|_| has_air || self.of(Gauge::Running).is_none()))
     }
 
     /// Number of throws from which the normal value of a gauge is learned so far, and the number that it needs.

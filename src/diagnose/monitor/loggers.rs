@@ -126,11 +126,9 @@ impl MachineMonitor {
         let command = if had_two { None } else { self.forget_since(since, at, settings) };
         let two_loggers = self.two_loggers();
         let text = two_loggers.clone().filter(|_| self.maintenance.is_none());
-        let events = self.step(at, Some(throw), settings, |_, step| {
-            let Some(text) = text else { return };
-            // An active alarm with another reason gets this sentence as a remark.
-            if !step.raise(step.warning(Cause::NotMonitored, text.clone())) && !had_two {
-                step.remark(Cause::NotMonitored, text);
+        let events = self.step(at, Some(throw), settings, |operation, step| {
+            if let Some(text) = text {
+                operation.on_two_loggers(text, step);
             }
         });
         BootCheck { two_loggers, command, events }

@@ -11,7 +11,7 @@ use super::{
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DriftAlarms, Instruments},
-    gauges::{EndWatch, FeatureWatch, StartWatch},
+    gauges::{EndWatch, FeatureWatch, StartWatch, TravelWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
     text,
@@ -40,6 +40,7 @@ pub struct MachineMonitor {
     features: FeatureWatch,
     start: StartWatch,
     end: EndWatch,
+    travel: TravelWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
@@ -265,13 +266,13 @@ impl MachineMonitor {
         self.motor = ShownMotor::default();
         self.instruments = Instruments::default();
         self.trail = Trail::default();
-        self.blind = None;
         self.unread = None;
     }
 
     /// Clears the alarms of rules that lose their last throws, and so could not clear them later.
     fn end_rules(&mut self, now: Timestamp) {
-        let of_rules = [Rule::Features, Rule::Start, Rule::End, Rule::Intermittent].into_iter();
+        let of_rules =
+            [Rule::Features, Rule::Start, Rule::End, Rule::Travel, Rule::RunOn, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
         // Throws do not show whether the clock of the logger is right; their dates do.
         let sensor = self.alarms.owned_by(Rule::Dates).is_none().then_some(Cause::Sensor);
@@ -295,7 +296,9 @@ impl MachineMonitor {
         self.features = FeatureWatch::default();
         self.start = StartWatch::default();
         self.end = EndWatch::default();
+        self.travel = TravelWatch::default();
         self.drift.reset();
+        self.blind = None;
         self.end_rules(now);
     }
 

@@ -15,9 +15,10 @@ use crate::{
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
         statistics::percent,
+        text,
         track::Tracks,
     },
-    estimate::{Features, Motor},
+    estimate::{Features, Motor, Rejection},
     throw::{Channel, POSSIBLE_SUPPLY_V},
 };
 
@@ -54,6 +55,14 @@ impl MachineMonitor {
             (observation.began_open, observation.short_of_stroke_mm) = (true, None);
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
+        if self.runs_on_at_its_end(&observation) {
+            // The points arrived, and only detection or switch-off failed. The current is not that of the movement alone.
+            let observation = observation.to_mut();
+            observation.outcome = None;
+            let features = mem::take(&mut observation.features);
+            observation.features =
+                Features { running_current_a: None, mean_current_a: None, charge_as: None, energy_j: None, ..features };
+        }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
         }
@@ -85,8 +94,7 @@ impl MachineMonitor {
         let mut baselines_taken = Vec::new();
         if self.maintenance.is_none() {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
-            let implausible = temperature.implausible.or(supply_v.map(Implausible::Supply));
-            self.operation.on_sensors(implausible, step);
+            self.operation.on_sensors([temperature.implausible, supply_v.map(Implausible::Supply)], step);
             let unusable = observation.unusable();
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
@@ -98,6 +106,13 @@ impl MachineMonitor {
         let change_pct = residual.map(|residual| residual.map(percent).into());
         let events = self.alarms.take_events();
         Verdict { change_pct, baselines_taken, events, ..self.verdict(observation, settings) }
+    }
+
+    /// Whether the toe of an obstructed throw is where it always stops: its stroke is not configured.
+    fn runs_on_at_its_end(&self, observation: &Observation) -> bool {
+        let Observation { direction: Some(direction), ref features, .. } = *observation else { return false };
+        matches!(observation.rejection(), Some(Rejection::Obstructed { .. }))
+            && features.travel_mm.is_some_and(|mm| self.instruments.gauges.is_usual_travel(direction, mm))
     }
 
     /// Whether the throw has no toe position, and the machine had one before.
@@ -141,23 +156,34 @@ impl MachineMonitor {
         self.operation.on_throw(observation, is_usual_current, step);
         self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
-        if let Some(throw) = evaluated {
+        let has_gauges = if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(step.alarms);
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             baselines_taken = self.observe_evaluated(throw, step);
+            true
         } else {
-            self.drift.on_unjudged();
-            self.observe_features(observation, step);
-        }
-        for sensor in [Channel::Current, Channel::Position] {
-            self.instruments.judge_offset(sensor, step);
+            if self.drift.on_unjudged() {
+                self.blind = None;
+            }
+            self.observe_features(observation, step)
+        };
+        if has_gauges {
+            for sensor in [Channel::Current, Channel::Position] {
+                self.instruments.judge_offset(sensor, step);
+            }
         }
         // No estimate shows the end of the stroke. This rule comes before that of the features, which names no place.
-        if features.end_rise_a.is_some() {
+        if has_gauges && features.end_rise_a.is_some() {
             self.end.judge(&self.instruments.gauges, step).apply(Rule::End, step);
+        }
+        if let (Some(direction), Some(run_on_s), true) = (direction, features.run_on_s, observation.is_whole()) {
+            self.operation.on_run_on(direction, run_on_s, step);
         }
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
+        if is_judged {
+            self.travel.judge(&self.instruments.gauges, step).apply(Rule::Travel, step);
+        }
         let watched = self.watch_features(observation, is_judged, step);
         rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
@@ -175,12 +201,12 @@ impl MachineMonitor {
 
     /// Adds a throw without an estimate to the gauges. A rejected throw adds only the gauges that need no model. In a
     /// direction without a baseline, the normal values are learned from these throws too. If they were not, a change
-    /// during a long row of rejected throws would become normal unseen.
-    fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
+    /// during a long row of rejected throws would become normal unseen. Returns whether the throw was added.
+    fn observe_features(&mut self, observation: &Observation, step: &mut Step) -> bool {
         let all = &observation.features;
         let without_position = observation.is_without_position();
         let is_usable = observation.is_whole() && observation.faulty_sensor().is_none();
-        let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
+        let Some(direction) = observation.direction.filter(|_| is_usable) else { return false };
         let features = if self.has_lost_position(observation) {
             without_duration(all)
         } else if without_position {
@@ -200,8 +226,9 @@ impl MachineMonitor {
         let has_baseline = self.tracks.of_one_throw(direction).is_some();
         let unusual = self.drift.is_suspicious(step.alarms) || !without_position && has_baseline;
         self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
-        let circuit = self.instruments.gauges.circuit(observation.temperature_c.is_some());
+        let circuit = self.instruments.gauges.circuit();
         self.instruments.judge_supply(None, circuit, step);
+        true
     }
 
     /// Watches the features of a throw whose coefficients cannot be judged: it has no estimate, or there is no baseline
@@ -220,8 +247,15 @@ impl MachineMonitor {
         // How much a known resistance slows a series-wound motor is unknown, so its alarm explains the features.
         let is_of_circuit = step.alarms.rule(Cause::Supply) == Some(Rule::Circuit);
         let is_explained = is_of_circuit && self.instruments.gauges.is_series_with_resistance();
-        let found = if is_explained { RuleResult::Nothing } else { found };
-        found.apply(Rule::Features, step);
+        let sensor = step.alarms.distorting_sensor();
+        if sensor.is_some_and(|sensor| self.features.is_explained_by(sensor)) {
+            if let Some(unnamed) = step.alarms.owned_by(Rule::Features) {
+                step.clear(unnamed, text::explained(step.name, Cause::Sensor));
+            }
+        } else {
+            let found = if is_explained { RuleResult::Nothing } else { found };
+            found.apply(Rule::Features, step);
+        }
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_undersampled() && !self.tracks.any_baseline();
@@ -253,7 +287,7 @@ impl MachineMonitor {
         // A sensor explains a changed resistance only if the drift that it may explain is above its limit.
         let may_be_sensor = |drift: &&Drift| matches!(drift.origin, Origin::Either { .. }) && drift.matters();
         let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
-        let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
+        let circuit = self.instruments.gauges.circuit();
         let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |alike| alike.window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
         // The supply changes the inrush current, which accelerates the machine.
@@ -262,6 +296,11 @@ impl MachineMonitor {
         match departure {
             Some(departure) => self.drift.judge_departure(&departure, is_instrument, step),
             None => self.drift.on_unknown_departure(step),
+        }
+        if let Some(drift) = &drift {
+            let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
+            let latest = LatestThrow { drift, order: self.order, at: step.at, tracks, gauges, settings };
+            self.drift.renew(latest, step.alarms);
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
@@ -287,7 +326,9 @@ fn may_lengthen(event: &AlarmEvent, alarms: &Alarms) -> bool {
     match event.cause {
         Cause::Kt => event.change_pct.is_none_or(|pct| pct < 0.0),
         Cause::Friction | Cause::Stiffness | Cause::Inertia => is_up,
-        Cause::Unattributed => alarms.rule(Cause::Unattributed) != Some(Rule::Start),
+        Cause::Unattributed => {
+            !matches!(alarms.rule(Cause::Unattributed), Some(Rule::Start | Rule::Travel | Rule::RunOn))
+        }
         cause => cause == Cause::Supply,
     }
 }

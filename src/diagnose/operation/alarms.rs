@@ -5,9 +5,10 @@ use std::mem;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::run_on::RunOn;
 use crate::{
     diagnose::{
-        AlarmEvent, Blindness, Cause, Observation, SensorChannel, Severity,
+        AlarmEvent, Blindness, Cause, Observation, Severity,
         alarm::{Rule, Step},
         statistics::{is_default, streak, to_f32},
         text,
@@ -81,14 +82,14 @@ pub(crate) struct Operation {
     complete: u32,
     fast_enough: u32,
     pub(super) unevaluated: u32,
-    blind: u32,
+    pub(super) blind: u32,
     /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
     agreed: u32,
     /// Whether the movement usually contradicts the named direction, by the first throws; `None` until known.
     #[serde(skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
-    /// Position at the end of the last throw \[mm\].
+    /// Position at the end of the last throw with a measured and a named direction \[mm\].
     #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
     /// Positions at the start and the end of the last throw \[mm\], if the toe did not stay closed.
@@ -100,13 +101,14 @@ pub(crate) struct Operation {
     /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
+    pub(super) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
-    /// Throws with an implausible temperature or voltage, and throws without.
-    pub(super) disbelieved: u32,
-    pub(super) believed: u32,
-    /// The sensor with unusable values, and its last eight throws as bits, 1 for unusable.
-    pub(super) unusable: Option<(SensorChannel, u8)>,
+    /// For temperature and voltage: throws with an implausible value, and throws with a plausible one.
+    pub(super) beside: [[u32; 2]; 2],
+    /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
+    pub(super) unusable_in: [u8; 3],
+    /// Throws in which all three are usable.
     pub(super) usable: u32,
     /// Throws received since the last gap or irregularity.
     pub(super) since_gap: u32,
@@ -119,10 +121,9 @@ pub(crate) struct Operation {
     #[serde(skip_serializing_if = "is_default")]
     pub(super) refused: u64,
     pub(super) silence_s: f64,
-    /// Whether the alarm [`Cause::NotMonitored`] is about silence, or about throws that cannot be evaluated; `None` before
-    /// the first such alarm.
+    /// Reason of the last alarm [`Cause::NotMonitored`]; `None` before the first.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) is_about_silence: Option<bool>,
+    unmonitored: Option<Unmonitored>,
     pub(super) ticked_at: Option<Timestamp>,
     pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
@@ -130,12 +131,15 @@ pub(crate) struct Operation {
 }
 
 /// Why a machine is not monitored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(super) enum Unmonitored {
     /// No throw arrives, or the logger is gone.
     Silent,
     /// The throws cannot be evaluated, or do not show every fault.
     Unevaluated,
+    /// Two loggers publish as this machine, so that no throw is evaluated.
+    TwoLoggers,
 }
 
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
@@ -174,8 +178,10 @@ impl Operation {
             if own.incomplete > in_a_row {
                 (in_a_row, in_direction) = (own.incomplete, Some(direction));
             }
-            if let Some(rejection) = observation.rejection() {
-                own.rejected = Some(rejection.code().to_owned());
+            match &observation.outcome {
+                Some(Err(rejection)) => own.rejected = Some(rejection.code().to_owned()),
+                Some(Ok(_)) => {}
+                None => own.rejected = None,
             }
         }
         let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
@@ -279,13 +285,31 @@ impl Operation {
     }
 
     /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
-    /// instead of throws that cannot be evaluated, or the reverse. Returns whether the alarm changed.
+    /// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
+    /// Returns whether the alarm changed.
     pub(super) fn not_monitored(&mut self, reason: Unmonitored, text: String, step: &mut Step) -> bool {
+        use Unmonitored::{TwoLoggers, Unevaluated};
+        let before = self.unmonitored.filter(|_| step.alarms.is_active(Cause::NotMonitored));
+        if (before, reason) == (Some(TwoLoggers), Unevaluated) {
+            return false;
+        }
+        self.unmonitored = Some(reason);
         let event = step.warning(Cause::NotMonitored, text);
-        let is_about_silence = reason == Unmonitored::Silent;
-        let before = self.is_about_silence.replace(is_about_silence);
-        let is_other = before.is_some_and(|before| before != is_about_silence);
-        if is_other { step.alarms.raise_anew(Rule::Usual, event) } else { step.raise(event) }
+        if before.is_some_and(|before| before != reason) {
+            step.alarms.raise_anew(Rule::Usual, event)
+        } else {
+            step.raise(event)
+        }
+    }
+
+    /// Applies that two loggers publish as this machine.
+    pub(crate) fn on_two_loggers(&mut self, text: String, step: &mut Step) {
+        self.not_monitored(Unmonitored::TwoLoggers, text, step);
+    }
+
+    /// Applies a whole throw whose motor ran for `run_on_s` after the arrival of the toe.
+    pub(crate) fn on_run_on(&mut self, direction: Direction, run_on_s: f64, step: &mut Step) {
+        self.run_on.judge(direction, run_on_s, step).apply(Rule::RunOn, step);
     }
 
     /// Whether the last throw was not evaluated.
@@ -357,17 +381,19 @@ impl Operation {
         sentences.into_iter().flatten().chain(often).collect()
     }
 
-    /// Forgets the unusable sensor and the usual direction, after a rebaseline.
+    /// Forgets the unusable sensors, the usual direction and the usual time after the arrival, after a rebaseline.
     pub(crate) fn forget_channel(&mut self) {
-        (self.unusable, self.usable, self.usually_contradicted) = (None, 0, None);
+        (self.unusable_in, self.usable, self.usually_contradicted) = ([0; 3], 0, None);
+        self.run_on = RunOn::default();
     }
 
-    /// Resets the counters after maintenance; keeps the gaps and the logger.
+    /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger and what is usual.
     pub(crate) fn reset(&mut self) {
         *self = Self {
             ticked_at: self.ticked_at,
             usually_contradicted: self.usually_contradicted,
             ended_mm: self.ended_mm,
+            run_on: self.run_on.forget_recent(),
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
             missing: self.missing,

@@ -57,7 +57,7 @@ impl Operation {
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
         let enough = step.settings.not_monitored_throws;
-        let monitored = self.unevaluated < enough
+        let monitored = self.unevaluated.max(self.blind) < enough
             && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
             && !self.is_silent(step.settings);
         if there && alarmed && monitored {

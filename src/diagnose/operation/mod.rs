@@ -5,6 +5,7 @@ mod alarms;
 pub(super) mod boots;
 mod logger;
 mod logger_clock;
+mod run_on;
 mod sensors;
 pub(super) mod site;
 mod thermometer;

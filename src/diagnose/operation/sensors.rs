@@ -13,27 +13,24 @@ use crate::diagnose::{
 const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
+/// The sensors beside the throw, in the order of their counters.
+const BESIDE: [SensorChannel; 2] = [SensorChannel::Temperature, SensorChannel::Supply];
+/// The sensors of the trace, in the order of their counters.
+const OF_TRACE: [SensorChannel; 3] = [SensorChannel::Current, SensorChannel::Position, SensorChannel::Clock];
 
 impl Operation {
-    /// Applies an implausible temperature or supply voltage of a throw; `None` if both are plausible.
-    pub(crate) fn on_sensors(&mut self, implausible: Option<Implausible>, step: &mut Step) {
-        streak(&mut self.disbelieved, implausible.is_some());
-        streak(&mut self.believed, implausible.is_none());
-        if let Some(implausible) = implausible.filter(|_| self.disbelieved >= IMPLAUSIBLE_IN_A_ROW) {
-            let channel = match implausible {
-                Implausible::Supply(_) => SensorChannel::Supply,
-                Implausible::Impossible(_)
-                | Implausible::Jump(..)
-                | Implausible::Missing(_)
-                | Implausible::Stuck(..) => SensorChannel::Temperature,
-            };
-            let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
-            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == IMPLAUSIBLE_IN_A_ROW);
-        } else if self.believed >= step.settings.off_delay_throws
-            && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
-            && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
-        {
-            step.clear(Cause::Sensor, text::machine(step.name, text::SENSOR_PLAUSIBLE));
+    /// Applies the implausible temperature and the implausible supply voltage of a throw; `None` if plausible.
+    pub(crate) fn on_sensors(&mut self, implausible: [Option<Implausible>; 2], step: &mut Step) {
+        for ((channel, found), counts) in BESIDE.into_iter().zip(implausible).zip(&mut self.beside) {
+            let [doubted, trusted] = counts;
+            streak(doubted, found.is_some());
+            streak(trusted, found.is_none());
+            if let Some(implausible) = found.filter(|_| *doubted >= IMPLAUSIBLE_IN_A_ROW) {
+                let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
+                step.alarms.raise_another(Rule::Usual, event, *doubted == IMPLAUSIBLE_IN_A_ROW);
+            } else if *trusted >= step.settings.off_delay_throws && is_about(&[channel], step) {
+                step.clear(Cause::Sensor, text::sensor_plausible(step.name, channel));
+            }
         }
     }
 
@@ -41,25 +38,27 @@ impl Operation {
     pub(crate) fn on_channel(&mut self, found: Option<Unusable>, step: &mut Step) {
         let faulty = found.map(Unusable::channel);
         streak(&mut self.usable, faulty.is_none());
-        let before = self.unusable;
-        if let Some((channel, throws)) = &mut self.unusable {
-            *throws = *throws << 1 | u8::from(faulty == Some(*channel));
-        }
-        let over = self.unusable.is_none_or(|(_, throws)| throws == 0);
-        if let Some(channel) = faulty.filter(|_| over) {
-            self.unusable = Some((channel, 1));
-        }
-        let Some((channel, throws)) = self.unusable else { return };
-        if throws.count_ones() >= UNUSABLE_OF_EIGHT {
-            let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
-            let event = step.sensor(channel, text::sensor_unusable(step.name, found));
-            let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
-            step.alarms.raise_another(Rule::Usual, event, is_new);
-        } else if self.usable >= step.settings.off_delay_throws.max(u8::BITS) {
-            self.unusable = None;
-            if step.alarms.faulty_sensor() == Some(channel) && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual) {
-                step.clear(Cause::Sensor, text::sensor_usable(step.name, channel));
+        let is_unusable = |throws: u8| throws.count_ones() >= UNUSABLE_OF_EIGHT;
+        for (channel, throws) in OF_TRACE.into_iter().zip(&mut self.unusable_in) {
+            let before = *throws;
+            *throws = before << 1 | u8::from(faulty == Some(channel));
+            if is_unusable(*throws) {
+                let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
+                let event = step.sensor(channel, text::sensor_unusable(step.name, found));
+                step.alarms.raise_another(Rule::Usual, event, !is_unusable(before));
             }
         }
+        if self.usable >= step.settings.off_delay_throws.max(u8::BITS)
+            && is_about(&OF_TRACE, step)
+            && let Some(channel) = step.alarms.faulty_sensor()
+        {
+            step.clear(Cause::Sensor, text::sensor_usable(step.name, channel));
+        }
     }
+}
+
+/// Whether the active sensor alarm is of this rule, about one of these sensors.
+fn is_about(channels: &[SensorChannel], step: &Step) -> bool {
+    step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
+        && step.alarms.faulty_sensor().is_some_and(|channel| channels.contains(&channel))
 }

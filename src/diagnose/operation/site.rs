@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::diagnose::{
     AlarmEvent, Cause,
-    alarm::Step,
+    alarm::{OVER_BELOW, Step},
     statistics::{LastValues, median, percent, to_rounded_f32},
     text,
 };
@@ -30,9 +30,6 @@ const MOST_OTHERS: usize = 32;
 const AGREE: f64 = 0.75;
 /// Part of a common change that counts as chance, in standard deviations of the mean of the other machines.
 const BEYOND_CHANCE: f64 = 2.0;
-
-/// Size below which a common change has ended, as part of the warning limit.
-const OVER_BELOW: f64 = 0.5;
 
 /// Common change of machines of a site.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -141,7 +141,7 @@ fn repair(may_be_rain: bool) -> (&'static str, &'static str) {
 pub(crate) fn cleared_as_shared(name: &str, cause: Cause, pct: f64) -> String {
     format!(
         "Machine {name}: {cause} has not come back to normal ({pct:+.0} %), but most machines of the site have the \
-         same change, so the weather is the probable reason. The common change is subtracted from the throws of this \
+         same change, so the weather or the supply is the probable reason. The common change is subtracted from the throws of this \
          machine."
     )
 }
@@ -150,7 +150,7 @@ pub(crate) fn cleared_as_shared(name: &str, cause: Cause, pct: f64) -> String {
 pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
     format!(
         "Machine {name}: a change of {cause} by {pct:+.0} % is common to most machines of the site, as by the \
-         weather, and raises no alarm of this machine."
+         weather or the supply, and raises no alarm of this machine."
     )
 }
 
@@ -178,8 +178,8 @@ pub(crate) fn explained(name: &str, part: Cause) -> String {
 pub(crate) fn site(name: &str, cause: Cause, pct: f64) -> String {
     let way = if pct < 0.0 { "down" } else { "up" };
     format!(
-        "{name}: {cause} {way} by {:.0} % or more on most of them together: the weather (rain, frost, heat), or work \
-         on all. This change is subtracted from the throws of each machine; a machine that changed by much more has \
+        "{name}: {cause} {way} by {:.0} % or more on most of them together: the weather (rain, frost, heat), the supply, or \
+         work on all. This change is subtracted from the throws of each machine; a machine that changed by much more has \
          its own alarm.",
         pct.abs()
     )
@@ -251,8 +251,9 @@ fn advice(attribution: &Attribution) -> String {
         }
         Naming::Neither(a, b) => format!("{} {} Then check the rest of the drive.", look_at(a), look_at(b)),
         Naming::Opposite(_) => {
-            "No part of the machine does this: a constant force now helps one direction and hinders \
-             the other. Check the adjustment of the rods, creep of the rails, and what presses on the switch rails."
+            "No worn part does this: a constant force helps one direction and hinders the other, or friction has changed \
+             along a part of the stroke. Check the adjustment of the rods, creep of the rails, what presses on the \
+             switch rails, and single dry slide chairs."
                 .to_owned()
         }
     }
@@ -264,12 +265,13 @@ fn look_at(cause: Cause, size: f64) -> &'static str {
         (Cause::Kt, true) => "Check the motor: a part may have been replaced.",
         (Cause::Friction, true) => "Check slide chairs and lubrication.",
         (Cause::Friction, false) => {
-            "Rain does this and passes. Take a new baseline only if it was cleaned or lubricated."
+            "Rain and point heating do this and pass. Take a new baseline only if it was cleaned or lubricated."
         }
         (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
         (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
         (Cause::Inertia, true) => {
-            "Check the brake, which may release late, and play in the drive: both look the same. Then look for added \
+            "Check the brake, which may release late, play in the drive, and whether the toe sticks where it starts \
+             (rust, ice): these look the same. Then look for added \
              load: ice, ballast, a dragging second drive."
         }
         (Cause::Inertia, false) => "Check couplings and rods: a moving part may be disconnected.",

@@ -8,8 +8,18 @@ use crate::{
     throw::{Channel, POSSIBLE_C, brief, rounded, utc},
 };
 
-/// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage.
-pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
+/// Begin of the fault before in the text of another one.
+const BEFORE: &str = " Reported before: ";
+
+/// The text about a sensor or the supply, with that of the fault that the alarm was about before.
+pub(crate) fn after_another(text: &str, before: &str) -> String {
+    let last = before.split(BEFORE).next().unwrap_or_default();
+    format!("{text}{BEFORE}{last}")
+}
+
+/// Text about a fault of a sensor or the clock that explains a drift, or about a wrong supply voltage. `is_alone`: the
+/// machine has no alarm about a drift.
+pub(crate) fn sensor(name: &str, fault: &SensorFault, is_alone: bool) -> String {
     let pct = fault.size.pct();
     let (what, why) = match fault.channel {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
@@ -25,10 +35,11 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault) -> String {
         (_, false) => "too little",
     };
     format!(
-        "Machine {name}: the {} {what} {:.1} % {way} (±{:.1} %): {why}. The machine itself shows no fault. {}",
+        "Machine {name}: the {} {what} {:.1} % {way} (±{:.1} %): {why}.{} {}",
         fault.channel,
         pct.abs(),
         fault.size.half_width_pct(),
+        if is_alone { " The machine itself shows no fault." } else { "" },
         look_at_sensor(fault.channel)
     )
 }
@@ -83,7 +94,7 @@ pub(crate) fn circuit(name: &str, level: &Level, shown_by: ShownBy) -> String {
     let beside = match shown_by {
         ShownBy::SeriesResistance if level.value > 0.0 => "its inrush has fallen",
         ShownBy::SeriesResistance => "its inrush has risen",
-        ShownBy::Resistance | ShownBy::Inrush => "the motor's back-EMF has not changed",
+        ShownBy::Resistance | ShownBy::Inrush => "the motor's back-EMF has changed less",
     };
     let (way, what) = if level.value > 0.0 {
         ("up", "A bad contact, worn brushes or a damaged cable do this. Check terminals, brushes, contactor and cable.")
@@ -95,8 +106,8 @@ pub(crate) fn circuit(name: &str, level: &Level, shown_by: ShownBy) -> String {
         )
     };
     format!(
-        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat \
-         explains, and {beside}. {what}",
+        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than a \
+         winding 60 K above the air explains, and {beside}. {what}",
         level.pct().abs(),
         level.half_width_pct()
     )
@@ -105,7 +116,7 @@ pub(crate) fn circuit(name: &str, level: &Level, shown_by: ShownBy) -> String {
 /// Text about a lower inrush current of a machine whose resistance is unknown.
 pub(crate) fn inrush(name: &str, level: &Level) -> String {
     format!(
-        "Machine {name}: the inrush of the motor is down {:.0} % (±{:.0} %), more than heat explains. Its throws take \
+        "Machine {name}: the inrush of the motor is down {:.0} % (±{:.0} %), more than a winding 60 K above the air explains. Its throws take \
          longer, and its running current has not fallen as much. A bad contact, worn brushes, a damaged cable or a \
          weak supply do this. Check terminals, brushes, contactor and cable, and the voltage at the motor while it \
          runs.",
@@ -158,7 +169,9 @@ pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String
     format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")
 }
 
-pub(crate) const SENSOR_PLAUSIBLE: &str = "the sensors of temperature and supply voltage are plausible again.";
+pub(crate) fn sensor_plausible(name: &str, channel: SensorChannel) -> String {
+    format!("Machine {name}: the values of the {channel} are plausible again.")
+}
 
 pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
     let (what, check): (String, String) = match found {

@@ -38,9 +38,9 @@ use nalgebra::SMatrix;
 use self::{
     pass::Auxiliary,
     polynomial::{is_stable, reflected},
-    sums::{LANES, Sums},
+    sums::Sums,
 };
-use super::{matrix::invert, rejection::Rejection};
+use super::{matrix::invert, products::Products, rejection::Rejection};
 
 pub use problem::{Problem, Sriv, Workspace};
 
@@ -213,31 +213,8 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
     let (first, first_error) = (output[0], output[0] - model[0]);
-    let [value, square, error, error_square] = sums(output, model, |y, x| {
-        let (value, error) = (y - first, y - x - first_error);
-        [value, value * value, error, error * error]
-    });
+    let mut products = Products::<3>::ZERO;
+    products.add(0..output.len().min(model.len()), |k| [1.0, output[k] - first, output[k] - model[k] - first_error]);
+    let [[_, value, error], [_, square, _], [_, _, error_square]] = products.sums;
     1.0 - (error_square - error * error / count) / (square - value * value / count)
-}
-
-/// Sums of the `terms` of all pairs, in [`LANES`] partial sums.
-fn sums<const K: usize>(left: &[f64], right: &[f64], terms: impl Fn(f64, f64) -> [f64; K]) -> [f64; K] {
-    let mut lanes = [[0.0; LANES]; K];
-    let (left, left_rest) = left.as_chunks::<LANES>();
-    let (right, right_rest) = right.as_chunks::<LANES>();
-    for (left, right) in left.iter().zip(right) {
-        for lane in 0..LANES {
-            let terms = terms(left[lane], right[lane]);
-            for k in 0..K {
-                lanes[k][lane] += terms[k];
-            }
-        }
-    }
-    for (left, right) in left_rest.iter().zip(right_rest) {
-        let terms = terms(*left, *right);
-        for k in 0..K {
-            lanes[k][0] += terms[k];
-        }
-    }
-    lanes.map(|lane| lane.iter().sum())
 }

@@ -8,7 +8,7 @@ use super::{
 };
 
 /// Number of partial sums of a sum, as a single chain of additions is slow.
-pub(crate) const LANES: usize = 4;
+const LANES: usize = 4;
 
 /// The partial sums of one sum.
 type Lanes = [f64; LANES];

@@ -280,6 +280,7 @@ impl<'a> Movement<'a> {
                 .map(|running| mean(self.current_a[running].iter().map(magnitude))),
             mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
             end_rise_a: self.end_rise_a(),
+            run_on_s: self.motor_off.map(|off| off.saturating_sub(self.arrived) as f64 * self.interval_s),
             charge_as: on_s
                 .map(|on_s| on_s * self.mean_a)
                 .filter(|charge_as| charge_as.is_finite() && is_measured(*charge_as)),

@@ -273,6 +273,11 @@ impl Reader {
         Ok(StateCounts { states: states.collect(), silent })
     }
 
+    /// All machines in the order of names, without retired ones.
+    pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
+        self.external(sqlx::query_as(sql::MACHINES)).await
+    }
+
     /// The first `limit` sites by name.
     pub(crate) async fn sites(&self, limit: u32) -> Result<Vec<String>, StoreError> {
         let rows: Vec<(String,)> = self.external(sqlx::query_as(sql::SITES).bind(limit)).await?;

@@ -208,13 +208,30 @@ mod tests {
     use jiff::Timestamp;
 
     use super::*;
-    use crate::store::{Settings, Store};
+    use crate::store::{FleetQuery, Settings, Store};
 
-    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-    async fn a_store_that_closes_ends_a_slow_external_query() {
+    async fn fresh() -> (tempfile::TempDir, Store) {
         let folder = tempfile::tempdir().unwrap();
         let settings = Settings { path: folder.path().join("points.db"), ballast_mib: 0, ..Settings::default() };
         let store = Store::open(&settings, Timestamp::UNIX_EPOCH).await.unwrap().store;
+        (folder, store)
+    }
+
+    #[tokio::test]
+    async fn the_fleet_page_does_not_use_the_connections_of_the_daemon() {
+        let (_folder, store) = fresh().await;
+        let (reader, query) = (store.reader(), FleetQuery::default());
+        let itself = MachineId::new("fleet", "pointsd").unwrap();
+        reader.pools().internal.close().await;
+        reader.machines().await.unwrap();
+        reader.windows(None).await.unwrap();
+        reader.tally(&query, &itself).await.unwrap();
+        reader.fleet(&query, &itself).await.unwrap();
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_store_that_closes_ends_a_slow_external_query() {
+        let (_folder, store) = fresh().await;
         let reader = store.reader().clone();
         let endless = "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT max(x) FROM c";
         let external = reader.pools().external;

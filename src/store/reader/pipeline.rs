@@ -94,10 +94,6 @@ impl Reader {
         self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
     }
 
-    pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
-        self.rows(sqlx::query_as(sql::MACHINES)).await
-    }
-
     /// Time of reception of the newest throw.
     pub(crate) async fn last_received(&self) -> Result<Option<Timestamp>, StoreError> {
         let at_us = self.limited(sqlx::query_scalar(sql::LAST_RECEIVED).fetch_optional(&self.pool())).await?;

@@ -62,7 +62,6 @@ statements! {
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
-    JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
     // Statements with one row of `?`: see the module `batch`.
     PENDING_AMONG = "SELECT count(*) FROM throw WHERE throw_row IN (VALUES (?)) AND judged_at_us IS NULL";
     SET_JUDGED = "WITH new (throw_row, at_us) AS (VALUES (?, ?)) \

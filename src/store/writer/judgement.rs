@@ -108,22 +108,20 @@ impl MonitorRecord {
 }
 
 impl Write for Arc<[Judgement]> {
-    /// Whether each judgement was written; false if its throw was judged before.
-    type Output = Vec<bool>;
+    type Output = ();
 
-    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
-        let mut written = Vec::with_capacity(self.len());
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
         for judgements in self.chunks(batch::MAX_ROWS) {
             if Judgement::write_all(connection, judgements).await? {
-                written.resize(written.len() + judgements.len(), true);
                 continue;
             }
             for judgement in judgements {
-                let is_written = Judgement::write_all(connection, std::slice::from_ref(judgement)).await?;
-                written.push(is_written || judgement.write_late(connection, repeated).await?);
+                if !Judgement::write_all(connection, std::slice::from_ref(judgement)).await? {
+                    judgement.write_late(connection).await?;
+                }
             }
         }
-        Ok(written)
+        Ok(())
     }
 }
 
@@ -173,18 +171,16 @@ impl Judgement {
         self.outcome.write_events(connection, machine_row).await
     }
 
-    /// Handles a throw that is not pending any more, and returns whether this judgement is stored. If retention deleted
-    /// the throw after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never
-    /// be stored otherwise. A throw that was judged before may have this same judgement, from an attempt whose commit
-    /// succeeded although it returned an error.
-    async fn write_late(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
-        let judged_at_us: Option<Option<i64>> =
-            sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(&mut *connection).await?;
-        let Some(judged_at_us) = judged_at_us else {
+    /// Handles a throw that is not pending any more. If it was judged before, nothing is written. If retention deleted it
+    /// after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never be stored
+    /// otherwise.
+    async fn write_late(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
+        let machine_row: Option<i64> =
+            sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_optional(&mut *connection).await?;
+        if machine_row.is_none() {
             self.outcome.write(connection).await?;
-            return Ok(true);
-        };
-        Ok(repeated && judged_at_us == Some(self.outcome.at.as_microsecond()))
+        }
+        Ok(())
     }
 
     fn bind_estimate<'q>(&'q self, query: BoundStatement<'q>) -> BoundStatement<'q> {
