@@ -1,4 +1,4 @@
-//! Queries a logger for a page of its backlog, on the queryable of its throw key.
+//! Queries a logger for a page of its backlog, on the queryable of its throw key, and finds out whether it has one.
 
 use std::{sync::Arc, time::Duration};
 
@@ -18,6 +18,8 @@ use crate::wire::BacklogQuery;
 const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
+/// Time for which a client waits for the reply of its router about queryables; the reply takes some milliseconds.
+const ROUTER_TIMEOUT: Duration = Duration::from_millis(200);
 /// Longest kept text of an error reply \[characters\].
 const MAX_ERROR: usize = 200;
 
@@ -27,7 +29,8 @@ pub(crate) struct ReplyPage {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    /// Whether all replies of the logger arrived; otherwise it may have more throws.
+    /// Whether the query ended without an error; otherwise the logger may have more throws. Also true if the logger is
+    /// not connected, or if its link closed before its last reply: zenoh then ends the query as if it were complete.
     pub is_complete: bool,
     /// The last error reply, from the logger or from zenoh at the time limit; or why the query was not sent.
     pub error: Option<String>,
@@ -80,4 +83,55 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max
     let (mut page, _) = std::mem::take(&mut *collected.lock());
     page.error = page.error.or(failed);
     ReplyPage { is_complete: has_ended && page.error.is_none(), ..page }
+}
+
+/// Whether a logger with a queryable on its throw key is connected; false if zenoh does not tell.
+pub(crate) async fn has_queryable(session: &Session, key: String) -> bool {
+    let session = session.clone();
+    let find = move || {
+        let querier = session.declare_querier(key).wait()?;
+        let changes = querier.matching_listener().wait()?;
+        let has_one = querier.matching_status().wait()?.matching()
+            || changes.recv_timeout(ROUTER_TIMEOUT)?.is_some_and(|status| status.matching());
+        zenoh::Result::Ok(has_one)
+    };
+    // On a blocking thread, as sending blocks on a slow link.
+    task::spawn_blocking(find).await.is_ok_and(|found| found.unwrap_or(false))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn open(mode: &str, endpoints: &str, endpoint: &str) -> Session {
+        let mut config = zenoh::Config::default();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        config.insert_json5("mode", &format!("{mode:?}")).unwrap();
+        config.insert_json5("listen/endpoints", "[]").unwrap();
+        config.insert_json5(endpoints, &format!("[{endpoint:?}]")).unwrap();
+        zenoh::open(config).await.unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_router_and_its_client_know_whether_a_logger_has_a_queryable() {
+        const KEY: &str = "points/v1/north/21B/throw";
+        let router = open("router", "listen/endpoints", "tcp/127.0.0.1:0").await;
+        let address = router.info().locators().await[0].to_string();
+        let client = open("client", "connect/endpoints", &address).await;
+        for has_one in [false, true, false] {
+            let logger = open("client", "connect/endpoints", &address).await;
+            if has_one {
+                logger.declare_queryable(KEY).callback(drop).background().await.unwrap();
+            }
+            for session in [&router, &client] {
+                let known = async {
+                    while has_queryable(session, KEY.to_owned()).await != has_one {
+                        time::sleep(Duration::from_millis(20)).await;
+                    }
+                };
+                time::timeout(Duration::from_secs(20), known).await.unwrap();
+            }
+            logger.close().await.unwrap();
+        }
+    }
 }

@@ -1,12 +1,18 @@
 //! The inbox: the subscription to live throws and its bounded queue.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering::Relaxed},
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    time::Duration,
 };
 
-use tokio::sync::{Notify, mpsc};
-use zenoh::{Session, pubsub::Subscriber, sample::Sample};
+use tokio::{
+    sync::{Notify, mpsc},
+    task, time,
+};
+use zenoh::{Session, Wait, pubsub::Subscriber, sample::Sample};
 
 use super::{
     error::BusError,
@@ -19,6 +25,8 @@ const BATCH_BYTES: usize = 8 << 20;
 /// Capacity of the queue with the keys of dropped messages. If the queue is full, a key may be lost: the next throw of
 /// its machine shows the gap too.
 const DROPPED_KEYS: usize = 1_024;
+/// Time limit of the close. A callback copies one message, which takes milliseconds.
+const CLOSE_LIMIT: Duration = Duration::from_millis(500);
 
 /// The queue of the inbox, and its counters since the start.
 #[derive(Debug, Default)]
@@ -92,12 +100,39 @@ impl Inbox {
         }
     }
 
-    /// Ends the subscription. Queued messages can still be received.
+    /// Ends the subscription, and waits for the messages that are being queued. Queued messages can still be received.
     pub(crate) async fn close(&mut self) {
-        if let Some(subscriber) = self.subscriber.take()
-            && let Err(error) = subscriber.undeclare().await
-        {
-            tracing::warn!(%error, "undeclaring the subscription failed");
+        let Some(subscriber) = self.subscriber.take() else { return };
+        // On a blocking thread, as it blocks until the callbacks have returned.
+        let undeclare = task::spawn_blocking(move || subscriber.undeclare().wait_callbacks().wait());
+        let closed = time::timeout(CLOSE_LIMIT, undeclare).await;
+        if !matches!(closed, Ok(Ok(Ok(())))) {
+            tracing::warn!(?closed, "ending the subscription failed, or takes too long");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The copy of the message takes longer than the close of the subscription.
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_message_that_is_being_queued_at_the_close_is_received() {
+        const KEY: &str = "points/v1/north/21B/throw";
+        let mut config = zenoh::Config::default();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        config.insert_json5("listen/endpoints", "[]").unwrap();
+        let session = zenoh::open(config).await.unwrap();
+        let counters = Arc::<InboxCounters>::default();
+        let (mut inbox, _dropped) = Inbox::subscribe(&session, KEY, usize::MAX, Arc::clone(&counters)).await.unwrap();
+        let payload = vec![0; 100 << 20];
+        let put = task::spawn_blocking(move || session.put(KEY, payload).wait());
+        while counters.received.load(Relaxed) == 0 {
+            task::yield_now().await;
+        }
+        inbox.close().await;
+        assert_eq!(inbox.receive(&mut Vec::new(), 1).await, 1);
+        put.await.unwrap().unwrap();
     }
 }

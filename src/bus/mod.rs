@@ -15,7 +15,7 @@ mod presence;
 mod queries;
 mod session;
 
-pub(crate) use backlog::page;
+pub(crate) use backlog::{has_queryable, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::Message;

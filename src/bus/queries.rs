@@ -15,7 +15,7 @@ use tokio::{
 };
 use zenoh::{
     Session, Wait,
-    bytes::Encoding,
+    bytes::{Encoding, ZBytes},
     query::{Query, Queryable},
 };
 
@@ -27,8 +27,8 @@ const QUEUE: usize = 64;
 const SENDING: usize = 8;
 /// Error reply to a query that found the queue full, or waited in it for longer than [`ANSWER_TIMEOUT`].
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
-/// Largest payload of a query \[bytes\]; commands have a few hundred.
-const MAX_PAYLOAD: usize = 64 << 10;
+/// Largest query \[bytes\]; commands have a few hundred. With [`QUEUE`], it limits the memory of waiting queries.
+const MAX_BYTES: usize = 64 << 10;
 
 /// A queryable with a bounded queue of queries.
 pub struct QueryQueue {
@@ -53,8 +53,8 @@ impl QueryQueue {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query: Query| {
-                // A waiting query keeps its payload in memory, so one with a large payload ends without a reply.
-                if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
+                // A waiting query stays in memory, so a large one ends without a reply.
+                if bytes(&query) > MAX_BYTES {
                     counter.fetch_add(1, Relaxed);
                     return;
                 }
@@ -68,8 +68,7 @@ impl QueryQueue {
         Ok(Self { waiting, dropped, sending, _queryable: queryable })
     }
 
-    /// Number of queries refused since the last call: the queue was full, they waited too long, or their payload was too
-    /// large.
+    /// Number of queries refused since the last call: the queue was full, they waited too long, or they were too large.
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)
     }
@@ -95,6 +94,13 @@ impl QueryQueue {
             send(&Handle::current(), question, replies, permit);
         }
     }
+}
+
+/// The memory of a query, all of whose parts may be large.
+fn bytes(query: &Query) -> usize {
+    let encoding = query.encoding().map_or(0, |encoding| encoding.to_string().len());
+    let parts = [query.payload(), query.attachment()].into_iter().flatten().map(ZBytes::len);
+    query.key_expr().as_str().len() + query.parameters().as_str().len() + encoding + parts.sum::<usize>()
 }
 
 /// Replies with [`BUSY`]. While slow links use all permits, the query ends without a reply.
@@ -125,13 +131,37 @@ fn send(runtime: &Handle, query: Query, replies: Result<Vec<(String, Vec<u8>)>, 
 mod tests {
     use super::*;
 
-    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-    async fn a_query_that_waited_too_long_is_refused() {
+    /// A session without links, and its queue.
+    async fn alone() -> (Session, QueryQueue) {
         let mut config = zenoh::Config::default();
         config.insert_json5("scouting/multicast/enabled", "false").unwrap();
         config.insert_json5("listen/endpoints", "[]").unwrap();
         let session = zenoh::open(config).await.unwrap();
-        let mut queue = QueryQueue::declare(&session, "points/v1/north/21B/health").await.unwrap();
+        let queue = QueryQueue::declare(&session, "points/v1/north/21B/health").await.unwrap();
+        (session, queue)
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_large_query_does_not_wait() {
+        let (session, queue) = alone().await;
+        let large = || "x".repeat(MAX_BYTES);
+        let get = |parameters: &str| session.get(format!("points/v1/north/21B/health?{parameters}"));
+        for get in [
+            get(&large()),
+            get("").payload(large()),
+            get("").attachment(large()),
+            get("").payload("x").encoding(Encoding::from(large())),
+        ] {
+            assert!(get.await.unwrap().recv_async().await.is_err(), "a reply");
+        }
+        assert_eq!((queue.take_dropped(), queue.waiting.len()), (4, 0));
+        let _small = get("limit=1").await.unwrap();
+        assert_eq!((queue.take_dropped(), queue.waiting.len()), (0, 1));
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_query_that_waited_too_long_is_refused() {
+        let (session, mut queue) = alone().await;
         let (sender, waiting) = mpsc::channel(2);
         let mut arriving = std::mem::replace(&mut queue.waiting, waiting);
         let ask = async |selector: &str| session.get(selector.to_owned()).await.unwrap();

@@ -5,7 +5,10 @@ use std::{path::PathBuf, time::Duration};
 use clap::Args;
 
 use super::{Exit, Failure, Outcome, database::Location, output, runtime::block_on};
-use crate::store::{Backup, StoreError};
+use crate::{
+    daemon::clock,
+    store::{Backup, StoreError},
+};
 
 /// Time between two updates of the progress bar.
 const REDRAW: Duration = Duration::from_millis(100);
@@ -45,7 +48,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let bytes = block_on(async {
         let copy = backup.run();
         tokio::pin!(copy);
-        let mut redraw = tokio::time::interval(REDRAW);
+        let mut redraw = clock::every(REDRAW);
         loop {
             tokio::select! {
                 outcome = &mut copy => return outcome.map_err(failure),

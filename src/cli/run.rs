@@ -18,7 +18,8 @@ use crate::{
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reloads the configuration.
 ///
 /// Exit codes: 0 stopped cleanly; 69 zenoh or the dashboard cannot be used (is the port in use?), or another pointsd
-/// uses the database; 70 a task of the daemon ended; 74 the database cannot be used; 78 the configuration is invalid.
+/// uses the database; 70 a task of the daemon ended; 74 the database cannot be used, or received messages could not be
+/// stored before the stop; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd run --config config/pointsd.toml")]
 pub(super) struct Arguments {

@@ -1,8 +1,8 @@
-//! Errors at the start of the daemon, and of the pipeline without zenoh ([`super::Offline`]).
+//! Errors at the start and the stop of the daemon, and of the pipeline without zenoh ([`super::Offline`]).
 
 use std::path::PathBuf;
 
-use crate::{bus::BusError, store::StoreError};
+use crate::{bus::BusError, store::StoreError, throw::counted};
 
 /// An error at the start of the daemon.
 #[derive(Debug, thiserror::Error)]
@@ -30,4 +30,18 @@ pub enum StartError {
     /// The webhook cannot be used.
     #[error("[webhook]: {0}")]
     Webhook(String),
+}
+
+/// An error at the stop of the daemon.
+#[derive(Debug, thiserror::Error)]
+pub enum StopError {
+    /// The database could not be closed cleanly; nothing acknowledged is lost.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Received messages could not be stored in time; the number of them.
+    #[error(
+        "{} could not be stored before the stop: LOST, unless the backlog of the logger still has the throw. Check the disk",
+        counted(.0, "received message")
+    )]
+    Lost(u64),
 }

@@ -32,7 +32,7 @@ mod stop;
 mod supervision;
 mod webhook;
 
-pub use error::StartError;
+pub use error::{StartError, StopError};
 pub use judge::Judged;
 pub use offline::Offline;
 pub use start::{DATABASE, Daemon, View};

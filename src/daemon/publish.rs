@@ -42,7 +42,7 @@ impl Publisher {
     /// Runs until its stop signal, then publishes the rest of the outbox.
     pub(super) async fn run(self) {
         let Shared { session, status, stops, outbox, is_client, .. } = &*self.shared;
-        let mut beat = time::interval(Duration::from_secs(1));
+        let mut beat = clock::every(Duration::from_secs(1));
         // Rows that zenoh accepted, with the time.
         let mut accepted: VecDeque<(i64, Instant)> = VecDeque::new();
         let mut last = 0;

@@ -6,7 +6,6 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
-use tokio::time::{self, MissedTickBehavior};
 
 use super::clock;
 use crate::store::{Store, StoreError, seldom};
@@ -29,8 +28,7 @@ const JUMP: SignedDuration = SignedDuration::from_secs(1);
 
 /// Runs until the store is closed. `last_received` is the newest time of reception in the database.
 pub(super) async fn run(store: Store, last_received: Option<Timestamp>) {
-    let mut pace = time::interval(PACE);
-    pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut pace = clock::every(PACE);
     let mut clocks = Clocks::new(clock::now(), clock::monotonic(), last_received);
     loop {
         pace.tick().await;

@@ -6,6 +6,7 @@ use sd_notify::NotifyState;
 use tokio::time;
 
 use super::{
+    error::StopError,
     shared::Shared,
     start::{Daemon, JUDGE, PUBLISH, RECEIVE},
     supervision::watchdog::notify,
@@ -30,11 +31,12 @@ impl Daemon {
     /// and the database. Returns within 20 s in any case.
     ///
     /// # Errors
-    /// When the database could not be closed cleanly; nothing acknowledged is lost.
-    pub async fn stop(self) -> Result<(), StoreError> {
+    /// When received messages could not be stored, or the database could not be closed cleanly.
+    pub async fn stop(self) -> Result<(), StopError> {
         let Self { shared, mut tasks, publishing, alive, lock, .. } = self;
         let Shared { session, store, status, stops, .. } = &*shared;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
+        let lost_before = status.edit().lost;
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {
             tracing::error!("received messages could not be stored in time");
@@ -76,6 +78,10 @@ impl Daemon {
         };
         let closed = time::timeout(CLOSE_LIMIT, close).await.unwrap_or(Err(StoreError::CloseTimeout));
         drop(lock);
-        closed
+        closed?;
+        match status.edit().lost - lost_before {
+            0 => Ok(()),
+            lost => Err(StopError::Lost(lost)),
+        }
     }
 }

@@ -149,6 +149,14 @@ impl Poison {
     }
 }
 
+/// Messages just below the limit of 16 MiB, of which a careless decoder makes many times as much memory: a tree of
+/// arrays, and an error with escaped characters.
+fn swelling() -> [Vec<u8>; 2] {
+    let nested = format!("{{\"supply_v\":[{}]}}", vec!["[0]"; (4 << 20) - 8].join(","));
+    let text = format!("{{\"sample_rate_hz\":\"{}\"}}", "\u{7f}".repeat((16 << 20) - 32));
+    [nested, text].map(String::into_bytes)
+}
+
 /// Waits until the daemon has received and handled `sent` messages.
 async fn until_handled(session: &Session, sent: u64) -> StatusReport {
     let is_handled = |now: &StatusReport| {
@@ -188,8 +196,13 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         if number % ROUND == ROUND - 1 {
             until_handled(&session, sent).await;
         }
-        // Above the limit of a link, at this limit, and at the limit of a message.
         if number % (messages / 2) == messages / 4 {
+            for payload in swelling() {
+                put(&session, "points/v1/bad/m0/throw", ContentType::APPLICATION_JSON, payload).await;
+                sent += 1;
+            }
+            until_handled(&session, sent).await;
+            // Above the limit of a link, at this limit, and at the limit of a message.
             for bytes in [17 << 20, 31 << 20, 100 << 20] {
                 let payload =
                     wire::encode_throw(Encoding::Cbor, &poison.like).into_iter().cycle().take(bytes).collect();

@@ -213,6 +213,35 @@ async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_toke
     rig.judged(6).await;
 }
 
+/// The link closes after the first live throw, so the queries for the missing throw end without a reply. Nothing but the
+/// queryable shows that the logger is not connected.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_closed_link_of_a_logger_without_a_token_is_no_reply_without_the_throws() {
+    let (rig, daemon) = Rig::running();
+    let made = [1, 2, 3, 4].map(|throw_no| stub("boot", throw_no));
+    let kept = |made: &[Throw]| {
+        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect::<Vec<_>>()
+    };
+    let logger = daemon.logger(KEY).await;
+    keep(&logger.session, KEY, kept(&made[..1])).await;
+    logger.send(&made[..1]).await;
+    rig.until_sql("SELECT 1 AS n FROM machine WHERE backlog_read = 1").await;
+    // The end of the turn.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    logger.close().await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(&made[2..3]).await;
+    rig.until_sql("SELECT 1 FROM throw WHERE throw_no = 3").await;
+    logger.close().await;
+    // Longer than a connected logger may reply without the missing throw.
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    let logger = daemon.logger(KEY).await;
+    keep(&logger.session, KEY, kept(&made)).await;
+    logger.send(&made[3..]).await;
+    rig.judged(4).await;
+    assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
+}
+
 /// The logger does not know the boot of the newest throw, as after an import of recordings, so its pages begin with the
 /// oldest throw. The missing throws come after more pages of stored throws than a turn has.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -173,7 +173,8 @@ async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
     daemon.until_log("a throw is LOST");
     daemon.until_log("5 messages LOST");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
-    daemon.wait(PATIENCE);
+    assert_eq!(daemon.wait(PATIENCE).code(), Some(74));
+    daemon.until_log("5 received messages could not be stored before the stop");
     assert_eq!(rig.number("SELECT value FROM counter WHERE name = 'lost_messages'"), 5);
 }
 

@@ -23,7 +23,7 @@ use crate::{
         shared::Shared,
         supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
-    diagnose::{Away, Command, Irregularity, MachineMonitor, Missing},
+    diagnose::{AlarmEvent, Away, Command, Irregularity, MachineMonitor, Missing},
     store::{ALL_MACHINES, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
@@ -49,6 +49,21 @@ struct PendingDaemonAlarm {
     raised: Instant,
     /// Whether it was published already.
     published: bool,
+}
+
+impl PendingDaemonAlarm {
+    /// Adds itself to the queue. It replaces the event before it, if that is of the same alarm and not its raise: in a
+    /// long outage the text of an alarm may change every ten minutes.
+    fn queue(self, queue: &mut VecDeque<Self>) {
+        let is_replaced = |event: &AlarmEvent| {
+            let is_same = |new: &AlarmEvent| (new.cause, new.raised_at) == (event.cause, event.raised_at);
+            event.event_no > 1 && self.outcome.events.iter().any(is_same)
+        };
+        if queue.back().is_some_and(|last| last.outcome.events.iter().all(is_replaced)) {
+            queue.pop_back();
+        }
+        queue.push_back(self);
+    }
 }
 
 /// Why a command is not applied.
@@ -98,7 +113,7 @@ pub(crate) struct JudgeLoop {
     away: Option<Away>,
     /// Machines of which every message so far was quarantined, with the last reason and its time.
     refused: BTreeMap<MachineId, (String, Instant)>,
-    /// Unstored alarm events about the daemon itself: at most a raise, an escalation and a clearance.
+    /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
     budget: Budget,
@@ -128,8 +143,8 @@ impl JudgeLoop {
         for adopted in adopted.chunks(CHANGES) {
             self.record_all(adopted.into()).await?;
         }
-        let mut tick = time::interval(TICK);
-        let mut beat = time::interval(Duration::from_secs(1));
+        let mut tick = clock::every(TICK);
+        let mut beat = clock::every(Duration::from_secs(1));
         let mut may_be_pending = true;
         loop {
             self.shared.status.heartbeats.beat(TaskName::Identify);
@@ -390,7 +405,9 @@ impl JudgeLoop {
         let update = |monitor: &mut MachineMonitor| monitor.trouble(text, now, &config.diagnosis);
         let new = self.judge.monitors.update(&self.own_machine, now, update);
         let raised = clock::monotonic();
-        self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
+        if let Some(outcome) = new {
+            PendingDaemonAlarm { outcome, raised, published: false }.queue(&mut self.daemon_alarms);
+        }
         while let Some(alarm) = self.daemon_alarms.pop_front() {
             match self.judge.store.record(alarm.outcome.clone()).await {
                 Ok(()) => self.announce(&alarm.outcome),
@@ -511,5 +528,33 @@ impl JudgeLoop {
             () = time::sleep(PAUSE) => {}
             () = self.shared.stops.give_up.cancelled() => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::SignedDuration;
+
+    use super::*;
+    use crate::{
+        daemon::judge::monitors::Monitors,
+        diagnose::{Settings, Severity},
+    };
+
+    #[test]
+    fn a_long_outage_leaves_the_raise_and_the_last_event_of_an_alarm() {
+        let (mut monitors, mut queue) = (Monitors::default(), VecDeque::new());
+        let own = MachineId::new("north", "pointsd").unwrap();
+        let mut now = Timestamp::UNIX_EPOCH;
+        for text in ["a", "b", "c", "d"] {
+            now += SignedDuration::from_mins(11);
+            let trouble = Some((Severity::Critical, text));
+            let update = |monitor: &mut MachineMonitor| monitor.trouble(trouble, now, &Settings::default());
+            let outcome = monitors.update(&own, now, update).unwrap();
+            PendingDaemonAlarm { outcome, raised: clock::monotonic(), published: true }.queue(&mut queue);
+        }
+        let events = queue.iter().flat_map(|pending| &pending.outcome.events);
+        let left: Vec<_> = events.map(|event| (event.event_no, event.text.as_str())).collect();
+        assert_eq!(left, [(1, "a"), (4, "d")]);
     }
 }

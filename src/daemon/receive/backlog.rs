@@ -38,8 +38,8 @@ use crate::{
 const AT_A_TIME: usize = 8;
 /// Largest number of slow loggers among them, so that the other loggers always make progress.
 const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
-/// If a connected logger replies for this long without the awaited throws, it no longer has them. They are written off
-/// as a gap.
+/// If a connected logger replies for this long without the awaited throws, or has no queryable, it does not have them.
+/// They are written off as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Pause after a failed query, doubled up to [`LONGEST_PAUSE`].
 const PAUSE: Duration = Duration::from_secs(1);
@@ -104,8 +104,7 @@ impl Backlog {
 
     pub(crate) async fn run(mut self) {
         let (mut round, mut until_next_round) = (Instant::now(), PAUSE);
-        let mut check = time::interval(MISSING_CHECK);
-        check.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut check = clock::every(MISSING_CHECK);
         let mut may_miss = true;
         let mut loggers = self.shared.loggers.clone();
         loop {
@@ -208,6 +207,7 @@ impl Intake {
             let ended = Box::pin(self.query(&machine, &mut next)).await;
             is_slow = start.elapsed() >= LONG_TURN;
             drop(place);
+            let may_reply = self.may_reply(&machine).await;
             let is_connected = self.is_connected(&machine);
             turns.was_away.store(!is_connected, Relaxed);
             self.shared.missing.notify_one();
@@ -215,6 +215,8 @@ impl Intake {
             let pause = match ended {
                 QueryEnd::Complete => return requests,
                 QueryEnd::More => Duration::ZERO,
+                // Its link is closed, and its backlog may still have the throws.
+                QueryEnd::Without(_) if is_connected && !may_reply => PAUSE,
                 QueryEnd::Without(cursor) if is_connected => {
                     let since = *without_since.insert(since.unwrap_or_else(Instant::now));
                     if since.elapsed() >= PATIENCE {

@@ -19,10 +19,10 @@ use tokio::{task, time};
 
 use super::{clock, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
-    bus::{Inbox, Message},
+    bus::{self, Inbox, Message},
     store::{QuarantinedMessage, ReceivedThrow, Spooled, StoreError, seldom},
     throw::{MachineId, Throw},
-    wire::{self, Encoding},
+    wire::{self, Encoding, Kind},
 };
 
 /// Largest batch \[messages\]. A large batch needs one disk sync for all its quarantined messages. A small batch keeps
@@ -40,11 +40,14 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause after a failed write: the delay until freed disk space is used.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
+/// Longest reason of a quarantined message \[characters\], so that alarms and the status stay readable.
+const MAX_REASON: usize = 512;
 /// Largest number of remembered hashes of quarantined messages; a larger set is cleared.
 const REFUSED_BEFORE: usize = 10_000;
 
 /// Time after a live throw for which a logger without a liveliness token counts as connected. It is longer than the
-/// wait until missing throws are written off (5 s), and shorter than most cuts of a link.
+/// wait until missing throws are written off (5 s), and shorter than most cuts of a link. During a short cut, only a
+/// queryable that disappears shows that the logger is not connected: see [`Intake::may_reply`].
 const LIVE: Duration = Duration::from_mins(1);
 
 /// The way by which a message arrived.
@@ -56,12 +59,21 @@ pub(super) enum Origin {
     Backlog,
 }
 
+/// Signs of a logger since the start of the daemon.
+#[derive(Default)]
+struct LoggerSeen {
+    /// Time of its last live throw.
+    live_at: Option<time::Instant>,
+    /// Whether it had a queryable for its backlog.
+    had_queryable: bool,
+}
+
 /// Decodes live messages and pages of backlogs, and quarantines invalid messages and throws of machines that are not
 /// allowed.
 pub(super) struct Intake {
     shared: Arc<Shared>,
-    /// Known machines, at most `max_machines`, with the time of the last live throw since the start.
-    machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
+    /// Known machines, at most `max_machines`.
+    machines: Mutex<HashMap<MachineId, LoggerSeen>>,
     /// Hashes of quarantined messages from backlogs: the same page may be queried again and again.
     refused_before: Mutex<HashSet<u64>>,
 }
@@ -69,7 +81,7 @@ pub(super) struct Intake {
 impl Intake {
     /// `machines` are those of the database.
     pub(super) fn new(shared: Arc<Shared>, machines: Vec<MachineId>) -> Self {
-        let machines = machines.into_iter().map(|machine| (machine, None)).collect();
+        let machines = machines.into_iter().map(|machine| (machine, LoggerSeen::default())).collect();
         Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
     }
 
@@ -133,9 +145,24 @@ impl Intake {
 
     /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
     fn is_connected(&self, machine: &MachineId) -> bool {
-        let is_live = || self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE);
+        let live_at = || self.machines.lock().get(machine).and_then(|seen| seen.live_at);
+        let is_live = || live_at().is_some_and(|last| last.elapsed() < LIVE);
         let loggers = self.shared.loggers.borrow();
         loggers.alive.contains(machine) || (!loggers.gone.contains(machine) && is_live())
+    }
+
+    /// Whether a logger that counts as connected can reply to a query, or never could. After its link closed, a query
+    /// ends as if the logger had no newer throw, and only its missing queryable shows the closed link. A logger that had
+    /// no queryable since the start of the daemon has no backlog.
+    async fn may_reply(&self, machine: &MachineId) -> bool {
+        if self.shared.loggers.borrow().had_token(machine) {
+            return true;
+        }
+        let has_queryable = bus::has_queryable(&self.shared.session, wire::machine_key(machine, Kind::Throw)).await;
+        let mut machines = self.machines.lock();
+        let Some(seen) = machines.get_mut(machine) else { return true };
+        seen.had_queryable |= has_queryable;
+        has_queryable || !seen.had_queryable
     }
 
     /// Remembers the hash of a message from a backlog; `None` if it is remembered already.
@@ -174,9 +201,9 @@ impl Intake {
             self.shared.status.machines_refused.add(1);
             format!("more than {max_machines} machines: raise subscribe.max_machines")
         } else {
-            let last = known.entry(machine.clone()).or_default();
+            let seen = known.entry(machine.clone()).or_default();
             if origin == Origin::Live {
-                *last = Some(time::Instant::now());
+                seen.live_at = Some(time::Instant::now());
                 self.shared.status.count_valid(machine);
             }
             return Ok(received);
@@ -232,7 +259,7 @@ impl ReceiveLoop {
 
     async fn receive(&mut self) {
         let mut batch = Vec::with_capacity(BATCH);
-        let mut beat = time::interval(Duration::from_secs(1));
+        let mut beat = clock::every(Duration::from_secs(1));
         let mut open = true;
         loop {
             let count = tokio::select! {
@@ -369,6 +396,7 @@ fn guarded(
     let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
     decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
         let Message { key, payload: beginning, bytes, .. } = message;
+        let reason = reason.chars().take(MAX_REASON).collect();
         QuarantinedMessage { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
     })
 }
@@ -406,12 +434,13 @@ mod tests {
         let decoded = ["good", "poison", "good"].map(|key| {
             guarded(message(key), Timestamp::UNIX_EPOCH, |message| {
                 assert!(message.key != "poison", "a defect of the decoder");
-                Err("read".to_owned())
+                Err("é".repeat(10 * MAX_REASON))
             })
         });
         let reasons = decoded.map(|refused| refused.unwrap_err().reason);
         assert!(
-            reasons[1].contains("the decoder failed") && [0, 2].iter().all(|at| reasons[*at] == "read"),
+            reasons[1].contains("the decoder failed")
+                && [0, 2].iter().all(|at| reasons[*at].chars().count() == MAX_REASON),
             "{reasons:?}"
         );
     }

@@ -71,7 +71,7 @@ impl Default for NextPage {
 struct ThrowPage {
     /// The usable throws, oldest first.
     throws: Vec<Throw>,
-    /// Whether all replies arrived.
+    /// Whether the query ended without an error.
     is_complete: bool,
     /// Whether the logger sent no message at all.
     is_empty: bool,

@@ -3,11 +3,10 @@
 use std::{sync::Arc, time::Duration};
 
 use sd_notify::NotifyState;
-use tokio::time;
 
 use super::heartbeat::TaskName;
 use crate::{
-    daemon::shared::Shared,
+    daemon::{clock, shared::Shared},
     store::{DiskLevel, StoreError},
 };
 
@@ -39,7 +38,7 @@ pub(crate) fn notify(states: &[NotifyState<'_>]) {
 /// Extends the start timeout of systemd during work that may take minutes: a check of a large database, a migration.
 pub(crate) async fn with_start_extension<T>(what: &str, work: impl Future<Output = T>) -> T {
     let ask = async {
-        let mut pace = time::interval(EXTEND_EVERY);
+        let mut pace = clock::every(EXTEND_EVERY);
         for _ in 0..EXTENSIONS {
             pace.tick().await;
             notify(&[NotifyState::ExtendTimeoutUsec(EXTEND_BY_USEC), NotifyState::Status(what)]);
@@ -58,8 +57,8 @@ pub(crate) async fn watch(shared: Arc<Shared>) {
     let period = sd_notify::watchdog_enabled()
         .map_or(CHECK_EVERY, |limit| (limit / 3).min(CHECK_EVERY))
         .max(Duration::from_millis(100));
-    let mut check = time::interval(period);
-    let mut routine = time::interval(STATUS_EVERY);
+    let mut check = clock::every(period);
+    let mut routine = clock::every(STATUS_EVERY);
     routine.tick().await;
     // Level of the disk, and silent tasks.
     let mut before = None;
@@ -93,7 +92,7 @@ pub(crate) async fn watch(shared: Arc<Shared>) {
 /// Probes the writer with a transaction, which stores the numbers of dropped and lost messages. An error counts as an
 /// answer: a full disk is a status, not a hang.
 async fn probe_writer(Shared { status, store, .. }: &Shared) {
-    let mut pace = time::interval(CHECK_EVERY);
+    let mut pace = clock::every(CHECK_EVERY);
     for number in (0..PROBE_EVERY).cycle() {
         pace.tick().await;
         // A transaction without a change succeeds on a full or failing disk too, so it must not end such a state.

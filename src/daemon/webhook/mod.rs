@@ -32,8 +32,8 @@ const BEAT: Duration = Duration::from_secs(5);
 const BATCH: u32 = 64;
 /// Number of notifications read for a summary: all that the store keeps.
 const ALL: u32 = 10_000;
-/// Largest number of events sent before they were committed that are recognised when they are committed. There are at
-/// most three: a raise, an escalation and a clearance of the alarm about the daemon itself.
+/// Largest number of events sent before they were committed that are recognised when they are committed. Of each alarm
+/// about the daemon itself there are at most two, its raise and its last event, and few such alarms in an outage.
 const EARLY: usize = 8;
 
 /// An alarm event to send, with its row; `None` before it is committed.
@@ -176,9 +176,12 @@ impl Notifier {
         }
         self.shared.status.edit().webhook_fails = false;
         for (row, alarm) in pending {
-            match row {
-                Some(row) => self.last = row,
-                None => self.early.push_back(alarm),
+            if let Some(row) = row {
+                self.last = row;
+            } else {
+                // The judge replaced an older event of the alarm, except its raise, by this one.
+                self.early.retain(|early| early.alarm_id != alarm.alarm_id || early.event_no == 1);
+                self.early.push_back(alarm);
             }
         }
         let older = self.early.len().saturating_sub(EARLY);
@@ -200,7 +203,7 @@ impl Notifier {
 
     /// Waits until `end`, with heartbeats: a loop that waits on purpose does not hang.
     async fn wait<T>(&self, end: impl Future<Output = T>) -> T {
-        let (mut end, mut pace) = (pin!(end), time::interval(BEAT));
+        let (mut end, mut pace) = (pin!(end), clock::every(BEAT));
         loop {
             tokio::select! {
                 biased;

@@ -12,8 +12,8 @@ use crate::{
 
 /// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
 const MAX_STORED: usize = 256;
-/// Largest stored length of the key and of the reason \[characters\].
-const MAX_TEXT: usize = 512;
+/// Largest stored length of the key \[characters\].
+const MAX_KEY: usize = 512;
 
 /// A message for quarantine.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,7 +59,7 @@ impl Write for Quarantine {
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<()> {
         let kept = self.refused.len().min(self.keep as usize).min(MAX_STORED);
-        let short = |text: &str| text.chars().take(MAX_TEXT).collect::<String>();
+        let short = |text: &str| text.chars().take(MAX_KEY).collect::<String>();
         if let Some(newest) = self.refused.last().filter(|_| repeated && kept > 0) {
             let is_stored = sqlx::query_scalar(sql::IS_QUARANTINED)
                 .bind(newest.at.as_microsecond())
@@ -73,7 +73,7 @@ impl Write for Quarantine {
             sqlx::query(sql::ADD_QUARANTINE)
                 .bind(refused.at.as_microsecond())
                 .bind(short(&refused.key))
-                .bind(short(&refused.reason))
+                .bind(&refused.reason)
                 .bind(i64::try_from(refused.bytes).unwrap_or(i64::MAX))
                 .bind(&refused.beginning[..refused.beginning.len().min(QUARANTINED_BYTES)])
                 .bind(refused.id.as_ref().map(|id| id.boot_id.as_str()))

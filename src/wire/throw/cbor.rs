@@ -11,8 +11,8 @@ use minicbor::{
 
 use super::{
     super::Invalid,
-    fields::{self, Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
-    values::{Channel, Count},
+    fields::{self, Fields, SCHEMA, UNKNOWN_DIRECTION},
+    values::{Channel, Count, Supply},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 

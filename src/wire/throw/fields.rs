@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     super::Invalid,
-    values::{Channel, Count},
+    values::{self, Channel, Count, Supply},
 };
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
@@ -20,29 +20,23 @@ const MAX_THROW_NO: u64 = i64::MAX as u64;
 
 /// The fields of a throw message; `None` for a missing field or null. Serialized, it is the message in JSON.
 #[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct Fields {
     pub(super) schema: Option<String>,
     pub(super) boot_id: Option<String>,
     pub(super) throw_no: Option<Count>,
     pub(super) started_at: Option<String>,
     pub(super) direction: Option<String>,
+    #[serde(deserialize_with = "values::optional_number")]
     pub(super) sample_rate_hz: Option<f64>,
     pub(super) current_a: Option<Channel>,
     pub(super) position_mm: Option<Channel>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "values::optional_number")]
     pub(super) temperature_c: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) supply_v: Option<Supply>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "values::optional_number")]
     pub(super) anti_alias_hz: Option<f64>,
-}
-
-/// The supply voltage \[V\]: a number, or a value for each sample of the current.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
-pub(super) enum Supply {
-    Number(f64),
-    Samples(Channel),
 }
 
 impl From<&Throw> for Fields {
@@ -102,8 +96,7 @@ pub(super) fn wrong(field: &str, problem: &str) -> Invalid {
 
 /// A received text, escaped and cut for an error message.
 fn quote(text: &str) -> String {
-    let short: String = text.chars().take(40).collect();
-    format!("{short:?}")
+    format!("{:?}", values::start(text))
 }
 
 /// The supply voltage of the throw \[V\]. For samples it is their mean weighted with the current, so that the energy of

@@ -44,11 +44,14 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
             let (fields, is_whole) = cbor::decode(payload);
             is_whole.map(|()| fields)
         }
-        // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
             let payload = without_byte_order_mark(payload);
-            let invalid = |error| Invalid(format!("not a throw in JSON: {}", problem(&error, payload)));
-            serde_json::from_slice(payload).map_err(invalid)
+            // serde_json rejects nesting beyond 128 and bytes after the value.
+            let decoded = match not_an_object(payload) {
+                Some(problem) => Err(problem),
+                None => serde_json::from_slice(payload).map_err(|error| problem(&error, payload)),
+            };
+            decoded.map_err(|problem| Invalid(format!("not a throw in JSON: {problem}")))
         }
     }?
     .into_throw()
@@ -56,9 +59,6 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 
 /// The text of a JSON error with the name of the last field before it: `serde_json` names only the position.
 fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
-    if let Some(problem) = not_an_object(payload) {
-        return format!("{problem} ({error})");
-    }
     let lines = payload.split_inclusive(|byte| *byte == b'\n');
     let start: usize = lines.take(error.line().saturating_sub(1)).map(<[u8]>::len).sum();
     let at = (start + error.column()).min(payload.len());
@@ -78,9 +78,10 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
             "{field}: {word} is no JSON, write null for a value that was not measured (line {line} column {column})"
         );
     }
-    let said =
-        error.to_string().replace("expected f64", "must be a number").replace("expected a string", "must be a text");
-    let said = said.replace("expected struct Fields", "must be an object with the fields of a throw");
+    let said = error
+        .to_string()
+        .replace("expected a number", "must be a number")
+        .replace("expected a string", "must be a text");
     match name {
         Some(name) if error.is_data() => format!("{name}: {said}"),
         _ => said,

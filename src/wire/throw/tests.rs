@@ -1,3 +1,4 @@
+use allocation_counter::measure;
 use proptest::prelude::*;
 
 use super::*;
@@ -122,6 +123,24 @@ fn unusable_json_is_an_error_with_the_reason() {
     }
     for bytes in [&b""[..], b"{", b"[]", b"{} {}", b"nan", &b"[".repeat(100_000)] {
         assert!(decode_throw(Encoding::Json, bytes).is_err());
+    }
+}
+
+/// Nested arrays would be a tree of many times the size of the message, and control characters in place of a value an
+/// error of six times the size.
+#[test]
+fn no_json_takes_a_large_multiple_of_its_size() {
+    let nested = format!("{{\"supply_v\":[{}]}}", vec!["[0]"; 1 << 18].join(","));
+    let text = format!("\"{}\"", "\u{7f}".repeat(1 << 18));
+    let fields = ["throw_no", "sample_rate_hz", "current_a", "temperature_c", "supply_v"];
+    let of_text = fields.map(|field| format!("{{\"{field}\":{text}}}"));
+    let of_texts = format!("{{\"supply_v\":[{text}]}}");
+    for message in of_text.into_iter().chain([nested, of_texts, text]) {
+        let taken = measure(|| {
+            let error = decode_throw(Encoding::Json, message.as_bytes()).unwrap_err();
+            assert!(error.to_string().len() < 512);
+        });
+        assert!(taken.bytes_max < 2 * message.len() as u64, "{}: {taken:?}", &message[..40]);
     }
 }
 

@@ -1,24 +1,74 @@
-//! JSON of a whole number and of a channel.
+//! JSON of numbers, of a channel and of the supply voltage. The error of a text in their place repeats only its start:
+//! that of serde repeats the whole text, which may be as long as the message.
 
 use std::fmt;
 
 use serde::{
     Deserialize, Deserializer, Serialize,
-    de::{self, SeqAccess, Visitor},
+    de::{self, Expected, SeqAccess, Unexpected, Visitor, value::SeqAccessDeserializer},
 };
 use serde_json::Number;
 
 use crate::throw::MAX_SAMPLES;
 
+/// The start of a received text, for an error message.
+pub(super) fn start(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+/// The error of a text in place of another value.
+fn wrong_text<E: de::Error>(text: &str, expected: &dyn Expected) -> E {
+    E::invalid_type(Unexpected::Str(&start(text)), expected)
+}
+
+/// A number.
+struct AnyNumber(Number);
+
+impl<'de> Deserialize<'de> for AnyNumber {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visit;
+        impl Visitor<'_> for Visit {
+            type Value = AnyNumber;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number")
+            }
+
+            fn visit_f64<E: de::Error>(self, value: f64) -> Result<AnyNumber, E> {
+                let number = Number::from_f64(value).map(AnyNumber);
+                number.ok_or_else(|| E::invalid_value(Unexpected::Float(value), &self))
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<AnyNumber, E> {
+                Ok(AnyNumber(value.into()))
+            }
+
+            fn visit_i64<E>(self, value: i64) -> Result<AnyNumber, E> {
+                Ok(AnyNumber(value.into()))
+            }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<AnyNumber, E> {
+                Err(wrong_text(text, &self))
+            }
+        }
+        deserializer.deserialize_any(Visit)
+    }
+}
+
+/// A number, or `None` for null.
+pub(super) fn optional_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    Ok(Option::<AnyNumber>::deserialize(deserializer)?.and_then(|AnyNumber(number)| number.as_f64()))
+}
+
 /// A whole number; the form 7.0, which some languages write, is accepted too.
 #[derive(Debug, Serialize, Deserialize)]
-#[serde(try_from = "Number")]
+#[serde(try_from = "AnyNumber")]
 pub(super) struct Count(pub(super) u64);
 
-impl TryFrom<Number> for Count {
+impl TryFrom<AnyNumber> for Count {
     type Error = String;
 
-    fn try_from(number: Number) -> Result<Self, String> {
+    fn try_from(AnyNumber(number): AnyNumber) -> Result<Self, String> {
         // Beyond 2^53 a float does not represent every whole number.
         let is_whole = |value: &f64| value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(value);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
@@ -44,7 +94,8 @@ impl<'de> Deserialize<'de> for Channel {
 
             fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Channel, A::Error> {
                 let mut samples = Vec::new();
-                while let Some(sample) = sequence.next_element::<Option<f64>>()? {
+                while let Some(sample) = sequence.next_element::<Option<AnyNumber>>()? {
+                    let sample = sample.and_then(|AnyNumber(number)| number.as_f64());
                     if samples.len() == MAX_SAMPLES {
                         return Err(de::Error::invalid_length(MAX_SAMPLES + 1, &self));
                     }
@@ -52,7 +103,56 @@ impl<'de> Deserialize<'de> for Channel {
                 }
                 Ok(Channel(samples))
             }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<Channel, E> {
+                Err(wrong_text(text, &self))
+            }
         }
-        deserializer.deserialize_seq(Visit)
+        // Not `deserialize_seq`, whose error repeats a text.
+        deserializer.deserialize_any(Visit)
+    }
+}
+
+/// The supply voltage \[V\]: a number, or a value for each sample of the current.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub(super) enum Supply {
+    Number(f64),
+    Samples(Channel),
+}
+
+/// By hand: the derived decoder would first build a tree of the whole value, which takes 44 times as much memory as the
+/// message.
+impl<'de> Deserialize<'de> for Supply {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visit;
+        impl<'de> Visitor<'de> for Visit {
+            type Value = Supply;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number or an array of numbers")
+            }
+
+            fn visit_f64<E>(self, value: f64) -> Result<Supply, E> {
+                Ok(Supply::Number(value))
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<Supply, E> {
+                Ok(Supply::Number(value as f64))
+            }
+
+            fn visit_i64<E>(self, value: i64) -> Result<Supply, E> {
+                Ok(Supply::Number(value as f64))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, sequence: A) -> Result<Supply, A::Error> {
+                Channel::deserialize(SeqAccessDeserializer::new(sequence)).map(Supply::Samples)
+            }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<Supply, E> {
+                Err(wrong_text(text, &self))
+            }
+        }
+        deserializer.deserialize_any(Visit)
     }
 }
