@@ -217,7 +217,8 @@ impl Alarms {
         let Alarm { state, rule: owner, added, last, .. } = &mut self.open[index];
         let (owner, is_worse) = (*owner, event.severity > last.severity);
         let is_new = !added.contains(&rule);
-        if !is_worse && !(is_new && rule.sees_other_faults_than(owner)) {
+        let is_other = is_new && rule.sees_other_faults_than(owner);
+        if !is_worse && !is_other {
             return false;
         }
         let text = if is_new { format!("{} {}", last.text, event.text) } else { event.text.clone() };
