@@ -179,7 +179,7 @@ impl Attribution {
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
     /// without one, of friction or stiffness. `levels`: means of the last throws of each direction, over several lengths.
-    pub(crate) fn unless_opposite(self, levels: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
+    pub(crate) fn unless_opposite(self, levels: [&[Option<Window>; 2]; 3], settings: &Settings) -> Self {
         let causes: &[Cause] = match &self.naming {
             Naming::One(main) | Naming::Another { new: main, .. } => &[main.cause],
             _ => &[Cause::Friction, Cause::Stiffness],
