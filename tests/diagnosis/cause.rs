@@ -224,7 +224,7 @@ fn opposite_changes_that_grow_fast_name_no_spring() {
         let mut machine = Machine::learned(1_400 + seed, Scatter::USUAL);
         let mut events: Vec<AlarmEvent> = Vec::new();
         for throw in 0..120 {
-            let pct = 30.0 + 0.5 * f64::from(throw.min(40));
+            let pct = 3.0 * f64::from(throw.min(20));
             let is_braked_early = machine.side() as u64 == seed % 2;
             let mut observation = machine.throw(shift(Cause::Stiffness, if is_braked_early { -pct } else { pct }));
             if throw > 40 && is_braked_early {

@@ -117,11 +117,12 @@ impl DriftAlarms {
         let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
         evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
         evidence.claim = evidence.claim.min(self.new_part(cause, latest).unwrap_or(weather));
-        if self.opposite && cause != Cause::Unattributed {
-            // Later the throws of one direction may give no estimate, and those of the other look like a worn part.
+        if self.opposite && cause == Cause::Stiffness {
+            // Later the throws of one direction may give no estimate, and those of the other look like a spring.
             (evidence.claim, evidence.certain_size) = (evidence.claim.min(Claim::Counts), 0.0);
         }
-        evidence.other_name &= !(self.opposite && cause == Cause::Unattributed);
+        let names_spring = drift.attribution.as_ref().is_some_and(|found| found.cause() == Cause::Stiffness);
+        evidence.other_name &= !(self.opposite && cause == Cause::Unattributed && names_spring);
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
             evidence.patience += LEVELS_FOLLOW;

@@ -37,9 +37,10 @@ const RISEN_STIFFNESS: f64 = 0.1;
 /// Rise of friction, as a logarithm, from which a stiffer spring beside it is friction at the far end of the rails: it
 /// bends the rails until that end slides.
 const VERY_DRY: f64 = 0.5;
-/// Least sizes of opposite changes of the two directions, in standard deviations and as part of the warning limit.
-const OPPOSITE_SD: f64 = 2.5;
-const OPPOSITE_FROM: f64 = 0.4;
+/// Least sizes of opposite changes of the two directions, in standard deviations and as part of the warning limit; of a
+/// stiffness they are more probable, as any load that changes along the stroke looks like a spring.
+const OPPOSITE: (f64, f64) = (3.0, 0.5);
+const OPPOSITE_SPRING: (f64, f64) = (2.5, 0.4);
 /// Least size of a second cause, as part of its warning limit; below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -178,23 +179,22 @@ impl Attribution {
     }
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
-    /// without one, of friction or stiffness. `levels`: means of the last throws of each direction, over several lengths.
-    pub(crate) fn unless_opposite(self, levels: [&[Option<Window>; 2]; 3], settings: &Settings) -> Self {
-        let causes: &[Cause] = match &self.naming {
-            Naming::One(main) | Naming::Another { new: main, .. } => &[main.cause],
-            _ => &[Cause::Friction, Cause::Stiffness],
+    /// without one, of the friction. `levels` and `last_few`: means of the last throws of each direction, as in
+    /// [`Drift`](super::Drift).
+    pub(crate) fn unless_opposite(self, [levels, last_few]: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
+        let cause = match self.naming {
+            Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
+            _ => Cause::Friction,
         };
-        let is_shown = |part: &Explanation| {
-            part.size.abs() > OPPOSITE_SD * part.size_sd && part.relevance(settings) > OPPOSITE_FROM
+        let is_spring = cause == Cause::Stiffness;
+        let (least_sd, least_part) = if is_spring { OPPOSITE_SPRING } else { OPPOSITE };
+        let is_shown =
+            |part: &Explanation| part.size.abs() > least_sd * part.size_sd && part.relevance(settings) > least_part;
+        let opposite = |[normal, reverse]: &[Option<Window>; 2]| {
+            let parts = [normal.as_ref()?, reverse.as_ref()?].map(|window| window.single(cause, settings));
+            (parts[0].size * parts[1].size < 0.0 && parts.iter().all(is_shown)).then_some(parts)
         };
-        let opposite = levels.into_iter().find_map(|[normal, reverse]| {
-            let windows = [normal.as_ref()?, reverse.as_ref()?];
-            causes.iter().find_map(|cause| {
-                let parts = windows.map(|window| window.single(*cause, settings));
-                (parts[0].size * parts[1].size < 0.0 && parts.iter().all(is_shown)).then_some(parts)
-            })
-        });
-        match opposite {
+        match opposite(levels).or_else(|| opposite(last_few).filter(|_| is_spring)) {
             Some(parts) => Self { naming: Naming::Opposite(parts), rival: None, runner_up: None, lead: 0.0, ..self },
             None => self,
         }

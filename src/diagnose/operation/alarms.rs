@@ -104,8 +104,8 @@ pub(crate) struct Operation {
     pub(super) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
-    /// For temperature and voltage: throws with an implausible value, and throws with a plausible one.
-    pub(super) beside: [[u32; 2]; 2],
+    /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
+    pub(super) plausible: [i32; 2],
     /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
     pub(super) unusable_in: [u8; 3],
     /// Throws in which all three are usable.

@@ -10,7 +10,7 @@ use crate::diagnose::{
 };
 
 /// Consecutive rejected temperatures or voltages that raise the alarm: one is a disturbance.
-const IMPLAUSIBLE_IN_A_ROW: u32 = 3;
+const IMPLAUSIBLE_IN_A_ROW: i32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
 /// The sensors beside the throw, in the order of their counters.
@@ -21,14 +21,12 @@ const OF_TRACE: [SensorChannel; 3] = [SensorChannel::Current, SensorChannel::Pos
 impl Operation {
     /// Applies the implausible temperature and the implausible supply voltage of a throw; `None` if plausible.
     pub(crate) fn on_sensors(&mut self, implausible: [Option<Implausible>; 2], step: &mut Step) {
-        for ((channel, found), counts) in BESIDE.into_iter().zip(implausible).zip(&mut self.beside) {
-            let [doubted, trusted] = counts;
-            streak(doubted, found.is_some());
-            streak(trusted, found.is_none());
-            if let Some(implausible) = found.filter(|_| *doubted >= IMPLAUSIBLE_IN_A_ROW) {
+        for ((channel, found), run) in BESIDE.into_iter().zip(implausible).zip(&mut self.plausible) {
+            *run = if found.is_none() { (*run).max(0).saturating_add(1) } else { (*run).min(0).saturating_sub(1) };
+            if let Some(implausible) = found.filter(|_| *run <= -IMPLAUSIBLE_IN_A_ROW) {
                 let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
-                step.alarms.raise_another(Rule::Usual, event, *doubted == IMPLAUSIBLE_IN_A_ROW);
-            } else if *trusted >= step.settings.off_delay_throws && is_about(&[channel], step) {
+                step.alarms.raise_another(Rule::Usual, event, *run == -IMPLAUSIBLE_IN_A_ROW);
+            } else if i64::from(*run) >= step.settings.off_delay_throws.into() && is_about(&[channel], step) {
                 step.clear(Cause::Sensor, text::sensor_plausible(step.name, channel));
             }
         }

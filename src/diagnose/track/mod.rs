@@ -305,8 +305,7 @@ impl Tracks {
             let throws = WINDOWS.into_iter().rev().find(|w| *w <= longest && *w <= tails[at].len())?;
             tails[at].window(throws, scatter, baselines)
         };
-        let of_both = |longest: usize| [level(0, longest), level(1, longest)];
-        let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(of_both);
+        let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
         let latest = direction.side();
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.complete);
         let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
@@ -323,7 +322,7 @@ impl Tracks {
             provisional,
             attribution: detected.map(|(tested, scatter, side)| {
                 let found = attribute((&tested.window, scatter, *side), &last_few, known, settings);
-                found.unless_opposite([&levels, &last_few, &of_both(WINDOWS[0])], settings)
+                found.unless_opposite([&levels, &last_few], settings)
             }),
             strongest: best.map(|(tested, ..)| tested),
             origin: Origin::default(),
