@@ -179,11 +179,14 @@ impl Attribution {
     }
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
-    /// without one, of the friction. `levels` and `last_few`: means of the last throws of each direction, as in
+    /// without one, of the friction, or of the stiffness if the two named causes are others. `levels` and `last_few`: means of the last throws of each direction, as in
     /// [`Drift`](super::Drift).
     pub(crate) fn unless_opposite(self, [levels, last_few]: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
         let cause = match self.naming {
             Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
+            Naming::Both(a, b) | Naming::Neither(a, b) if [a, b].iter().all(|part| part.cause != Cause::Friction) => {
+                Cause::Stiffness
+            }
             _ => Cause::Friction,
         };
         let is_spring = cause == Cause::Stiffness;
