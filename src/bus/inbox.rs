@@ -126,7 +126,7 @@ mod tests {
         let session = zenoh::open(config).await.unwrap();
         let counters = Arc::<InboxCounters>::default();
         let (mut inbox, _dropped) = Inbox::subscribe(&session, KEY, usize::MAX, Arc::clone(&counters)).await.unwrap();
-        let payload = vec![0; 100 << 20];
+        let payload = vec![0; 48 << 20];
         let put = task::spawn_blocking(move || session.put(KEY, payload).wait());
         while counters.received.load(Relaxed) == 0 {
             task::yield_now().await;

@@ -69,7 +69,8 @@ async fn a_logger_that_is_gone_before_its_first_throw_is_judged_is_an_alarm() {
     daemon.until_status("a logger", |status| status["loggers"] == 1).await;
     drop((token, logger));
     daemon.until_status("no logger", |status| status["loggers"] == 0).await;
-    daemon.logger(KEY).await.send([stub("boot", 1)]).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send([stub("boot", 1)]).await;
     rig.judged(1).await;
     let raised = next(&alarms).await.1;
     assert!(raised.text.contains("logger has been gone"), "{}", raised.text);

@@ -106,7 +106,8 @@ async fn only_a_few_large_responses_are_in_memory_at_once() {
     let (rig, daemon, address) = small_history().await;
     let values = vec![0.123_456_7; 300_000];
     let throw = Throw { trace: Trace::new(20_000.0, values.clone(), values).unwrap(), ..stub("large", 1) };
-    daemon.logger(KEY).await.send([&throw]).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send([&throw]).await;
     rig.judged(4).await;
     let begun = || {
         let mut stream = TcpStream::connect(&address).unwrap();

@@ -220,8 +220,10 @@ async fn a_machine_that_is_not_monitored_has_the_reason_and_the_missing_directio
     let swapped = changed(|trace| {
         Trace::new(trace.sample_rate_hz(), trace.position_mm().to_vec(), trace.current_a().to_vec()).unwrap()
     });
-    daemon.logger(KEY).await.send(without_position).await;
-    daemon.logger("points/v1/north/22A/throw").await.send(swapped).await;
+    // Kept until the throws are judged: a session that is dropped loses what it has not sent yet.
+    let loggers = [daemon.logger(KEY).await, daemon.logger("points/v1/north/22A/throw").await];
+    loggers[0].send(without_position).await;
+    loggers[1].send(swapped).await;
     rig.judged(40).await;
     let alarms = rig.sql("SELECT machine, text FROM active_alarms WHERE cause = 'not_monitored' ORDER BY machine");
     let text = |at: usize| alarms[at]["text"].as_str().unwrap();

@@ -380,7 +380,8 @@ async fn sighup_applies_the_settings_that_need_no_restart() {
     daemon.signal("-HUP");
     daemon.until_log("changes in monitor take effect at the next start");
     // The toe moves by 115 mm: a complete throw without a stroke in the configuration.
-    daemon.logger(KEY).await.send(throws("boot", 1)).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(throws("boot", 1)).await;
     assert_eq!(next(&alarms).await.1.cause, Cause::IncompleteThrow);
 }
 

@@ -127,7 +127,8 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn machines_that_a_new_key_leaves_out_are_named() {
     let (rig, daemon) = Rig::running();
-    daemon.logger(KEY).await.send([&throws("boot", 1)[0]]).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send([&throws("boot", 1)[0]]).await;
     rig.judged(1).await;
     daemon.terminate();
     let narrowed = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"").in_folder(rig.folder());

@@ -451,7 +451,8 @@ async fn a_throw_dated_years_ahead_is_not_the_last_one_of_its_direction() {
     let (rig, daemon) = Rig::running_with(WEB);
     let mut all = throws("boot", 5);
     all[2].started_at = "2096-05-04T10:00:00Z".parse().unwrap();
-    daemon.logger(KEY).await.send(all).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(all).await;
     rig.judged(5).await;
     let page = get(&address(&daemon), "/machines/north/21B").body;
     assert!(page.contains("3 of 50 throws"), "{page}");
@@ -462,7 +463,8 @@ async fn a_throw_dated_years_ahead_is_not_the_last_one_of_its_direction() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_earlier_name_of_the_daemon_is_no_machine() {
     let (rig, daemon) = Rig::running_with(WEB);
-    daemon.logger(KEY).await.send(throws("boot", 1)).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(throws("boot", 1)).await;
     rig.judged(1).await;
     rig.change("INSERT INTO machine (site, machine) VALUES ('fleet', 'earlier')").await;
     let answer: serde_json::Value = serde_json::from_str(&get(&address(&daemon), "/api/v1/machines").body).unwrap();
