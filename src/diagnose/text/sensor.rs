@@ -39,7 +39,7 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault, is_alone: bool) -> String 
         fault.channel,
         pct.abs(),
         fault.size.half_width_pct(),
-        if is_alone { " The machine itself shows no fault." } else { "" },
+        if is_alone && fault.channel != SensorChannel::Supply { " This alone explains the drift so far." } else { "" },
         look_at_sensor(fault.channel)
     )
 }
