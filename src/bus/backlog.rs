@@ -102,12 +102,11 @@ pub(crate) async fn has_queryable(session: &Session, key: String) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::config_without_links;
 
     async fn open(mode: &str, endpoints: &str, endpoint: &str) -> Session {
-        let mut config = zenoh::Config::default();
-        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        let mut config = config_without_links();
         config.insert_json5("mode", &format!("{mode:?}")).unwrap();
-        config.insert_json5("listen/endpoints", "[]").unwrap();
         config.insert_json5(endpoints, &format!("[{endpoint:?}]")).unwrap();
         zenoh::open(config).await.unwrap()
     }

@@ -115,15 +115,13 @@ impl Inbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::config_without_links;
 
     /// The copy of the message takes longer than the close of the subscription.
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn a_message_that_is_being_queued_at_the_close_is_received() {
         const KEY: &str = "points/v1/north/21B/throw";
-        let mut config = zenoh::Config::default();
-        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-        config.insert_json5("listen/endpoints", "[]").unwrap();
-        let session = zenoh::open(config).await.unwrap();
+        let session = zenoh::open(config_without_links()).await.unwrap();
         let counters = Arc::<InboxCounters>::default();
         let (mut inbox, _dropped) = Inbox::subscribe(&session, KEY, usize::MAX, Arc::clone(&counters)).await.unwrap();
         let payload = vec![0; 48 << 20];

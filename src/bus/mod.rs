@@ -26,3 +26,13 @@ pub(crate) use presence::{Token, watch_tokens};
 pub use queries::QueryQueue;
 pub use session::open;
 pub(crate) use session::{declare_alive, declare_publisher, intersect, is_client, is_connected};
+
+/// The configuration of a session of a test that finds nobody and listens nowhere.
+#[cfg(test)]
+fn config_without_links() -> zenoh::Config {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")] {
+        config.insert_json5(key, value).unwrap();
+    }
+    config
+}

@@ -130,13 +130,11 @@ fn send(runtime: &Handle, query: Query, replies: Result<Vec<(String, Vec<u8>)>, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::config_without_links;
 
     /// A session without links, and its queue.
     async fn alone() -> (Session, QueryQueue) {
-        let mut config = zenoh::Config::default();
-        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-        config.insert_json5("listen/endpoints", "[]").unwrap();
-        let session = zenoh::open(config).await.unwrap();
+        let session = zenoh::open(config_without_links()).await.unwrap();
         let queue = QueryQueue::declare(&session, "points/v1/north/21B/health").await.unwrap();
         (session, queue)
     }

@@ -438,6 +438,11 @@ impl Alarms {
         self.active_alarms().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
     }
 
+    /// The causes of the active alarms whose rule gives way to the usual one, oldest first.
+    pub(super) fn giving_way(&self) -> impl Iterator<Item = Cause> {
+        self.active_alarms().filter(|alarm| alarm.rule.gives_way()).map(|alarm| alarm.last.cause)
+    }
+
     /// Sets the owner of the alarm of `cause`, which snapshots of earlier versions store elsewhere.
     pub(super) fn set_rule(&mut self, cause: Cause, rule: Rule) {
         if let Some(index) = self.find(cause) {

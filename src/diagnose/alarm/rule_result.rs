@@ -1,7 +1,7 @@
 //! Result of a rule over the last throws, and its alarm.
 
 use super::{Alarms, Rule, Step};
-use crate::diagnose::{AlarmEvent, Cause, SensorChannel, text};
+use crate::diagnose::{AlarmEvent, Cause, SensorChannel, Settings, text};
 
 /// Part of its limit below which a fault has ended. An alarm is raised only above the limit, so it does not alternate.
 pub(crate) const OVER_BELOW: f64 = 0.5;
@@ -30,6 +30,11 @@ pub(crate) enum RuleResult {
 }
 
 impl RuleResult {
+    /// The result without a fault, which has ended for `calm` throws.
+    pub(crate) fn after_calm(calm: u32, settings: &Settings) -> Self {
+        if calm >= settings.off_delay_throws { Self::Nothing } else { Self::Unclear }
+    }
+
     /// Raises, escalates or ends the alarm of `rule`. A fault without a named part raises no alarm if an active alarm
     /// explains it.
     pub(crate) fn apply(self, rule: Rule, step: &mut Step) {

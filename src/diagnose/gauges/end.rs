@@ -53,9 +53,8 @@ impl EndChange {
     /// current too. Friction over the whole stroke leaves this difference as it was. So all differences between these
     /// two are explained.
     fn of(gauges: &Gauges, direction: Direction) -> Option<Self> {
-        let normal =
-            |gauge| gauges.sides[direction.side()].of(gauge).map(|(centre, sd)| (f64::from(centre), f64::from(sd)));
-        let ((usual_a, usual_sd), (usual_running, _)) = (normal(Gauge::EndRise)?, normal(Gauge::Running)?);
+        let ((usual_a, usual_sd), (usual_running, _)) =
+            (gauges.normal(direction, Gauge::EndRise)?, gauges.normal(direction, Gauge::Running)?);
         let throws: Vec<(f64, f64)> = gauges.pairs(direction, [Gauge::EndRise, Gauge::Running]).take(LEVEL).collect();
         if throws.len() < LEVEL {
             return None;
@@ -90,8 +89,7 @@ impl EndWatch {
         count_over(&mut self.calm, largest);
         let changed: Vec<&EndChange> = changes.iter().filter(|change| change.size > 1.0).collect();
         if changed.is_empty() {
-            let is_calm = self.calm >= step.settings.off_delay_throws;
-            return if is_calm { RuleResult::Nothing } else { RuleResult::Unclear };
+            return RuleResult::after_calm(self.calm, step.settings);
         }
         // Points whose lock or spring gives less force still close.
         let has_risen = changed.iter().any(|change| change.rise_a.value > 0.0);

@@ -123,8 +123,7 @@ impl Gauges {
 
     /// Whether a travel is that of a normal throw.
     pub(crate) fn is_usual_travel(&self, direction: Direction, travel_mm: f64) -> bool {
-        let normal = self.sides[direction.side()].of(Gauge::Travel);
-        normal.is_some_and(|(centre, _)| (travel_mm.ln() - f64::from(centre)).abs() < USUAL_TRAVEL)
+        self.normal(direction, Gauge::Travel).is_some_and(|(centre, _)| (travel_mm.ln() - centre).abs() < USUAL_TRAVEL)
     }
 
     /// Whether the current of a throw is as in a normal throw: as large, and flowing as long.
@@ -177,6 +176,11 @@ impl Gauges {
             let [a, b] = gauges.map(|gauge| shown.value(gauge).map(f64::from));
             a.zip(b)
         })
+    }
+
+    /// Normal value of a gauge in a direction, and standard deviation of one throw.
+    pub(super) fn normal(&self, direction: Direction, gauge: Gauge) -> Option<(f64, f64)> {
+        self.sides[direction.side()].of(gauge).map(|(centre, sd)| (f64::from(centre), f64::from(sd)))
     }
 
     /// Normal values of a gauge in the directions in which it is known.

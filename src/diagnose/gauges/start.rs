@@ -88,8 +88,7 @@ impl StartWatch {
                 let text = text::start(step.name, [change.delay, change.gain, change.running], WINDOWS[2]);
                 RuleResult::Fault(Box::new(step.warning(Cause::Unattributed, text)))
             }
-            _ if self.calm >= step.settings.off_delay_throws => RuleResult::Nothing,
-            _ => RuleResult::Unclear,
+            _ => RuleResult::after_calm(self.calm, step.settings),
         }
     }
 }

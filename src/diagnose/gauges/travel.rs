@@ -45,9 +45,8 @@ struct TravelChange {
 impl TravelChange {
     /// `None` if the normal values are unknown, or with too few throws.
     fn of(gauges: &Gauges, direction: Direction) -> Option<Self> {
-        let normal =
-            |gauge| gauges.sides[direction.side()].of(gauge).map(|(centre, sd)| (f64::from(centre), f64::from(sd)));
-        let ((usual, sd), (usual_duration, _)) = (normal(Gauge::Travel)?, normal(Gauge::Duration)?);
+        let ((usual, sd), (usual_duration, _)) =
+            (gauges.normal(direction, Gauge::Travel)?, gauges.normal(direction, Gauge::Duration)?);
         let throws: Vec<(f64, f64)> = gauges.pairs(direction, [Gauge::Travel, Gauge::Duration]).take(LEVEL).collect();
         if throws.len() < LEVEL {
             return None;
@@ -71,8 +70,7 @@ impl TravelWatch {
         count_over(&mut self.calm, largest);
         let changed: Vec<&TravelChange> = changes.iter().filter(|change| change.size > 1.0).collect();
         if changed.is_empty() {
-            let is_calm = self.calm >= step.settings.off_delay_throws;
-            return if is_calm { RuleResult::Nothing } else { RuleResult::Unclear };
+            return RuleResult::after_calm(self.calm, step.settings);
         }
         let is_critical = changed.iter().any(|change| {
             let [from_mm, to_mm] = change.from_to_mm;

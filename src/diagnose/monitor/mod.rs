@@ -271,9 +271,7 @@ impl MachineMonitor {
 
     /// Clears the alarms of rules that lose their last throws, and so could not clear them later.
     fn end_rules(&mut self, now: Timestamp) {
-        let of_rules =
-            [Rule::Features, Rule::Start, Rule::End, Rule::Travel, Rule::RunOn, Rule::Intermittent].into_iter();
-        let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
+        let of_rules: Vec<Cause> = self.alarms.giving_way().collect();
         // Throws do not show whether the clock of the logger is right; their dates do.
         let sensor = self.alarms.owned_by(Rule::Dates).is_none().then_some(Cause::Sensor);
         for cause in sensor.into_iter().chain([Cause::Supply]).chain(of_rules) {

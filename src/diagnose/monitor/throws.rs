@@ -59,9 +59,10 @@ impl MachineMonitor {
             // The points arrived, and only detection or switch-off failed. The current is not that of the movement alone.
             let observation = observation.to_mut();
             observation.outcome = None;
-            let features = mem::take(&mut observation.features);
-            observation.features =
-                Features { running_current_a: None, mean_current_a: None, charge_as: None, energy_j: None, ..features };
+            let Features { running_current_a, mean_current_a, charge_as, energy_j, .. } = &mut observation.features;
+            for of_current in [running_current_a, mean_current_a, charge_as, energy_j] {
+                *of_current = None;
+            }
         }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
