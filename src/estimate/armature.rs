@@ -60,7 +60,7 @@ impl Armature {
             sample(k);
         }
         products.add(moves..end + 1, sample);
-        Some(Self { sums: products.sums, samples: (end + 1 - moves) as f64 })
+        Some(Self { sums: products.sums(), samples: (end + 1 - moves) as f64 })
     }
 
     /// R, L, c and K (series-wound: k), each divided by V, and the root mean square residual of the equation \[s\].

@@ -20,12 +20,12 @@ use super::{
     acceptance::brake,
     features::Features,
     identification::{Estimate, Grade},
-    matrix::unit_diagonal,
+    matrix::invert,
     ratios::{self, Ratios},
     settings::{Motor, Settings},
     trace::{
         movement::{Movement, NEAR_END_SHARE},
-        samples::{mean, median_of_magnitudes, samples_in},
+        samples::{has_rate, mean, median_of_magnitudes, samples_in},
         window::{self, Window},
     },
 };
@@ -87,8 +87,7 @@ fn solve(
         normal += row * row.transpose();
         right += row * left;
     }
-    let (scaled, scale) = unit_diagonal(&normal);
-    Some((scaled.try_inverse()? * right.component_mul(&scale)).component_mul(&scale))
+    Some(invert(&normal)?.0 * right)
 }
 
 /// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds
@@ -102,15 +101,17 @@ pub(super) fn estimate(
     let interval_s = movement.interval_s;
     let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
     let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
-    if interval_s * LEAST_RATE_HZ > 1.0001 {
+    if !has_rate(interval_s, LEAST_RATE_HZ) {
         return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
     }
     let integrals = integrals(movement).ok_or(NOT_ENDED)?;
     // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
     let last = integrals[0].len().checked_sub(3).ok_or(NOT_ENDED)?;
     let from_start_mm = match throw.direction {
+        Some(Direction::NormalToReverse) => settings.neutral_mm,
         Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
-        Some(Direction::NormalToReverse) | None => settings.neutral_mm,
+        None if settings.neutral_mm == 0.5 * stroke_mm => settings.neutral_mm,
+        None => return Err("the coefficients need the direction of the throw".to_owned()),
     };
     let mut window = Window {
         equilibrium: from_start_mm * settings.radians_per_mm(),

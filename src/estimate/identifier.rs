@@ -18,7 +18,7 @@ use super::{
         hum, missing,
         movement::{INRUSH_S, Movement, start_of_motor},
         noise, release,
-        samples::{Level, every, peak, second_difference_noise},
+        samples::{Level, every, has_rate, peak, second_difference_noise},
         window::{Window, long_enough},
     },
 };
@@ -27,10 +27,10 @@ use crate::throw::{Channel, Direction, Throw, Trace};
 /// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
 /// the remaining error is below a thousandth of a standard deviation of the estimate.
 const TOLERANCE: f64 = 1e-4;
-/// Longest interval at which an unfiltered current with an unresolved rise still gives the ratios. At 250 Hz they agree
-/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains
-/// (100 Hz and its multiples) becomes a constant current.
-const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
+/// Least rate at which an unfiltered current with an unresolved rise still gives the ratios \[Hz\]. They agree with those
+/// at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz and
+/// its multiples) becomes a constant current.
+const LEAST_RATIOS_HZ: f64 = 250.0;
 /// Largest relative standard deviation of a usable ratio if the full model fails. After a long unlocking stroke it is 2
 /// to 4 %; with a position that has nothing to do with the current it is 70 %.
 const LARGEST_RATIO_ERROR: f64 = 0.2;
@@ -63,28 +63,34 @@ struct Buffers {
 impl Identifier {
     /// Estimates coefficients and features of a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
-        let Some(Resampled { trace, first, every, position_every }) = held::resampled(&throw.trace) else {
-            return self.identify_sampled(throw, 1.0, settings);
-        };
-        let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
-        // The reader of a result has the trace of the logger, not the resampled one.
-        found.unused_fields = throw.unused_fields();
-        let first_s = first as f64 / throw.trace.sample_rate_hz();
-        match &mut found.outcome {
-            Ok(estimate) => {
-                estimate.start_s += first_s;
-                estimate.end_s += first_s;
-                if let Some(reason) = &mut estimate.reason {
-                    reason.refer_to_logger(first_s, first, every);
+        let rate_hz = throw.trace.sample_rate_hz();
+        let mut found = if let Some(Resampled { trace, first, every, position_every }) = held::resampled(&throw.trace) {
+            let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
+            // The reader of a result has the trace of the logger, not the resampled one.
+            let first_s = first as f64 / rate_hz;
+            match &mut found.outcome {
+                Ok(estimate) => {
+                    estimate.start_s += first_s;
+                    estimate.end_s += first_s;
+                    if let Some(reason) = &mut estimate.reason {
+                        reason.refer_to_logger(first_s, first, every);
+                    }
                 }
+                Err(reason) => reason.refer_to_logger(first_s, first, every),
             }
-            Err(reason) => reason.refer_to_logger(first_s, first, every),
+            found
+        } else {
+            self.identify_sampled(throw, 1.0, settings)
+        };
+        found.unused_fields = throw.unused_fields();
+        if let Err(Rejection::TooSlow { rate_hz: sent_hz, .. }) = &mut found.outcome {
+            *sent_hz = rate_hz;
         }
         found
     }
 
     /// Identifies a throw whose current has a new value in each sample, and whose position has a new value in one of
-    /// `position_every` samples.
+    /// `position_every` samples. Leaves `unused_fields` to [`Self::identify`].
     fn identify_sampled(&mut self, throw: &Throw, position_every: f64, settings: &Settings) -> Identification {
         let trace = &throw.trace;
         let Self { current, position, buffers } = self;
@@ -129,14 +135,7 @@ impl Identifier {
             .and_then(|()| completeness::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
-            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released))
-            .map_err(|mut reason| {
-                // Its samples were counted before the decimation already, or not at all.
-                if let Rejection::TooSlow { rate_hz, .. } = &mut reason {
-                    *rate_hz *= factor as f64;
-                }
-                reason
-            });
+            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = features_of(throw, &movement, &outcome, settings);
         if let Ok(estimate) = &outcome
@@ -153,7 +152,7 @@ impl Identifier {
             direction_contradicted: moved.zip(throw.direction).map(|(moved, named)| moved != named),
             features,
             outcome,
-            unused_fields: throw.unused_fields(),
+            unused_fields: None,
             short_of_stroke_mm,
         }
     }
@@ -177,7 +176,7 @@ impl Buffers {
         let rise_samples = completeness::rise_samples(movement);
         if is_raw && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { interval_s, rise_samples };
-            if interval_s > LONGEST_INTERVAL_S {
+            if !has_rate(interval_s, LEAST_RATIOS_HZ) {
                 return Err(undersampled);
             }
             doubt = doubt.or(Some(undersampled));
@@ -231,7 +230,7 @@ impl Buffers {
         let mut doubt = doubt.or(start_doubt);
         // In a slow recording, it is chance how much of the inrush the first samples have.
         let is_late = |reason: &mut Rejection| matches!(reason, Rejection::StartMissing { .. });
-        if movement.interval_s > LONGEST_INTERVAL_S
+        if !has_rate(movement.interval_s, LEAST_RATIOS_HZ)
             && let Some(reason) = doubt.take_if(is_late)
         {
             return Err(reason);
@@ -310,7 +309,7 @@ fn identify_current(
         direction_contradicted: None,
         features,
         outcome,
-        unused_fields: throw.unused_fields(),
+        unused_fields: None,
         short_of_stroke_mm: None,
     }
 }
@@ -324,20 +323,23 @@ fn features_of(
 ) -> Features {
     let mut features = movement.features();
     match outcome {
-        Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
-            features = features.without(*channel);
-        }
+        Err(
+            Rejection::Noisy { channel, .. }
+            | Rejection::Stuck { channel, .. }
+            | Rejection::ImplausibleValue { channel, .. },
+        ) => features = features.without(*channel),
         Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
         Err(Rejection::TooSlow { .. }) => features = features.without_times(),
         _ => {}
     }
     add_supply(&mut features, throw);
-    let is_damaged = outcome
-        .as_ref()
-        .is_err_and(|reason| reason.faulty_channel().is_some() || matches!(reason, Rejection::PositionJump { .. }));
+    let is_damaged = outcome.as_ref().is_err_and(|reason| {
+        let is_false = matches!(reason, Rejection::PositionJump { .. } | Rejection::TooSlow { .. });
+        is_false || reason.faulty_channel().is_some()
+    });
     if !is_damaged
         && movement.sign != 0.0
-        && movement.interval_s * LEAST_RATE_HZ <= 1.0
+        && has_rate(movement.interval_s, LEAST_RATE_HZ)
         && let Some(armature) = Armature::of(movement, settings.radians_per_mm())
     {
         armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
@@ -384,7 +386,7 @@ fn direction_moved(movement: &Movement<'_>, outcome: &Result<Estimate, Rejection
 }
 
 /// Copies a channel. A value that is not finite is replaced by the previous value, so that features can be computed.
-fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
+pub(super) fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     to.clear();
     if every(from.iter().map(|v| v.is_finite())) {
         return to.extend_from_slice(from);

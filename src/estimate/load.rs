@@ -26,10 +26,7 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{
-    matrix::unit_diagonal,
-    trace::{samples::samples_in, window::Window},
-};
+use super::trace::{samples::samples_in, window::Window};
 
 /// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
 /// from 0 to 1.
@@ -129,19 +126,24 @@ impl Load {
     /// in every sample of a step. `None` if it is not finite.
     pub(crate) fn covariance(&self, change: impl Fn(usize) -> Vector3<f64>) -> Option<Matrix3<f64>> {
         let most = self.fits.iter().fold(f64::NEG_INFINITY, |most, (likelihood, _)| likelihood.max(most));
+        let mut changes = [Vector3::zeros(); STEPS];
+        let changes = &mut changes[..self.count];
+        let mut squares = Matrix3::zeros();
+        for (step, own) in changes.iter_mut().enumerate() {
+            *own = change(step) / self.length as f64;
+            squares += *own * own.transpose();
+        }
         let (mut total, mut covariance) = (0.0, Matrix3::zeros());
         for ((likelihood, variance), phi) in self.fits.into_iter().zip(CORRELATIONS) {
             // For step k, `before` is the sum of g_j φ^(k-j) over the steps j before it.
-            let (mut before, mut sum) = (Vector3::zeros(), Matrix3::zeros());
-            for step in 0..self.count {
-                let own = change(step) / self.length as f64;
-                let both = before * own.transpose();
-                sum += own * own.transpose() + both + both.transpose();
+            let (mut before, mut products) = (Vector3::zeros(), Matrix3::zeros());
+            for own in &*changes {
+                products += before * own.transpose();
                 before = (before + own) * phi;
             }
             let weight = (likelihood - most).exp();
             total += weight;
-            covariance += sum * (variance * weight);
+            covariance += (squares + products + products.transpose()) * (variance * weight);
         }
         let covariance = covariance * ((1.0 + STUDENT / self.freedom()).powi(2) / total);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
@@ -167,11 +169,8 @@ impl Load {
             square += rest * rest * weight;
             (row_before, charge_before) = (*row, charge);
         }
-        let (normal, scale) = unit_diagonal(&normal);
-        let right = right.component_mul(&scale);
         let left = (square - right.dot(&(normal.try_inverse()? * right))).max(ROUNDING * square);
-        let determinant = normal.determinant().ln() - 2.0 * scale.map(f64::ln).sum();
-        let likelihood = -0.5 * ((self.count - 1) as f64 * new.ln() + determinant + freedom * left.ln());
+        let likelihood = -0.5 * ((self.count - 1) as f64 * new.ln() + normal.determinant().ln() + freedom * left.ln());
         Some((likelihood, left / freedom))
     }
 }

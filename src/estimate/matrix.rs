@@ -1,6 +1,6 @@
 //! Dense algebra on small arrays, for the normal equations.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SMatrix;
 
 /// The inverse of a matrix, and the reciprocal condition number (1-norm) of the matrix after scaling its rows and columns
 /// to unit maximum. `None` if it is singular or not finite.
@@ -17,13 +17,6 @@ pub(super) fn invert<const P: usize>(m: &SMatrix<f64, P, P>) -> Option<(SMatrix<
     let rcond = 1.0 / (norm_1(&scaled) * norm_1(&inverse));
     let inverse = SMatrix::from_fn(|i, j| inverse[(i, j)] / (columns[i] * rows[j]));
     rcond.is_finite().then_some((inverse, rcond))
-}
-
-/// Scales the matrix of normal equations to a diagonal of 1, as its columns have different units. Returns it with the
-/// scale of each column.
-pub(super) fn unit_diagonal<const P: usize>(normal: &SMatrix<f64, P, P>) -> (SMatrix<f64, P, P>, SVector<f64, P>) {
-    let scale = normal.diagonal().map(|square| square.sqrt().recip());
-    (SMatrix::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]), scale)
 }
 
 #[cfg(test)]

@@ -6,17 +6,29 @@ use std::ops::Range;
 const BLOCK: usize = 64;
 /// Number of partial sums of a sum, as a single chain of additions is slow.
 const LANES: usize = 8;
+/// The partial sums of one sum.
+type Lanes = [f64; LANES];
 
 /// Sums of the products of each two of N signals, sample by sample. The samples are collected in blocks, one array a
 /// signal, as the compiler then computes several products at a time.
 pub(super) struct Products<const N: usize> {
     block: [[f64; BLOCK]; N],
-    /// The sum for each two signals. The matrix is symmetric.
-    pub(super) sums: [[f64; N]; N],
+    /// The sum for each two signals, the earlier signal first.
+    lanes: [[Lanes; N]; N],
 }
 
 impl<const N: usize> Products<N> {
-    pub(super) const ZERO: Self = Self { block: [[0.0; BLOCK]; N], sums: [[0.0; N]; N] };
+    pub(super) const ZERO: Self = Self { block: [[0.0; BLOCK]; N], lanes: [[[0.0; LANES]; N]; N] };
+
+    /// The sum of the products of the signals `i` and `j`.
+    pub(super) fn sum(&self, i: usize, j: usize) -> f64 {
+        self.lanes[i.min(j)][i.max(j)].iter().sum()
+    }
+
+    /// The sum for each two signals. The matrix is symmetric.
+    pub(super) fn sums(&self) -> [[f64; N]; N] {
+        std::array::from_fn(|i| std::array::from_fn(|j| self.sum(i, j)))
+    }
 
     /// Adds the products of these samples to the sums. `at` gives the value of each signal at a sample; it is called in
     /// the order of the samples.
@@ -40,22 +52,22 @@ impl<const N: usize> Products<N> {
         }
         for i in 0..N {
             for j in i..N {
-                self.sums[i][j] += dot(&self.block[i][..padded], &self.block[j][..padded]);
-                self.sums[j][i] = self.sums[i][j];
+                add_products(&mut self.lanes[i][j], &self.block[i][..padded], &self.block[j][..padded]);
             }
         }
     }
 }
 
-/// Sum of the products of two signals of the same length, a multiple of [`LANES`].
-fn dot(left: &[f64], right: &[f64]) -> f64 {
-    let mut lanes = [0.0; LANES];
+/// Adds the products of two signals of the same length, a multiple of [`LANES`], to the partial sums.
+fn add_products(sums: &mut Lanes, left: &[f64], right: &[f64]) {
+    // A local copy stays in registers.
+    let mut lanes = *sums;
     for (left, right) in left.as_chunks::<LANES>().0.iter().zip(right.as_chunks::<LANES>().0) {
         for lane in 0..LANES {
             lanes[lane] += left[lane] * right[lane];
         }
     }
-    lanes.iter().sum()
+    *sums = lanes;
 }
 
 #[cfg(test)]
@@ -72,7 +84,7 @@ mod tests {
             products.add(count / 3..count, sample);
             let sum = |i: usize, j: usize| (0..count).map(|k| sample(k)[i] * sample(k)[j]).sum::<f64>();
             let expected: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| sum(i, j)));
-            assert_eq!(products.sums, expected, "{count} samples");
+            assert_eq!(products.sums(), expected, "{count} samples");
         }
     }
 }

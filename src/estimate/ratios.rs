@@ -19,7 +19,6 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 use super::{
     identification::{Estimate, Fit, Grade, RunningRatios},
     load::{DRY_SHARE, Load, STEPS},
-    matrix::unit_diagonal,
     products::Products,
     rejection::Rejection,
     trace::{samples::samples_in, window::Window},
@@ -121,9 +120,8 @@ pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
     }
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let sums = Sums::over(window, from..to, load);
-    let (scaled, scale) = unit_diagonal(&sums.normal);
-    let inverse = scaled.try_inverse()?;
-    let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
+    // The inverse by cofactors needs no scaling of the units.
+    let inverse = sums.normal.try_inverse()?;
     let found = inverse * sums.charge;
     let squares = (sums.charge_squares - found.dot(&sums.charge)).max(0.0);
     let load_charge = found[0].abs() * (output[to - 1] - output[from]) + found[1].abs() * sums.largest_angle;
@@ -174,7 +172,7 @@ impl Sums {
         let (mut charge, mut angle, mut offset) = (0.0, 0.0, 0.0);
         let (mut largest_charge, mut largest_angle) = (0.0_f64, 0.0_f64);
         let mut products = Products::<7>::ZERO;
-        let mut sums_before = [[0.0; 7]; 7];
+        let mut before = [[0.0; 2]; 4];
         let mut effects = [Vector4::zeros(); STEPS];
         for (effect, step) in effects.iter_mut().zip(load.steps(samples.clone())) {
             products.add(step.clone(), |k| {
@@ -191,15 +189,15 @@ impl Sums {
             });
             // A charge from sample k of the step on adds the factors of the samples from k on: for the samples of the
             // step, the factor times their number in the step up to its own sample.
-            let sums = products.sums;
             let first_s = (step.start - from) as f64 * interval_s;
             *effect = Vector4::from_fn(|i, _| {
-                let [factor, moment] = [3, 5].map(|j| sums[i][j] - sums_before[i][j]);
-                (moment - first_s * factor) / interval_s + factor - step.len() as f64 * sums[i][3]
+                let sums = [3, 5].map(|j| products.sum(i, j));
+                let [factor, moment] = std::array::from_fn(|j| sums[j] - before[i][j]);
+                before[i] = sums;
+                (moment - first_s * factor) / interval_s + factor - step.len() as f64 * sums[0]
             });
-            sums_before = sums;
         }
-        let sums = products.sums;
+        let sums = products.sums();
         let column = |j: usize| Vector4::from_fn(|i, _| sums[i][j]);
         for (effect, step) in effects.iter_mut().zip(load.steps(samples)) {
             *effect += column(3) * step.len() as f64;

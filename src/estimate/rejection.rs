@@ -409,8 +409,6 @@ impl Rejection {
         | Self::Misfit { at_s, .. } = self
         {
             *at_s += first_s;
-        } else if let Self::TooSlow { rate_hz, .. } = self {
-            *rate_hz *= every as f64;
         }
     }
 

@@ -211,6 +211,59 @@ fn the_energy_is_known_for_every_motor_with_a_supply_voltage() {
     }
 }
 
+#[test]
+fn a_current_that_is_no_measurement_has_no_features() {
+    let recorded = || Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, None);
+    let damages: [(&str, Damage); 2] = [
+        ("implausible_value", |current| current[2000] = 188_776.0),
+        ("stuck", |current| current[1000..3500].fill(1.0)),
+    ];
+    for (quality, damage) in damages {
+        let mut recorded = recorded();
+        damage(&mut recorded.current);
+        let found = recorded.identify(&Settings::default());
+        assert_eq!(found.quality(), quality, "{:?}", found.outcome);
+        let features = found.features;
+        assert_eq!(
+            (features.peak_current_a, features.running_current_a, features.charge_as),
+            (None, None, None),
+            "{quality}"
+        );
+        assert!(features.travel_mm.is_some(), "{quality}");
+    }
+}
+
+#[test]
+fn a_wrong_sampling_rate_gives_no_constants_of_the_motor_and_is_stated_as_sent() {
+    let Recorded { current, position, .. } =
+        Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, None);
+    let identify = |rate_hz: f64, position: &[f64]| {
+        let throw = Throw::recorded(Trace::new(rate_hz, current.clone(), position.to_vec()).unwrap());
+        Identifier::default().identify(&throw, &Settings::default())
+    };
+    let found = identify(100.0, &position);
+    assert_eq!(found.quality(), "too_slow", "{:?}", found.outcome);
+    assert_eq!((found.features.duration_s, found.features.no_load_speed_rad_per_s), (None, None));
+    // At 2,000 Hz the estimator takes every second sample.
+    let long: Vec<f64> = [&current[..2000], &vec![1.5; 620_000], &current[4000..]].concat();
+    let throw = Throw::recorded(Trace::new(2000.0, long.clone(), vec![f64::NAN; long.len()]).unwrap());
+    let detail = Identifier::default().identify(&throw, &Settings::default()).detail().unwrap();
+    assert!(detail.ends_with("check sample_rate_hz, 2000 Hz"), "{detail}");
+}
+
+#[test]
+fn a_rate_computed_from_times_may_be_a_little_low() {
+    let sensors = Sensors { sample_rate_hz: 200.0, ..Sensors::default() };
+    let machine = Parameters::default();
+    let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), sensors.step_s()).unwrap();
+    let trace = sensors.record(&motion, Direction::NormalToReverse, &mut ChaCha8Rng::seed_from_u64(9)).unwrap().trace;
+    for rate_hz in [200.0, 199.999_999] {
+        let trace = Trace::new(rate_hz, trace.current_a().to_vec(), trace.position_mm().to_vec()).unwrap();
+        let features = Identifier::default().identify(&Throw::recorded(trace), &Settings::default()).features;
+        assert!(features.no_load_speed_rad_per_s.is_some(), "{rate_hz} Hz");
+    }
+}
+
 type Damage = fn(&mut [f64]);
 
 #[test]

@@ -215,6 +215,6 @@ fn fit(output: &[f64], model: &[f64]) -> f64 {
     let (first, first_error) = (output[0], output[0] - model[0]);
     let mut products = Products::<3>::ZERO;
     products.add(0..output.len().min(model.len()), |k| [1.0, output[k] - first, output[k] - model[k] - first_error]);
-    let [[_, value, error], [_, square, _], [_, _, error_square]] = products.sums;
+    let [[_, value, error], [_, square, _], [_, _, error_square]] = products.sums();
     1.0 - (error_square - error * error / count) / (square - value * value / count)
 }

@@ -66,9 +66,9 @@ pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
     let limits = [1.0, -1.0].map(|sign| (sign, largest([current], |[i]| sign * i)));
     let least = CLIPPED_SHARE * limits[0].1.max(limits[1].1);
     for (sign, limit) in limits {
-        let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
+        let Some(from) = current.iter().position(|i| sign * i >= limit).filter(|_| limit >= least) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
-        if length < CLIPPED_SAMPLES || from == 0 || limit < least {
+        if length < CLIPPED_SAMPLES || from == 0 {
             continue;
         }
         let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
@@ -100,6 +100,11 @@ pub(crate) fn sticking(
 ) -> Result<(), Rejection> {
     let to = (movement.near_end * factor).min(values.len());
     let start = (movement.start() * factor).min(to);
+    // Without a part with equal ends there is no long stretch of equal values.
+    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
+    if !values[..to].chunks_exact(REPEATED_PART).any(is_equal) {
+        return Ok(());
+    }
     let step = quantum(&values[start..to]);
     let noisy = movement.level(channel).hides(step) && step > 0.0;
     let mean_step = movement.travel_mm / (to - start).max(1) as f64;
@@ -107,11 +112,6 @@ pub(crate) fn sticking(
     // Without noise the values before the start of the motor are equal in a working channel too.
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
-    // Without a part with equal ends there is no long stretch of equal values.
-    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
-    if !values.chunks_exact(REPEATED_PART).any(is_equal) {
-        return Ok(());
-    }
     let longest = match channel {
         _ if noisy => repeated_by_chance(movement.level(channel).sd / step).max(repeated_as_at_rest(rest)),
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
@@ -170,6 +170,9 @@ const SPIKE_BESIDE_SHARE: f64 = 0.3;
 /// This many spikes, or more, are a ripple that the sampling hardly resolves.
 const RIPPLE_SPIKES: usize = 6;
 
+/// Samples of a part of the trace in the fast check for spikes.
+const SPIKE_PART: usize = 64;
+
 /// Rejects single values far from their neighbours. The second difference is large at such a spike, half as large with
 /// the opposite sign at the neighbours, and small two samples away, unlike the ringing of an anti-alias filter after
 /// the inrush. A few spikes are corrupt values. Many are a ripple that the sampling hardly resolves, and pass.
@@ -186,15 +189,14 @@ pub(crate) fn spikes(movement: &Movement<'_>, channel: Channel, filtered: bool) 
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
     let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
     let last = movement.near_end.min(values.len().saturating_sub(3));
-    // A fast check that the usual trace passes.
+    // A fast check that nearly all parts of a trace pass.
     let is_straight = |[a, b, c]: &[f64; 3]| {
         let here = (b - 0.5 * (a + c)).abs();
         (here <= threshold) | (here <= SPIKE_SLOPE_SHARE * (c - a).abs())
     };
-    if last <= 3 || every(values[2..=last].array_windows().map(is_straight)) {
-        return Ok(());
-    }
-    let mut spikes = (3..last).filter(|&k| {
+    let parts = (3..last).step_by(SPIKE_PART).map(|from| from..last.min(from + SPIKE_PART));
+    let bent = parts.filter(|part| !every(values[part.start - 1..=part.end].array_windows().map(is_straight)));
+    let mut spikes = bent.flatten().filter(|&k| {
         let here = bend(k);
         let opposite = |beside: f64| -beside * here.signum() > SPIKE_BESIDE_SHARE * here.abs();
         let quiet = |further: f64| further.abs() < SPIKE_BESIDE_SHARE * here.abs();

@@ -69,6 +69,12 @@ pub(crate) fn samples_in(time_s: f64, interval_s: f64) -> usize {
     (time_s / interval_s) as usize
 }
 
+/// Whether a sampling interval is that of at least this rate. A rate computed from the times of a recording is wrong by
+/// less than a thousandth.
+pub(crate) fn has_rate(interval_s: f64, rate_hz: f64) -> bool {
+    interval_s * rate_hz <= 1.0 + 1e-3
+}
+
 /// Median (for an even number of values the upper one), computed in the scratch buffer; 0 without values.
 pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
