@@ -61,8 +61,13 @@ pub(super) fn motor() -> impl TypedValueParser<Value = Motor> {
     let magnet = PossibleValue::new("permanent-magnet").alias("permanent_magnet");
     let magnet = magnet.help("Torque proportional to the current");
     let series = PossibleValue::new("series").help("Torque proportional to I |I|");
-    PossibleValuesParser::new([magnet, series])
-        .map(|word| if word == "series" { Motor::Series } else { Motor::PermanentMagnet })
+    let three_phase = PossibleValue::new("three-phase").alias("three_phase");
+    let three_phase = three_phase.help("The current does not show the torque: features only");
+    PossibleValuesParser::new([magnet, series, three_phase]).map(|word| match word.as_str() {
+        "series" => Motor::Series,
+        "three-phase" | "three_phase" => Motor::ThreePhase,
+        _ => Motor::PermanentMagnet,
+    })
 }
 
 /// A moment: a date (0:00 UTC) or a time with its zone.

@@ -39,6 +39,9 @@ pub struct Observation {
     /// Whether the throw began where the one before left the toe open, and moved the toe to where that one began. The
     /// monitor sets it.
     pub began_open: bool,
+    /// Running time of the motor and its usual time \[s\], if they differ so much that the points of a machine without
+    /// toe position may not have closed. The monitor sets it.
+    pub unusual_run_s: Option<[f64; 2]>,
 }
 
 /// An estimate as input of the diagnosis.
@@ -99,10 +102,10 @@ impl Observation {
         self.outcome.as_ref()?.as_ref().err()
     }
 
-    /// Whether the points did not complete their movement (obstruction, no detection). The short movement of an open toe
-    /// is complete.
+    /// Whether the points did not complete their movement (obstruction, no detection), or may not have without a toe
+    /// position. The short movement of an open toe is complete.
     pub(super) fn is_incomplete(&self) -> bool {
-        !self.began_open && self.rejection().is_some_and(Rejection::is_incomplete)
+        !self.began_open && (self.unusual_run_s.is_some() || self.rejection().is_some_and(Rejection::is_incomplete))
     }
 
     /// Whether the points completed a movement over the whole stroke.
@@ -112,8 +115,11 @@ impl Observation {
 
     /// The sensor with unusable values in this throw, and in which way.
     pub(super) fn unusable(&self) -> Option<Unusable> {
-        let is_clipped = matches!(self.rejection(), Some(Rejection::Clipped { .. }));
-        self.faulty_sensor().map(if is_clipped { Unusable::Clipped } else { Unusable::Values })
+        self.faulty_sensor().map(|channel| match self.rejection() {
+            Some(Rejection::Clipped { .. }) => Unusable::Clipped(channel),
+            Some(Rejection::NoCurrent { .. }) => Unusable::NoCurrent,
+            _ => Unusable::Values(channel),
+        })
     }
 
     /// The sensor whose values are impossible, stuck or too noisy in this throw; the clock if the movement lasts too
@@ -156,6 +162,8 @@ pub(super) enum Unusable {
     Values(SensorChannel),
     /// The values reach the end of the measuring range.
     Clipped(SensorChannel),
+    /// The toe moves, and the current shows no motor.
+    NoCurrent,
     /// The position is missing, and the machine had one before.
     Missing,
     /// Measured movement and named direction contradict each other, and did not before.
@@ -167,6 +175,7 @@ impl Unusable {
     pub(super) fn channel(self) -> SensorChannel {
         match self {
             Self::Values(channel) | Self::Clipped(channel) => channel,
+            Self::NoCurrent => SensorChannel::Current,
             Self::Missing | Self::Reversed => SensorChannel::Position,
         }
     }

@@ -135,7 +135,13 @@ impl Identifier {
             .and_then(|()| completeness::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
-            .and_then(|()| buffers.estimate(throw, settings, &movement, factor, released));
+            .and_then(|()| match settings.motor {
+                Motor::ThreePhase => Err(Rejection::NoPosition {
+                    sent: THREE_PHASE,
+                    why: "its current does not show its torque".to_owned(),
+                }),
+                _ => buffers.estimate(throw, settings, &movement, factor, released),
+            });
         let moved = direction_moved(&movement, &outcome);
         let mut features = features_of(throw, &movement, &outcome, settings);
         if let Ok(estimate) = &outcome
@@ -329,6 +335,8 @@ fn features_of(
             | Rejection::ImplausibleValue { channel, .. },
         ) => features = features.without(*channel),
         Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
+        // Without a motor there is no time from its start.
+        Err(Rejection::NoCurrent { .. }) => features = features.without(Channel::Current).without_times(),
         Err(Rejection::TooSlow { .. }) => features = features.without_times(),
         _ => {}
     }
@@ -338,6 +346,7 @@ fn features_of(
         is_false || reason.faulty_channel().is_some()
     });
     if !is_damaged
+        && settings.motor != Motor::ThreePhase
         && movement.sign != 0.0
         && has_rate(movement.interval_s, LEAST_RATE_HZ)
         && let Some(armature) = Armature::of(movement, settings.radians_per_mm())
@@ -354,6 +363,9 @@ fn add_supply(features: &mut Features, throw: &Throw) {
     features.supply_v = throw.supply_v;
     features.energy_j = throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
 }
+
+/// Why a throw of a three-phase motor has no coefficients, as a clause for the text of the rejection.
+const THREE_PHASE: &str = "the motor is configured as three-phase";
 
 /// Describes the content of `position_mm` in a message without a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {

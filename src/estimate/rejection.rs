@@ -50,11 +50,12 @@ pub enum Rejection {
         /// Time of this sample from the start of the trace \[s\].
         at_s: f64,
     },
-    /// The message has no toe position, and the coefficients do not follow from current and supply voltage either.
-    #[error("{sent}, so only the features of the current are known: {why}")]
+    /// The message has no toe position, and the coefficients do not follow from current and supply voltage either. Or the
+    /// motor is a three-phase one, whose coefficients do not follow from current and position.
+    #[error("{sent}, so only the features are known: {why}")]
     #[strum_discriminants(strum(serialize = "current_only"))]
     NoPosition {
-        /// The content of `position_mm`, which is no toe position, as a clause for the text.
+        /// The content of `position_mm`, which is no toe position, or the kind of the motor, as a clause for the text.
         sent: &'static str,
         /// Why the coefficients do not follow from current and supply voltage, as a clause for the text.
         why: String,

@@ -13,6 +13,8 @@ pub enum Motor {
     PermanentMagnet,
     /// Field and armature in series: torque proportional to I |I|, the input of the model.
     Series,
+    /// Three-phase induction: the current does not show the torque, so a throw has features only.
+    ThreePhase,
 }
 
 settings! {

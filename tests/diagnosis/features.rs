@@ -283,6 +283,59 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
     }
 }
 
+/// Without a toe position, the running time of the motor alone shows that the points may not have closed: a motor that
+/// runs until its time-out, or stops early.
+#[test]
+fn a_motor_that_runs_unusually_long_or_short_raises_an_alarm_at_once() {
+    let settings = Settings::default();
+    let scatter = Scatter { sd: [0.008, 0.025, 0.025], phi: 0.5, tail: None };
+    for (part, every) in [(2.0, 3), (4.0, 3), (0.1, 4), (0.5, 6), (4.0, 1)] {
+        for seed in 0..6 {
+            let mut rng = ChaCha8Rng::seed_from_u64(59_500 + seed);
+            let mut next = healthy_features(scatter, &mut rng);
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..60 {
+                assert_eq!(monitor.observe(&next(), &settings).events, []);
+            }
+            let mut events = Vec::new();
+            for throw in 0..60 {
+                let mut observation = next();
+                if throw % every == 0 {
+                    let features = &mut observation.features;
+                    for value in [&mut features.duration_s, &mut features.charge_as] {
+                        *value = value.map(|value| part * value);
+                    }
+                }
+                events.extend(monitor.observe(&observation, &settings).events);
+            }
+            let what = format!("{part} in 1 of {every}, seed {seed}: {events:?}");
+            assert!(events.iter().all(|event| event.cause == Cause::IncompleteThrow), "{what}");
+            assert!(events[0].text.contains("the motor ran for") && events[0].severity == Severity::Warning, "{what}");
+            let is_critical = events.iter().any(|event| event.severity == Severity::Critical);
+            assert_eq!(is_critical, every == 1, "{what}");
+            assert!(events.iter().all(|event| event.state.is_active()), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_logger_that_names_one_direction_for_all_throws_is_stated() {
+    let mut rng = ChaCha8Rng::seed_from_u64(59_700);
+    let mut next = healthy_features(Scatter { sd: [0.008, 0.025, 0.025], phi: 0.5, tail: None }, &mut rng);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut stated = |throws: usize, direction: Option<Direction>| {
+        for _ in 0..throws {
+            let observation = next();
+            let direction = direction.or(observation.direction);
+            monitor.observe(&Observation { direction, ..observation }, &Settings::default());
+        }
+        monitor.caveats().iter().any(|caveat| caveat.contains("for all of the last 13 throws"))
+    };
+    assert!(!stated(40, None));
+    assert!(stated(13, Some(Direction::NormalToReverse)));
+    assert!(!stated(2, None));
+}
+
 /// Observations of a machine without a toe sensor, with random features. `scatter` is that of the logarithms of
 /// duration, running current and charge.
 fn healthy_features(scatter: Scatter, rng: &mut ChaCha8Rng) -> impl FnMut() -> Observation {

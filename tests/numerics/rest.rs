@@ -286,3 +286,33 @@ fn a_broken_position_gives_no_resistance_and_no_back_emf() {
         assert!(features.energy_j.is_some(), "{quality}");
     }
 }
+
+#[test]
+fn a_three_phase_motor_has_features_only_and_an_obstruction_is_found() {
+    let settings = Settings { motor: Motor::ThreePhase, ..Settings::default() };
+    let recorded = |obstruction_mm| {
+        Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, obstruction_mm)
+            .identify(&settings)
+    };
+    let found = recorded(None);
+    assert_eq!(found.quality(), "current_only");
+    let detail = found.detail().unwrap();
+    assert!(detail.starts_with("the motor is configured as three-phase"), "{detail}");
+    let features = found.features;
+    assert!(features.travel_mm.is_some() && features.duration_s.is_some() && features.running_current_a.is_some());
+    assert_eq!((features.resistance_ohm, features.motor), (None, None));
+    assert_eq!(recorded(Some(60.0)).quality(), "obstructed");
+}
+
+/// Points that are moved by hand have no time from the start of a motor.
+#[test]
+fn a_movement_without_a_current_has_no_duration() {
+    let mut recorded = Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, None);
+    let rest = recorded.current[..200].to_vec();
+    for (k, current) in recorded.current.iter_mut().enumerate() {
+        *current = rest[k % rest.len()];
+    }
+    let found = recorded.identify(&Settings::default());
+    assert_eq!(found.quality(), "no_current", "{:?}", found.outcome);
+    assert_eq!((found.features.duration_s, found.features.running_current_a), (None, None));
+}

@@ -40,7 +40,7 @@ impl ShownMotor {
         let is_other = self.0.iter().all(|counts| counts / OTHER >= LEAST);
         is_other.then(|| match configured(parameters) {
             Motor::PermanentMagnet => Motor::Series,
-            Motor::Series => Motor::PermanentMagnet,
+            Motor::Series | Motor::ThreePhase => Motor::PermanentMagnet,
         })
     }
 }

@@ -64,6 +64,11 @@ impl MachineMonitor {
                 *of_current = None;
             }
         }
+        if let Some(unusual_run_s) = self.unusual_run_s(&observation) {
+            let observation = observation.to_mut();
+            observation.unusual_run_s = Some(unusual_run_s);
+            observation.outcome.take_if(|outcome| outcome.is_ok());
+        }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
         }
@@ -116,6 +121,19 @@ impl MachineMonitor {
             && features.travel_mm.is_some_and(|mm| self.instruments.gauges.is_usual_travel(direction, mm))
     }
 
+    /// Running time of the motor in this throw and its usual time \[s\], if they differ so much that the points may not
+    /// have closed: an obstruction or a missing detection lets the motor run until its time-out, a limit switch or an
+    /// overload trip stops it early. `None` if a toe position shows the movement.
+    fn unusual_run_s(&self, observation: &Observation) -> Option<[f64; 2]> {
+        let Observation { direction, ref features, temperature_c, .. } = *observation;
+        if self.has_position || !observation.is_without_position() {
+            return None;
+        }
+        let (run_s, gauges) = (features.duration_s?, &self.instruments.gauges);
+        gauges.is_unusual_run(direction?, features, temperature_c).then_some(())?;
+        Some([run_s, gauges.usual_duration_s(direction?)?])
+    }
+
     /// Whether the throw has no toe position, and the machine had one before.
     fn has_lost_position(&self, observation: &Observation) -> bool {
         self.has_position && observation.is_without_position()
@@ -154,7 +172,8 @@ impl MachineMonitor {
         let Observation { direction, ref features, temperature_c, .. } = *observation;
         let is_usual_current = direction
             .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
-        self.operation.on_throw(observation, is_usual_current, step);
+        let is_first = self.instruments.gauges.normal_travel_mm().is_none();
+        self.operation.on_throw(observation, is_usual_current, is_first, step);
         self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
         let has_gauges = if let Some(throw) = evaluated {
@@ -188,14 +207,18 @@ impl MachineMonitor {
         let watched = self.watch_features(observation, is_judged, step);
         rule_result::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
-        self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
+        // The alarm about its running time says what is known of such a throw.
+        if observation.unusual_run_s.is_none() {
+            self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
+        }
         let is_comparable = observation.covers_stroke() && !self.has_lost_position(observation);
         if let (Some(direction), Some(duration_s), true) = (direction, features.duration_s, is_comparable)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
             let explained = step.alarms.active().any(|event| may_lengthen(event, step.alarms));
-            self.operation.on_duration(longer_pct, direction, explained, step);
+            let longer = (longer_pct, !observation.is_without_position());
+            self.operation.on_duration(longer, direction, explained, step);
         }
         baselines_taken
     }

@@ -31,6 +31,9 @@ const UNUSED_IN_A_ROW: u32 = 5;
 const OFTEN_REJECTED: u32 = 8;
 /// Consecutive throws with a too short travel until a caveat says so.
 const SHORT_IN_A_ROW: u32 = 5;
+/// Consecutive throws with the same named direction until a caveat says so. Between two throws to one side, there is one
+/// to the other side, but some throws may be lost.
+const SAME_DIRECTION_IN_A_ROW: u32 = 12;
 /// Consecutive throws without coefficients, on a machine without toe sensor that had them, until a caveat says so.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
@@ -104,6 +107,12 @@ pub(crate) struct Operation {
     pub(super) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
+    /// Direction that the logger names for the last throw, if no position shows the movement, and the number of throws
+    /// before it with the same name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    named: Option<Direction>,
+    #[serde(skip_serializing_if = "is_default")]
+    same_direction: u32,
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
     pub(super) plausible: [i32; 2],
     /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
@@ -149,8 +158,15 @@ pub(super) fn unix_s(at: Timestamp) -> u32 {
 
 impl Operation {
     /// Applies a throw, complete or not. A throw shows that the logger is alive, unless it was received before the loss
-    /// of the logger. `is_usual_current`: the current is that of a complete throw.
-    pub(crate) fn on_throw(&mut self, observation: &Observation, is_usual_current: bool, step: &mut Step) {
+    /// of the logger. `is_usual_current`: the current is that of a complete throw; `is_first`: the travel of complete
+    /// throws is not known yet.
+    pub(crate) fn on_throw(
+        &mut self,
+        observation: &Observation,
+        is_usual_current: bool,
+        is_first: bool,
+        step: &mut Step,
+    ) {
         let &Observation { direction, received_at, ref unused_fields, .. } = observation;
         let incomplete = observation.is_incomplete();
         let enough = step.settings.off_delay_throws;
@@ -193,12 +209,18 @@ impl Operation {
             .zip(observation.short_of_stroke_mm)
             .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
         streak(&mut self.without_coefficients, observation.has_features_only());
+        let named = direction.filter(|_| observation.is_without_position());
+        streak(&mut self.same_direction, named.is_some() && named == self.named);
+        self.named = named;
         if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
             self.since_gap = self.since_gap.saturating_add(1);
         }
         if incomplete {
             let rejection = observation.rejection();
-            let text = text::incomplete(step.name, in_direction, in_a_row, rejection, is_usual_current);
+            let text = match observation.unusual_run_s {
+                Some(run_s) => text::unusual_run(step.name, in_direction, in_a_row, run_s),
+                None => text::incomplete(step.name, in_direction, in_a_row, rejection, is_usual_current, is_first),
+            };
             // Without the toe sensor, points that open again seem closed.
             let is_open = matches!(rejection, Some(Rejection::Reopened { .. }));
             let severity = if in_a_row == 1 && !is_open { Severity::Warning } else { Severity::Critical };
@@ -212,9 +234,15 @@ impl Operation {
         }
     }
 
-    /// Applies the duration of a completed throw, `longer_pct` above the baseline. `explained`: an active alarm already
-    /// names the reason; then only a critical duration raises an alarm.
-    pub(crate) fn on_duration(&mut self, longer_pct: f64, direction: Direction, explained: bool, step: &mut Step) {
+    /// Applies the duration of a completed throw, `longer_pct` above the baseline. `has_position`: it ends with the arrival
+    /// of the toe. `explained`: an active alarm already names the reason; then only a critical duration raises an alarm.
+    pub(crate) fn on_duration(
+        &mut self,
+        (longer_pct, has_position): (f64, bool),
+        direction: Direction,
+        explained: bool,
+        step: &mut Step,
+    ) {
         let settings = step.settings;
         let own = &mut self.sides[direction.side()];
         streak(&mut own.slow, longer_pct > settings.slow_throw_pct);
@@ -224,7 +252,8 @@ impl Operation {
         let is_of_one = self.sides[1 - direction.side()].slow == 0;
         let direction = is_of_one.then_some(direction);
         let event = |severity| {
-            let event = step.event(Cause::SlowThrow, severity, text::slow(step.name, direction, longer_pct));
+            let event =
+                step.event(Cause::SlowThrow, severity, text::slow(step.name, direction, longer_pct, has_position));
             AlarmEvent { change_pct: Some(longer_pct), direction, ..event }
         };
         if very_slow >= SLOW_IN_A_ROW {
@@ -377,6 +406,9 @@ impl Operation {
             unused.map(|(sentence, _)| text::unused_fields(name, sentence)),
             short.map(|([travel_mm, stroke_mm], _)| text::short_of_stroke(name, travel_mm, stroke_mm)),
             lost_coefficients.then(|| text::lost_coefficients(name, self.without_coefficients)),
+            self.named
+                .filter(|_| self.same_direction >= SAME_DIRECTION_IN_A_ROW)
+                .map(|direction| text::same_direction(name, direction, self.same_direction + 1)),
         ];
         sentences.into_iter().flatten().chain(often).collect()
     }

@@ -87,6 +87,15 @@ pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
     )
 }
 
+/// Caveat about a logger that names the same direction for all of the last `throws`.
+pub(crate) fn same_direction(name: &str, direction: Direction, throws: u32) -> String {
+    format!(
+        "Machine {name}: the logger names the direction {direction} for all of the last {throws} throws, but points \
+         throw to both sides in turn. Both directions share one baseline so, in which faults are hard to see. Check \
+         the direction in the logger, then take a new baseline (rebaseline)."
+    )
+}
+
 /// Text for a machine without a baseline of its coefficients.
 pub(crate) const ONLY_FEATURES: &str = "\
     its throws do not give the complete coefficients of a baseline, so only duration, running current, charge and \
@@ -120,7 +129,7 @@ pub(crate) fn other_motor(name: &str, shown: Motor) -> String {
             "permanent_magnet",
             "If it has permanent magnets, measure whether the supply voltage falls during a throw",
         ),
-        Motor::PermanentMagnet => (
+        Motor::PermanentMagnet | Motor::ThreePhase => (
             "a motor with permanent magnets",
             "permanent_magnet",
             "series",

@@ -197,6 +197,12 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
              throws_not_evaluated has the limit"
                 .into(),
         ),
+        Unusable::NoCurrent => (
+            "the toe moved without a motor current".into(),
+            "whether the points were moved by hand (hand crank); if they were not, the current sensor, its cable and its \
+             supply"
+                .into(),
+        ),
         Unusable::Missing => (
             "the logger no longer sends a toe position (position_mm)".into(),
             "the sensor and its cable, and the logger's configuration".into(),

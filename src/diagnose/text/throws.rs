@@ -11,13 +11,15 @@ use crate::{
 };
 
 /// Text of `in_a_row` consecutive incomplete throws, of one direction or of the machine. `last`: why the last one is
-/// incomplete; `is_usual_current`: its current was that of a complete throw.
+/// incomplete; `is_usual_current`: its current was that of a complete throw; `is_first`: the machine had no complete throw
+/// yet.
 pub(crate) fn incomplete(
     name: &str,
     direction: Option<Direction>,
     in_a_row: u32,
     last: Option<&Rejection>,
     is_usual_current: bool,
+    is_first: bool,
 ) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
@@ -26,6 +28,12 @@ pub(crate) fn incomplete(
     let name = subject(name, direction);
     let check = "Check for an obstruction between the rails, and detection.";
     match last {
+        // The sum with 0 has no minus sign before 0.
+        Some(Rejection::Obstructed { position_mm, .. }) if is_first => format!(
+            "{name}: {what}. {check} If the stroke ends at {:.1} mm, where the toe stood still while the motor \
+             ran on, the machine locks there: set stroke_mm, so that its throws are evaluated.",
+            (10.0 * position_mm).round() / 10.0 + 0.0
+        ),
         Some(Rejection::Reopened { back_mm, position_mm }) => format!(
             "{name}: {what}: after its arrival the toe came back by {back_mm:.1} mm, and stands open at {position_mm:.1} \
              mm. Check at once whether the points are closed and locked. Then check lock, brake and drive, which must \
@@ -46,20 +54,59 @@ pub(crate) fn incomplete(
     }
 }
 
+/// Text of `in_a_row` consecutive throws of a machine without toe position, of one direction or of the machine, whose
+/// motor ran much longer or shorter than usual \[s\].
+pub(crate) fn unusual_run(
+    name: &str,
+    direction: Option<Direction>,
+    in_a_row: u32,
+    [run_s, usual_s]: [f64; 2],
+) -> String {
+    let what = match in_a_row {
+        1 => "a throw did not end as usual".to_owned(),
+        _ => format!("{in_a_row} throws in a row did not end as usual"),
+    };
+    let check = if run_s > usual_s {
+        "look for an obstruction between the rails, and check detection, limit switches and clutch: the motor may have \
+         run until its time-out"
+    } else {
+        "check limit switches, overload protection, supply and control: the motor stopped early. If all throws seem as \
+         short, check the logger's sampling rate"
+    };
+    format!(
+        "{}: {what}: the motor ran for {run_s:.1} s, usually {usual_s:.1} s. Without a toe position it is not known \
+         whether the points closed. Check this at once, then {check}.",
+        subject(name, direction)
+    )
+}
+
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
     let what = if in_a_row == 1 { "a throw was".to_owned() } else { format!("{in_a_row} throws in a row were") };
     format!("Machine {name}: {what} completed.")
 }
 
-pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64) -> String {
+/// Text for throws that take longer; `has_position`: until the arrival of the toe, not until the end of the motor.
+pub(crate) fn slow(name: &str, direction: Option<Direction>, longer_pct: f64, has_position: bool) -> String {
     format!(
         "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then \
-         the drive for binding.",
-        subject(name, direction)
+         the drive for binding.{}",
+        subject(name, direction),
+        if has_position { "" } else { RUNS_ON_UNSEEN }
     )
 }
 
+/// What lengthens a throw as well on a machine without toe position.
+const RUNS_ON_UNSEEN: &str = " A motor that runs on at the end of the stroke does this too: check detection, limit \
+                              switches, lock and clutch.";
+
 pub(crate) const FAST_AGAIN: &str = "throws are as fast as the baseline's again.";
+
+/// Least fall of the load, as a logarithm, that lubrication explains.
+const LEAST_FALL: f64 = 0.05;
+/// Change of the duration, as a logarithm, from which the motor may run on: 30 %.
+const LONG_RUN: f64 = 0.26;
+/// Change of the running current, as a logarithm, from which a sensor is a likelier reason than the load: a factor 1.7.
+const LARGE_CHANGE: f64 = 0.53;
 
 /// Text for changed features of throws without coefficients, over `throws` throws of a direction.
 pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize) -> String {
@@ -72,20 +119,32 @@ pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize) -> St
         };
         format!("{what} {:+.0} % (±{:.0} %)", change.level.pct(), change.level.half_width_pct())
     };
-    let is_longer = changes.iter().any(|change| change.gauge == Gauge::Travel && change.level.value > 0.0);
-    let is_easier = changes.iter().all(|change| change.gauge != Gauge::Travel && change.level.value < 0.0);
-    let check = if is_longer {
+    let of = |gauge: Gauge| changes.iter().find(|change| change.gauge == gauge).map(|change| change.level.value);
+    let [duration, running, charge, travel] = [Gauge::Duration, Gauge::Running, Gauge::Charge, Gauge::Travel].map(of);
+    // The charge falls with the duration too, whatever the load.
+    let load = running.or(charge.map(|charge| charge - duration.unwrap_or_default()));
+    let is_easier = changes.iter().all(|change| change.gauge != Gauge::Travel && change.level.value < 0.0)
+        && load.is_some_and(|load| load < -LEAST_FALL);
+    let check = if travel.is_some_and(|travel| travel > 0.0) {
         "The rails cannot move beyond the stock rail: check the position sensor, its gain and the adjustment of the stroke."
+    } else if duration.is_some_and(|duration| duration < 0.0) && !is_easier {
+        "The throws end sooner: check at once whether the points close and lock. Then check limit switches, adjustment of \
+         the stroke, overload protection and clutch, a higher supply voltage, weaker magnets, and the logger's sampling \
+         rate. A motor of another make does this too: then take a new baseline."
+    } else if duration.is_none() && running.is_some_and(|running| running.abs() > LARGE_CHANGE) {
+        "A change of the current this large at the usual speed comes rather from the current sensor, its range or its \
+         unit than from the load: check these, then slide chairs, lubrication and drive."
     } else if is_easier {
         "The machine moves more easily: rain and lubrication do this. Take a new baseline if it was cleaned or \
          lubricated; otherwise check the supply, and drive and rods for a loose part."
     } else {
         "Check slide chairs, lubrication, drive and supply."
     };
+    let runs_on = if duration.is_some_and(|duration| duration > LONG_RUN) { RUNS_ON_UNSEEN } else { "" };
     let changes: Vec<String> = changes.iter().map(change).collect();
     format!(
         "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. These features alone name \
-         no part. {check}",
+         no part. {check}{runs_on}",
         changes.join(", ")
     )
 }
@@ -208,5 +267,17 @@ mod tests {
         assert!(
             text(-0.1, -0.2).contains(easier) && !text(0.1, -0.2).contains(easier) && !text(0.1, 0.2).contains(easier)
         );
+        // The load is as before.
+        for duration in [-0.17, -2.3] {
+            let text = text(duration, 0.9 * duration);
+            assert!(text.contains("check at once whether the points close") && !text.contains(easier), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_current_of_half_the_size_at_the_usual_speed_is_that_of_its_sensor() {
+        let change = |gauge| GaugeChange { gauge, level: Level { value: -0.69, sd: 0.01 } };
+        let text = features("21B", &[change(Gauge::Running), change(Gauge::Charge)], 6);
+        assert!(text.contains("rather from the current sensor"), "{text}");
     }
 }
