@@ -11,7 +11,7 @@ use super::{
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DriftAlarms, Instruments},
-    gauges::{EndWatch, FeatureWatch, StartWatch, TravelWatch},
+    gauges::{FeatureWatch, SideWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
     text,
@@ -39,8 +39,9 @@ pub struct MachineMonitor {
     instruments: Instruments,
     features: FeatureWatch,
     start: StartWatch,
-    end: EndWatch,
-    travel: TravelWatch,
+    /// The current at the end of the stroke.
+    end: SideWatch,
+    travel: SideWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
@@ -293,8 +294,8 @@ impl MachineMonitor {
         self.instruments.forget_recent();
         self.features = FeatureWatch::default();
         self.start = StartWatch::default();
-        self.end = EndWatch::default();
-        self.travel = TravelWatch::default();
+        self.end = SideWatch::default();
+        self.travel = SideWatch::default();
         self.drift.reset();
         self.blind = None;
         self.end_rules(now);

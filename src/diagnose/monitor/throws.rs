@@ -12,6 +12,7 @@ use crate::{
         alarm::{Alarms, Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, Known, LatestThrow, Origin},
+        gauges::{judge_end, judge_travel},
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
         statistics::percent,
@@ -175,7 +176,7 @@ impl MachineMonitor {
         }
         // No estimate shows the end of the stroke. This rule comes before that of the features, which names no place.
         if has_gauges && features.end_rise_a.is_some() {
-            self.end.judge(&self.instruments.gauges, step).apply(Rule::End, step);
+            judge_end(&mut self.end, &self.instruments.gauges, step).apply(Rule::End, step);
         }
         if let (Some(direction), Some(run_on_s), true) = (direction, features.run_on_s, observation.is_whole()) {
             self.operation.on_run_on(direction, run_on_s, step);
@@ -183,7 +184,7 @@ impl MachineMonitor {
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         if is_judged {
-            self.travel.judge(&self.instruments.gauges, step).apply(Rule::Travel, step);
+            judge_travel(&mut self.travel, &self.instruments.gauges, step).apply(Rule::Travel, step);
         }
         let watched = self.watch_features(observation, is_judged, step);
         rule_result::withdraw_explained(step);
