@@ -306,7 +306,7 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
     // The position sensor is mended, and the other is still faulty.
     let events = feed(&mut machine, 20, hot);
     assert_eq!(sensors(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
-    let events = feed(&mut machine, 20, |_| {});
+    let events = feed(&mut machine, 20, |throw| throw.temperature_c = Some(12.0));
     assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
@@ -337,7 +337,25 @@ fn a_wrong_voltage_is_not_hidden_by_a_wrong_temperature() {
     assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Supply))]);
     assert!(events[0].text.contains("0 V") && events[0].text.contains("850"), "{}", events[0].text);
     assert_eq!(feed(&mut machine, 20, only_volts), [], "the voltage is still wrong");
-    assert_eq!(summary(&feed(&mut machine, 20, |_| {})), [ended(Cause::Sensor)]);
+    let right = |throw: &mut Observation| throw.features.supply_v = Some(110.0);
+    assert_eq!(summary(&feed(&mut machine, 20, right)), [ended(Cause::Sensor)]);
+}
+
+/// A logger may leave out a value that its sensor does not give, and a trace may be unreadable.
+#[test]
+fn throws_without_a_value_do_not_end_the_alarm_about_its_sensor() {
+    type Change = fn(&mut Observation);
+    let cold: Change = |throw| throw.temperature_c = Some(-200.0);
+    let mild: Change = |throw| throw.temperature_c = Some(12.0);
+    let dead: Change = |throw| throw.features.supply_v = Some(0.0);
+    let live: Change = |throw| throw.features.supply_v = Some(110.0);
+    let unread: Change = |throw| (throw.features, throw.outcome) = (Features::default(), None);
+    for (wrong, missing, right) in [(cold, (|_| {}) as Change, mild), (dead, |_| {}, live), (disturb, unread, |_| {})] {
+        let mut machine = machine();
+        assert_eq!(summary(&feed(&mut machine, 4, wrong)), [raised(Cause::Sensor)]);
+        assert_eq!(feed(&mut machine, 15, missing), []);
+        assert_eq!(summary(&feed(&mut machine, 20, right)), [ended(Cause::Sensor)]);
+    }
 }
 
 /// At the end of a maintenance the rules forget the last throws, so the alarms that come from them must end too.

@@ -43,6 +43,8 @@ impl MachineMonitor {
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
+        let has_temperature = observation.temperature_c.is_some();
+        let was_identified = observation.outcome.is_some();
         let mut observation = Cow::Borrowed(observation);
         if reversed {
             // The position is wrong, so neither the estimate nor the direction is known.
@@ -95,12 +97,17 @@ impl MachineMonitor {
         }
         let mut baselines_taken = Vec::new();
         if self.maintenance.is_none() {
-            let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
-            self.operation.on_sensors([temperature.implausible, supply_v.map(Implausible::Supply)], step);
+            let supply_v = observation.features.supply_v;
+            let impossible_v = supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
+            let voltage = (supply_v.is_some(), impossible_v.map(Implausible::Supply));
+            self.operation.on_sensors([(has_temperature, temperature.implausible), voltage], step);
             let unusable = observation.unusable();
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
-            self.operation.on_channel(unusable, step);
+            // A trace that was not read, or withheld, shows no sensor.
+            if was_identified || unusable.is_some() {
+                self.operation.on_channel(unusable, step);
+            }
             let taken = self.observe_in_service(observation, evaluated.as_ref(), step);
             baselines_taken = taken.into_iter().map(|record| self.neutral.as_estimated(record)).collect();
         }
