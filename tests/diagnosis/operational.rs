@@ -224,6 +224,24 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     assert!(fresh.open_alarms().is_empty());
 }
 
+/// Its cause has an alarm already, so the alarm of the lost monitor ends at once, in a maintenance too.
+#[test]
+fn no_second_alarm_of_a_cause_outlives_a_maintenance() {
+    let mut machine = machine();
+    let own = feed(&mut machine, 1, fail).remove(0);
+    let settings = Settings::default();
+    let now = own.event_at + SignedDuration::from_hours(1);
+    let by = || "mia".to_owned();
+    let until = now + SignedDuration::from_hours(1);
+    let start = Command::MaintenanceStart { until, by: by(), why: "look".to_owned() };
+    machine.monitor.command(&start, now, &settings).unwrap();
+    let lost = AlarmEvent { raised_at: own.raised_at - SignedDuration::from_hours(9), ..own.clone() };
+    assert_eq!(machine.monitor.adopt(lost, now)[0].state, AlarmState::Normal);
+    machine.monitor.command(&Command::MaintenanceEnd { by: by() }, now, &settings).unwrap();
+    let open: Vec<_> = machine.monitor.open_alarms().iter().map(|alarm| alarm.raised_at).collect();
+    assert_eq!(open, [own.raised_at]);
+}
+
 /// Points move to and fro, so a fault of one direction never shows in two consecutive throws.
 #[test]
 fn slow_and_incomplete_throws_of_one_direction_are_counted() {

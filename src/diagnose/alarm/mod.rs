@@ -140,8 +140,8 @@ pub(super) struct Alarms {
 }
 
 impl Alarms {
-    /// Removes and returns the new events, in order. A monitor calls this at the end of every step, so that no snapshot
-    /// contains new events.
+    /// Removes and returns the new events, in order. A monitor calls this at the end of every step; the steps before an
+    /// observation leave their events to it. So no snapshot contains new events.
     pub(super) fn take_events(&mut self) -> Vec<AlarmEvent> {
         mem::take(&mut self.new)
     }
@@ -319,9 +319,14 @@ impl Alarms {
     /// Takes over an open alarm of a monitor whose snapshot was lost. The alarm becomes a cleared one; it ends at once
     /// if its cause has an open alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
-        let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
+        let is_over = self.find(last.cause).is_some();
+        let state = if is_over { State::Normal } else { State::Cleared };
         self.open.push(Alarm { state, ..Alarm::cleared(Rule::Usual, last) });
+        // During maintenance too, as only the first alarm of a cause would be found later.
+        let out_of_service = self.out_of_service;
+        self.out_of_service &= !is_over;
         self.event(self.open.len() - 1, at, Actor::default(), Some(text));
+        self.out_of_service = out_of_service;
     }
 
     /// Adds an event with a text to an open alarm, without a change of its state.
