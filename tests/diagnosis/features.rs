@@ -49,6 +49,15 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
     }
 }
 
+/// Throws that show nothing say nothing about the fault.
+#[test]
+fn a_machine_with_an_alarm_of_its_features_and_empty_traces_is_not_monitored() {
+    let mut drive = current_only(1);
+    assert_eq!(causes(&drive.events(24, State { friction: 1.8, ..State::SOUND }))[0], Cause::Unattributed);
+    let empty = |throw: &mut Observation| (throw.features, throw.outcome) = (Features::default(), None);
+    assert_eq!(causes(&drive.events_with(30, State::SOUND, empty)), [Cause::NotMonitored]);
+}
+
 /// A logger that lost its battery dates its throws to 1970. This changes neither currents nor durations.
 #[test]
 fn an_alarm_about_dates_hides_no_change_of_the_features() {

@@ -268,8 +268,9 @@ impl MachineMonitor {
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_undersampled() && !self.tracks.any_baseline();
-        let has_features = is_of_features && observation.features.running_current_a.is_some();
-        is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
+        let has_features = is_of_features && timed.running_current_a.is_some();
+        let may_show_end = timed.running_current_a.is_some() || timed.duration_s.is_some();
+        is_judged || step.alarms.owned_by(Rule::Features).is_some() && may_show_end || has_features
     }
 
     /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
