@@ -138,9 +138,8 @@ impl MachineMonitor {
             self.end_maintenance(Actor::default(), now);
         }
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
-        // Silence counts only after a first throw.
-        let in_service = self.maintenance.is_none() && self.order > 0;
-        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
+        let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0);
+        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, has_thrown, step))
     }
 
     /// Common change of machines with these monitors in the hours before `at`.
@@ -149,9 +148,9 @@ impl MachineMonitor {
     }
 
     /// Raises or clears the alarms about a change that most machines of a site have in common, as by weather. Call it
-    /// on the monitor of the site, not on the monitor of a machine.
+    /// on the monitor of the site, not on the monitor of a machine, after [`Self::tick`].
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        self.step(now, None, settings, |_, step| site::judge(common, step))
+        self.step(now, None, settings, |operation, step| operation.on_common(common, step))
     }
 
     /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.

@@ -120,6 +120,7 @@ pub(crate) struct Operation {
     /// Number of them whose messages were refused.
     #[serde(skip_serializing_if = "is_default")]
     pub(super) refused: u64,
+    /// Time without a throw of the machine, or for a site without a known common change \[s\].
     pub(super) silence_s: f64,
     /// Reason of the last alarm [`Cause::NotMonitored`]; `None` before the first.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -15,8 +15,9 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 
 impl Operation {
-    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence.
-    pub(crate) fn on_tick(&mut self, in_service: bool, step: &mut Step) {
+    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence. It
+    /// raises an alarm only on a machine with an earlier throw.
+    pub(crate) fn on_tick(&mut self, in_service: bool, has_thrown: bool, step: &mut Step) {
         let Step { name, at, settings, .. } = *step;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
         // The time of the last gap can be in the future only if the clock was set back.
@@ -26,6 +27,9 @@ impl Operation {
             return;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
+        if !has_thrown {
+            return;
+        }
         if let Logger::Gone { for_s, .. } = &mut self.logger {
             // A longer time is that of a restart of the daemon, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
