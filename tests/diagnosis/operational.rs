@@ -204,7 +204,7 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
     let mut configured = |settings: &estimate::Settings| machine.monitor.configured(Parameters::of(settings), at);
     assert_eq!(configured(&before), None);
     assert_eq!(configured(&before), None);
-    let (command, _) = configured(&after).unwrap();
+    let command = configured(&after).unwrap();
     assert_eq!(command.why(), Some("the configuration of the machine changed: neutral_mm from 0 to 57.3"));
     assert_eq!(configured(&after), None);
     assert_eq!(machine.monitor.state(), MachineState::Learning);

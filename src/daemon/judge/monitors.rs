@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, HashSet},
+    mem,
     panic::{AssertUnwindSafe, catch_unwind},
     time::Duration,
 };
@@ -178,8 +179,7 @@ impl Monitors {
         observation.started_at = dated.at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let (configured, configuration_events) = monitor.configured(parameters, observation.started_at).unzip();
-        let command = configured.or(boot.command);
+        let command = monitor.configured(parameters, observation.started_at).or(boot.command);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
@@ -196,8 +196,7 @@ impl Monitors {
             verdict.present.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut events = [dated.events, boot.events, configuration_events.unwrap_or_default()].concat();
-        events.append(&mut verdict.events);
+        let events = mem::take(&mut verdict.events);
         let outcome = Outcome { command, ..outcome(&stored.machine, is_last.then_some(&*monitor), at, events) };
         // Only for throws without changes of the coefficients: their health has the changes of the ratios.
         let baseline = match (observation.direction, verdict.change_pct) {

@@ -196,15 +196,22 @@ impl MachineMonitor {
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
-    /// compared, so a change starts a new baseline; returns the command that does this, with its events.
-    pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<(Command, Vec<AlarmEvent>)> {
+    /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has the
+    /// events.
+    pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
         let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
+        let now = to_micros(now);
         // Earlier throws are estimated with the new parameters too, so they count: `in_service_since` stays.
-        self.boots = Boots::default();
-        self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, to_micros(now));
-        Some((Command::Rebaseline { by, why }, self.alarms.take_events()))
+        self.forget_boots(now);
+        self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, now);
+        Some(Command::Rebaseline { by, why })
+    }
+
+    /// Removes and returns the events since the last verdict, as those of [`Self::date`].
+    pub fn take_events(&mut self) -> Vec<AlarmEvent> {
+        self.alarms.take_events()
     }
 
     /// Applies an operator's command.
@@ -225,7 +232,7 @@ impl MachineMonitor {
             Command::Shelve { cause, until, .. } => self.alarms.shelve(*cause, to_micros(*until), actor, now)?,
             Command::Unshelve { cause, .. } => self.alarms.unshelve(*cause, actor, now)?,
             Command::Rebaseline { by, why } => {
-                self.boots = Boots::default();
+                self.forget_boots(now);
                 self.in_service_since = Some(now);
                 self.rebaseline(by, why, actor, now);
             }

@@ -33,7 +33,8 @@ impl MachineMonitor {
     /// about the machine as it is now.
     pub fn observe_outdated(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
         self.order += 1;
-        self.verdict(observation, settings)
+        let events = self.alarms.take_events();
+        Verdict { events, ..self.verdict(observation, settings) }
     }
 
     /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.

@@ -122,25 +122,10 @@ pub(crate) struct Operation {
     pub(super) refused: u64,
     /// Time without a throw of the machine, or for a site without a known common change \[s\].
     pub(super) silence_s: f64,
-    /// Reason of the last alarm [`Cause::NotMonitored`]; `None` before the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    unmonitored: Option<Unmonitored>,
     pub(super) ticked_at: Option<Timestamp>,
     pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
     pub(super) calm_s: f64,
-}
-
-/// Why a machine is not monitored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Unmonitored {
-    /// No throw arrives, or the logger is gone.
-    Silent,
-    /// The throws cannot be evaluated, or do not show every fault.
-    Unevaluated,
-    /// Two loggers publish as this machine, so that no throw is evaluated.
-    TwoLoggers,
 }
 
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
@@ -282,30 +267,7 @@ impl Operation {
             }
             return;
         };
-        self.not_monitored(Unmonitored::Unevaluated, text, step);
-    }
-
-    /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
-    /// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
-    /// Returns whether the alarm changed.
-    pub(super) fn not_monitored(&mut self, reason: Unmonitored, text: String, step: &mut Step) -> bool {
-        use Unmonitored::{TwoLoggers, Unevaluated};
-        let before = self.unmonitored.filter(|_| step.alarms.is_active(Cause::NotMonitored));
-        if (before, reason) == (Some(TwoLoggers), Unevaluated) {
-            return false;
-        }
-        self.unmonitored = Some(reason);
-        let event = step.warning(Cause::NotMonitored, text);
-        if before.is_some_and(|before| before != reason) {
-            step.alarms.raise_anew(Rule::Usual, event)
-        } else {
-            step.raise(event)
-        }
-    }
-
-    /// Applies that two loggers publish as this machine.
-    pub(crate) fn on_two_loggers(&mut self, text: String, step: &mut Step) {
-        self.not_monitored(Unmonitored::TwoLoggers, text, step);
+        not_monitored(Rule::Usual, text, step);
     }
 
     /// Applies a whole throw whose motor ran for `run_on_s` after the arrival of the toe.
@@ -402,5 +364,17 @@ impl Operation {
             logger: self.logger,
             ..Self::default()
         };
+    }
+}
+
+/// Raises the alarm that the machine is not monitored. An active alarm changes if its reason is another: silence instead
+/// of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated. Returns whether
+/// the alarm changed.
+pub(crate) fn not_monitored(rule: Rule, text: String, step: &mut Step) -> bool {
+    let event = step.warning(Cause::NotMonitored, text);
+    match step.alarms.rule(Cause::NotMonitored) {
+        Some(Rule::TwoLoggers) if rule == Rule::Usual => false,
+        Some(before) if before != rule => step.alarms.raise_anew(rule, event),
+        _ => step.alarms.raise(rule, event),
     }
 }

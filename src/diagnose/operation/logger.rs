@@ -1,8 +1,12 @@
 //! Alarms about silence and lost data: of the logger, its throws, the daemon itself and other daemons.
 
-use super::{Logger, Operation, Unmonitored, unix_s};
+use super::{Logger, Operation, not_monitored, unix_s};
 use crate::{
-    diagnose::{Cause, Irregularity, Missing, Settings, Severity, alarm::Step, text},
+    diagnose::{
+        Cause, Irregularity, Missing, Settings, Severity,
+        alarm::{Rule, Step},
+        text,
+    },
     throw::without_digits,
 };
 
@@ -35,7 +39,7 @@ impl Operation {
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let text = text::logger_gone(name, *for_s / 60.0);
-                let is_raised = self.not_monitored(Unmonitored::Silent, text, step);
+                let is_raised = not_monitored(Rule::Silence, text, step);
                 if let Logger::Gone { alarmed, .. } = &mut self.logger {
                     *alarmed |= is_raised;
                 }
@@ -43,7 +47,7 @@ impl Operation {
             }
         }
         if self.is_silent(settings) {
-            self.not_monitored(Unmonitored::Silent, text::silent(name, self.silence_s / 3600.0), step);
+            not_monitored(Rule::Silence, text::silent(name, self.silence_s / 3600.0), step);
         }
     }
 

@@ -35,6 +35,8 @@ pub(crate) fn two_loggers(name: &str, [first, second]: &[String; 2], hours: i64)
     )
 }
 
+pub(crate) const ONE_LOGGER: &str = "only one logger publishes as this machine now, so its throws are evaluated again.";
+
 pub(crate) const RIGHT_CLOCK: &str = "the clock of the logger is right again.";
 
 /// Text for a logger that sends fields with impossible values.
