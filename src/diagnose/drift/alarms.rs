@@ -195,7 +195,7 @@ impl DriftAlarms {
                     None if at_once => text::cleared_at_once(name, cause, may_be_rain),
                     None => text::cleared(name, cause),
                 };
-                step.clear(cause, text);
+                step.clear(cause, |_| text);
             }
             // Beside another fault the size is not certain enough for this.
             (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
@@ -207,7 +207,7 @@ impl DriftAlarms {
                     Origin::Supply => Cause::Supply,
                     _ => latest.drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
                 };
-                step.clear(cause, text::withdrawn(name, cause, other));
+                step.clear(cause, |name| text::withdrawn(name, cause, other));
             }
             _ => {}
         }
@@ -275,7 +275,7 @@ impl DriftAlarms {
         {
             self.intermittent.end();
             self.now.retain(|drifting| drifting.cause != cause);
-            step.clear(cause, text::intermittent_unknown(step.name, cause));
+            step.clear(cause, |name| text::intermittent_unknown(name, cause));
         }
     }
 

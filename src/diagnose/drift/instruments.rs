@@ -341,7 +341,7 @@ impl Instruments {
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
-            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor));
+            step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor));
         }
     }
 
@@ -362,7 +362,7 @@ impl Instruments {
             let event = step.sensor(channel, text::offset(step.name, sensor, &level));
             step.alarms.raise_another(Rule::Offset, event, counts.named == delay);
         } else if counts.over >= step.settings.off_delay_throws && is_own() {
-            step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
+            step.clear(Cause::Sensor, |name| text::offset_over(name, sensor));
         }
     }
 
@@ -405,7 +405,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply));
+            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply));
         }
     }
 

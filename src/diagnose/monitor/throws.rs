@@ -260,7 +260,7 @@ impl MachineMonitor {
         let sensor = step.alarms.distorting_sensor();
         if sensor.is_some_and(|sensor| self.features.is_explained_by(sensor)) {
             if let Some(unnamed) = step.alarms.owned_by(Rule::Features) {
-                step.clear(unnamed, text::explained(step.name, Cause::Sensor));
+                step.clear(unnamed, |name| text::explained(name, Cause::Sensor));
             }
         } else {
             let found = if is_explained { RuleResult::Nothing } else { found };

@@ -190,10 +190,10 @@ impl Operation {
             let severity = if in_a_row == 1 && !is_open { Severity::Warning } else { Severity::Critical };
             step.alarms.raise_or_escalate(step.event(Cause::IncompleteThrow, severity, text));
         } else if is_known && self.complete >= enough {
-            step.clear(Cause::IncompleteThrow, text::complete_again(step.name, self.complete));
+            step.clear(Cause::IncompleteThrow, |name| text::complete_again(name, self.complete));
         }
         if self.since_gap >= enough {
-            step.clear(Cause::DataLoss, text::no_gap(step.name, self.since_gap));
+            step.clear(Cause::DataLoss, |name| text::no_gap(name, self.since_gap));
             (self.missing, self.refused) = (0, 0);
         }
     }
@@ -220,7 +220,7 @@ impl Operation {
             let event = event(Severity::Warning);
             step.raise(event);
         } else if self.fast_enough >= settings.off_delay_throws {
-            step.clear(Cause::SlowThrow, text::machine(step.name, text::FAST_AGAIN));
+            step.clear(Cause::SlowThrow, |name| text::machine(name, text::FAST_AGAIN));
         }
     }
 
@@ -263,7 +263,7 @@ impl Operation {
             text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-                step.clear(Cause::NotMonitored, text::machine(name, text::MONITORED_AGAIN));
+                step.clear(Cause::NotMonitored, |name| text::machine(name, text::MONITORED_AGAIN));
             }
             return;
         };

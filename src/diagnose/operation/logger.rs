@@ -69,7 +69,7 @@ impl Operation {
             && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
             && !self.is_silent(step.settings);
         if there && alarmed && monitored {
-            step.clear(Cause::NotMonitored, text::machine(step.name, text::LOGGER_BACK));
+            step.clear(Cause::NotMonitored, |name| text::machine(name, text::LOGGER_BACK));
         }
     }
 
@@ -84,7 +84,7 @@ impl Operation {
             self.calm_s = 0.0;
             raise_or_remark(severity, text.to_owned(), step);
         } else if self.calm_s >= CALM_S {
-            step.clear(Cause::DataLoss, text::DAEMON_CALM.to_owned());
+            step.clear(Cause::DataLoss, |_| text::DAEMON_CALM.to_owned());
         }
     }
 
@@ -135,7 +135,7 @@ fn raise_or_remark(severity: Severity, text: String, step: &mut Step) {
 pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
     let cause = Cause::NotMonitored;
     match away {
-        None => step.clear(cause, text::PEERS_BACK.to_owned()),
+        None => step.clear(cause, |_| text::PEERS_BACK.to_owned()),
         Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
         Some(text) => _ = step.raise(step.critical(cause, text)),
     }

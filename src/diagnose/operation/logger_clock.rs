@@ -138,7 +138,7 @@ impl LoggerClock {
             let event = step.sensor(SensorChannel::Clock, text::wrong_clock(step.name, started_at, step.at));
             step.alarms.raise_another(Rule::Dates, event, self.wrong == IN_A_ROW);
         } else if self.right >= step.settings.off_delay_throws && step.alarms.owned_by(Rule::Dates).is_some() {
-            step.clear(Cause::Sensor, text::machine(step.name, text::RIGHT_CLOCK));
+            step.clear(Cause::Sensor, |name| text::machine(name, text::RIGHT_CLOCK));
         }
     }
 }

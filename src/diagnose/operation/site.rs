@@ -119,9 +119,9 @@ impl Operation {
                 let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
                 step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });
             } else if common.is_known && size < OVER_BELOW {
-                step.clear(cause, text::site_over(step.name, cause));
+                step.clear(cause, |name| text::site_over(name, cause));
             } else if is_forgotten {
-                step.clear(cause, text::site_unknown(step.name, cause, UNKNOWN_DAYS));
+                step.clear(cause, |name| text::site_unknown(name, cause, UNKNOWN_DAYS));
             }
         }
     }
