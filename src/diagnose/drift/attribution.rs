@@ -171,8 +171,9 @@ impl Attribution {
             let relevance = main.relevance(settings).max(second.relevance(settings));
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
-        let lead = all.score_without(main.cause) - best.score;
-        let relevance_otherwise = all.relevance_without(main.cause, settings);
+        let (otherwise, parts) = all.best_without(main.cause);
+        let lead = otherwise - best.score;
+        let relevance_otherwise = parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max);
         let naming = Naming::One(main);
         let one = Self { naming, relevance: main.relevance(settings), lead, relevance_otherwise, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
@@ -209,7 +210,7 @@ impl Attribution {
         let [pair, ..] = &all.pairs;
         let is_dry = pair.size_of(Cause::Friction) > VERY_DRY && pair.size_of(Cause::Stiffness) > 0.0;
         let friction = pair.part(Cause::Friction).filter(|_| is_dry && self.may_be_far_end(known))?;
-        let lead = all.score_without(Cause::Friction) - pair.score;
+        let lead = all.best_without(Cause::Friction).0 - pair.score;
         let relevance = friction.relevance(settings);
         (lead >= CLOSE).then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
     }
