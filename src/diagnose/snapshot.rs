@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::{
-    AlarmEvent, AlarmState, Cause, SensorChannel,
+    AlarmEvent, Cause, SensorChannel,
     alarm::{Acknowledgement, Alarm, Alarms, Maintenance, Rule, State},
     drift::{Beginning, Condition, Ending, History, Onset},
     operation::Operation,
@@ -64,23 +64,18 @@ impl From<Board> for Alarms {
 }
 
 impl From<AlarmOne> for Alarm {
-    /// Version 1 stored the time of an acknowledgement and the operator of a shelving in events; both come from the
-    /// latest.
     fn from(alarm: AlarmOne) -> Self {
-        let last = alarm.last;
-        let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });
+        let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by });
         let state = match (alarm.active, acknowledged) {
             (true, acknowledged) => State::Active { acknowledged },
             (false, None) => State::Cleared,
             (false, Some(_)) => State::Normal,
         };
-        let shelved_by = last.by.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
-        let why = last.why.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
         let state = match alarm.shelved_until {
-            Some(until) => State::Shelved { until, by: shelved_by, why, beneath: Box::new(state) },
+            Some(until) => State::Shelved { until, beneath: Box::new(state) },
             None => state,
         };
-        Self { state, ..Self::cleared(Rule::Usual, last) }
+        Self { state, ..Self::cleared(Rule::Usual, alarm.last) }
     }
 }
 

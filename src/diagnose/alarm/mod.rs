@@ -61,20 +61,15 @@ pub(super) enum State {
     Shelved {
         /// End of the shelving.
         until: Timestamp,
-        /// The operator who shelved it.
-        by: String,
-        /// The operator's reason.
-        why: String,
         /// The state without the shelving: one of the other three.
         beneath: Box<State>,
     },
 }
 
-/// Operator and time of an acknowledgement.
+/// Operator of an acknowledgement. Its time is that of the event.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Acknowledgement {
     pub(super) by: String,
-    pub(super) at: Timestamp,
 }
 
 impl State {
@@ -357,7 +352,7 @@ impl Alarms {
             State::Active { acknowledged: Some(before) } => {
                 return Err(CommandError::AlreadyAcknowledged { cause, by: before.by.clone() });
             }
-            State::Active { acknowledged } => *acknowledged = Some(Acknowledgement { by: by.to_owned(), at }),
+            State::Active { acknowledged } => *acknowledged = Some(Acknowledgement { by: by.to_owned() }),
             over => {
                 *over = State::Normal;
                 last.acknowledged_by = Some(by.to_owned());
@@ -377,8 +372,7 @@ impl Alarms {
     ) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
-        let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
-        *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
+        *state = State::Shelved { until, beneath: Box::new(state.beneath().clone()) };
         self.event(index, at, actor, None);
         Ok(())
     }

@@ -244,9 +244,8 @@ impl MachineMonitor {
                 }
             }
             // A machine that is in maintenance gets the new window instead of the old one, as with a second shelving.
-            Command::MaintenanceStart { until, by, why } => {
-                let until = Some(to_micros(*until));
-                self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));
+            Command::MaintenanceStart { until, .. } => {
+                self.maintenance = Some(Box::new(Maintenance { until: Some(to_micros(*until)) }));
                 self.alarms.set_out_of_service(true, actor, now);
             }
             Command::MaintenanceEnd { .. } if self.maintenance.is_none() => return Err(CommandError::NotInMaintenance),

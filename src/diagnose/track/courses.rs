@@ -84,7 +84,8 @@ impl Tracks {
         temperature_sd: &Vector3<f64>,
         now: u64,
     ) -> Option<Direction> {
-        let of = |direction: Direction| Some((direction, self.course_of(direction.side(), weights, temperature_sd, now)?));
+        let of =
+            |direction: Direction| Some((direction, self.course_of(direction.side(), weights, temperature_sd, now)?));
         let [normal, reverse] = Direction::BOTH;
         let courses = match self.baselines() {
             [Some(_), None] => return Some(normal),
