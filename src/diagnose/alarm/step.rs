@@ -56,10 +56,6 @@ impl Step<'_> {
         AlarmEvent { channel: Some(channel), ..self.warning(Cause::Sensor, text) }
     }
 
-    pub(crate) fn critical(&self, cause: Cause, text: String) -> AlarmEvent {
-        self.event(cause, Severity::Critical, text)
-    }
-
     /// Raises the alarm of a cause for its usual rule. Returns whether the alarm changed.
     pub(crate) fn raise(&mut self, event: AlarmEvent) -> bool {
         self.alarms.raise(Rule::Usual, event)

@@ -1,13 +1,12 @@
 //! Which claim an alarm may make about a drift that weather may have caused. Weather changes friction most: rain lowers
 //! it for days, a season changes it over months.
 
-use jiff::SignedDuration;
 use nalgebra::Vector3;
 
 use super::{Claim, DriftAlarms, FrictionChange, LatestThrow, Naming};
 use crate::diagnose::{
     Cause,
-    gauges::{RAIN_HOURS, RAIN_PCT, SLOW_FROM},
+    gauges::{RAIN_PCT, SLOW_FROM, may_rain_last},
     statistics::{LONGEST_WINDOW, WINDOWS, percent},
 };
 
@@ -66,10 +65,8 @@ impl DriftAlarms {
             self.fallen = None;
             return Claim::None;
         }
-        let is_new = at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
-            || order - first < u64::from(LONGEST_WINDOW);
         let least_size = fall.size + (RAIN_SD * fall.size_sd).min(RAIN_MOST_SCATTER);
         let may_be_rain = -percent(fall.size) >= RAIN_PCT.start && -percent(least_size) < RAIN_PCT.end;
-        if is_new && may_be_rain { Claim::Counts } else { Claim::Named }
+        if may_be_rain && may_rain_last(since, order - first, at) { Claim::Counts } else { Claim::Named }
     }
 }

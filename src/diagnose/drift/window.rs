@@ -88,13 +88,11 @@ impl RecentThrow {
 
     /// The residual of this throw. One of ratios gets the common scale of the other throws, or 0 if this is unknown.
     fn scaled(&self, residual: Vector3<f64>, scale: &CommonScale) -> Vector3<f64> {
-        let (k, mean) = match scale {
-            _ if self.has_scale() => return residual,
-            CommonScale::OfAll => return residual,
-            CommonScale::OfSome { k, mean } => (k, *mean),
-            CommonScale::Unknown { k } => (k, 0.0),
-        };
-        residual.add_scalar(mean - k.dot(&residual))
+        match scale {
+            CommonScale::OfSome { k, mean } if !self.has_scale() => residual.add_scalar(mean - k.dot(&residual)),
+            CommonScale::Unknown { k } if !self.has_scale() => residual.add_scalar(-k.dot(&residual)),
+            _ => residual,
+        }
     }
 
     /// The residual without temperature compensation, and the distance from the reference temperature \[K\].

@@ -16,7 +16,7 @@ mod travel;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
 pub(super) use end::judge_end;
-pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
+pub(super) use features::{FeatureWatch, RAIN_PCT, SLOW_FROM, may_rain_last};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{GaugeChange, Gauges};
 pub(super) use side_watch::SideWatch;

@@ -187,7 +187,7 @@ impl MachineMonitor {
             judge_end(&mut self.end, &self.instruments.gauges, step).apply(Rule::End, step);
         }
         if let (Some(direction), Some(run_on_s), true) = (direction, features.run_on_s, observation.is_whole()) {
-            self.operation.on_run_on(direction, run_on_s, step);
+            self.operation.run_on.judge(direction, run_on_s, step).apply(Rule::RunOn, step);
         }
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));

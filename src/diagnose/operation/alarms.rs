@@ -54,17 +54,37 @@ pub(super) enum Logger {
     },
 }
 
-/// Counts of consecutive throws of one direction. The directions alternate, so a fault that concerns one direction
-/// never shows in consecutive throws of the machine.
+/// Numbers of consecutive throws of each direction, and of the machine. The directions alternate, so a fault that
+/// concerns one direction never shows in consecutive throws of the machine.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Streaks([u32; 3]);
+
+impl Streaks {
+    /// Counts a throw in which something `holds` or does not.
+    fn count(&mut self, direction: Option<Direction>, holds: bool) {
+        let [.., machine] = &mut self.0;
+        streak(machine, holds);
+        if let Some(direction) = direction {
+            streak(&mut self.0[direction.side()], holds);
+        }
+    }
+
+    /// The number of a direction; for `None`, that of the machine.
+    fn of(self, direction: Option<Direction>) -> u32 {
+        self.0[direction.map_or(Direction::BOTH.len(), Direction::side)]
+    }
+
+    pub(super) fn longest(self) -> u32 {
+        self.0.into_iter().max().unwrap_or_default()
+    }
+}
+
+/// Counts of consecutive throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub(super) struct DirectionCounts {
-    incomplete: u32,
+struct DirectionCounts {
     slow: u32,
     very_slow: u32,
-    pub(super) unevaluated: u32,
-    /// Throws in which the temperature or the scatter hides faults.
-    pub(super) blind: u32,
     /// The last 32 throws as bits, 1 for a throw that was not evaluated.
     #[serde(rename = "lost")]
     rejections: u32,
@@ -77,12 +97,13 @@ pub(super) struct DirectionCounts {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Operation {
-    pub(super) sides: [DirectionCounts; 2],
-    incomplete: u32,
+    sides: [DirectionCounts; 2],
+    incomplete_in_a_row: Streaks,
     complete: u32,
     fast_enough: u32,
-    pub(super) unevaluated: u32,
-    pub(super) blind: u32,
+    pub(super) unevaluated_in_a_row: Streaks,
+    /// Evaluated throws in which the temperature or the scatter hides faults.
+    pub(super) blind_in_a_row: Streaks,
     /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
     agreed: u32,
@@ -101,7 +122,7 @@ pub(crate) struct Operation {
     /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
-    pub(super) run_on: RunOn,
+    pub(crate) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
@@ -152,18 +173,13 @@ impl Operation {
         let shows_movement = observation.estimate().is_some() || observation.features.duration_s.is_some();
         let is_known = incomplete || observation.faulty_sensor().is_none() && shows_movement;
         if is_known {
-            streak(&mut self.incomplete, incomplete);
+            self.incomplete_in_a_row.count(direction, incomplete);
             streak(&mut self.complete, !incomplete);
         }
-        let (mut in_a_row, mut in_direction) = (self.incomplete, None);
+        let [of_machine, own] = [None, direction].map(|of| self.incomplete_in_a_row.of(of));
+        let (in_a_row, in_direction) = (of_machine.max(own), direction.filter(|_| own > of_machine));
         if let Some(direction) = direction {
             let own = &mut self.sides[direction.side()];
-            if is_known {
-                streak(&mut own.incomplete, incomplete);
-            }
-            if own.incomplete > in_a_row {
-                (in_a_row, in_direction) = (own.incomplete, Some(direction));
-            }
             match &observation.outcome {
                 Some(Err(rejection)) => own.rejected = Some(rejection.code().to_owned()),
                 Some(Ok(_)) => {}
@@ -235,32 +251,25 @@ impl Operation {
         let Step { name, settings, .. } = *step;
         let direction = observation.direction;
         let enough = settings.not_monitored_throws;
-        streak(&mut self.unevaluated, !evaluated);
+        self.unevaluated_in_a_row.count(direction, !evaluated);
         if evaluated {
-            streak(&mut self.blind, blind.is_some());
+            self.blind_in_a_row.count(direction, blind.is_some());
         }
         for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
             let own = &mut self.sides[own.side()];
             own.rejections = own.rejections << 1 | u32::from(!evaluated);
-            if direction.is_some() {
-                streak(&mut own.unevaluated, !evaluated);
-            }
-            if evaluated {
-                streak(&mut own.blind, blind.is_some());
-            }
         }
         let is_seen = self.sides.iter().all(|side| (side.rejections | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
-        let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
+        let is_blind = self.blind_in_a_row.longest() >= enough;
         // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
-        let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
+        let [normal, reverse] = Direction::BOTH.map(Some);
+        let unseen = [None, normal, reverse].into_iter().find(|own| self.unevaluated_in_a_row.of(*own) >= enough);
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
-        } else if self.unevaluated >= enough {
-            let code = observation.rejection().map(Rejection::code);
-            text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
-            let DirectionCounts { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
-            text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
+            let of_side = |side: Direction| self.sides[side.side()].rejected.as_deref();
+            let code = unseen.map_or_else(|| observation.rejection().map(Rejection::code), of_side);
+            text::unevaluated(name, unseen, self.unevaluated_in_a_row.of(unseen), code)
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
                 step.clear(Cause::NotMonitored, |name| text::machine(name, text::MONITORED_AGAIN));
@@ -270,14 +279,9 @@ impl Operation {
         not_monitored(Rule::Usual, text, step);
     }
 
-    /// Applies a whole throw whose motor ran for `run_on_s` after the arrival of the toe.
-    pub(crate) fn on_run_on(&mut self, direction: Direction, run_on_s: f64, step: &mut Step) {
-        self.run_on.judge(direction, run_on_s, step).apply(Rule::RunOn, step);
-    }
-
     /// Whether the last throw was not evaluated.
     pub(crate) fn is_rejecting(&self) -> bool {
-        self.unevaluated > 0
+        self.unevaluated_in_a_row.of(None) > 0
     }
 
     /// Applies whether the movement of a throw contradicts the direction that the logger names. Returns whether the

@@ -65,8 +65,7 @@ impl Operation {
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
         let enough = step.settings.not_monitored_throws;
-        let monitored = self.unevaluated.max(self.blind) < enough
-            && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
+        let monitored = self.unevaluated_in_a_row.longest().max(self.blind_in_a_row.longest()) < enough
             && !self.is_silent(step.settings);
         if there && alarmed && monitored {
             step.clear(Cause::NotMonitored, |name| text::machine(name, text::LOGGER_BACK));
@@ -137,6 +136,6 @@ pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
     match away {
         None => step.clear(cause, |_| text::PEERS_BACK.to_owned()),
         Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
-        Some(text) => _ = step.raise(step.critical(cause, text)),
+        Some(text) => _ = step.raise(step.event(cause, Severity::Critical, text)),
     }
 }

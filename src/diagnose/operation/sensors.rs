@@ -32,7 +32,7 @@ impl Operation {
                 let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
                 step.alarms.raise_another(Rule::Usual, event, *run == -IMPLAUSIBLE_IN_A_ROW);
             } else if i64::from(*run) >= step.settings.off_delay_throws.into() && is_about(&[channel], step) {
-                step.clear(Cause::Sensor, |name| text::sensor_plausible(name, channel));
+                step.clear(Cause::Sensor, |name| text::sensor_again(name, channel, "plausible"));
             }
         }
     }
@@ -55,7 +55,7 @@ impl Operation {
             && is_about(&OF_TRACE, step)
             && let Some(channel) = step.alarms.faulty_sensor()
         {
-            step.clear(Cause::Sensor, |name| text::sensor_usable(name, channel));
+            step.clear(Cause::Sensor, |name| text::sensor_again(name, channel, "usable"));
         }
     }
 }
