@@ -307,8 +307,8 @@ impl MachineMonitor {
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
-    pub fn open_alarms(&self) -> Vec<AlarmEvent> {
-        self.alarms.events().cloned().collect()
+    pub fn open_alarms(&self) -> Vec<&AlarmEvent> {
+        self.alarms.events().collect()
     }
 
     /// The drifts with an active alarm whose present size is known; named parts first, then the most severe.

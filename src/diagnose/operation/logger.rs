@@ -77,6 +77,11 @@ impl Operation {
         self.logger != Logger::Unannounced
     }
 
+    /// Whether throws are missing since the last end of the alarm about them.
+    pub(crate) fn has_gap(&self) -> bool {
+        self.missing > 0
+    }
+
     /// Applies a failure of the daemon to store data; `None` without one.
     pub(crate) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
         if let Some((severity, text)) = trouble {
