@@ -99,8 +99,8 @@ impl Observation {
         self.outcome.as_ref()?.as_ref().err()
     }
 
-    /// Whether the points did not complete their movement (obstruction, no detection). The short movement of an open toe
-    /// is complete.
+    /// Whether the points did not complete their movement (obstruction, no detection). The short movement of an open
+    /// toe is complete.
     pub(super) fn is_incomplete(&self) -> bool {
         !self.began_open && self.rejection().is_some_and(Rejection::is_incomplete)
     }
@@ -125,8 +125,8 @@ impl Observation {
         }
     }
 
-    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement, or
-    /// the movement began with an open toe, duration and charge are lower bounds.
+    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
+    /// or the movement began with an open toe, duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
         let is_cut_off =
             matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
@@ -338,7 +338,8 @@ mod tests {
 
     use super::*;
 
-    /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a change.
+    /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a
+    /// change.
     #[test]
     fn ratios_of_a_complete_estimate_are_those_of_an_estimate_of_ratios() {
         let running = RunningRatios { values: [0.38, 0.037], log_covariance: Matrix2::identity() * 1e-4 };

@@ -188,9 +188,9 @@ impl Alarms {
     }
 
     /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
-    /// not change, with three exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
-    /// part or whose fault was intermittent, the evidence of an alarm from before a maintenance is replaced, and a fault
-    /// without a named part is added to that of another rule. Returns whether the alarm changed.
+    /// not change, with three exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the
+    /// faulty part or whose fault was intermittent, the evidence of an alarm from before a maintenance is replaced, and
+    /// a fault without a named part is added to that of another rule. Returns whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         match self.find_active(event.cause) {
             Some(alarm) if rule == Rule::Usual && alarm.rule.gives_way() => {
@@ -253,8 +253,8 @@ impl Alarms {
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
-    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one fault
-    /// does not hide another.
+    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one
+    /// fault does not hide another.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
         let is_other = |alarm: &&Alarm| {
             alarm.last.channel != event.channel

@@ -405,8 +405,8 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The drift of the faulty throws behind an alarm about an intermittent fault. The mean of all throws would say that
-    /// the fault is small.
+    /// The drift of the faulty throws behind an alarm about an intermittent fault. The mean of all throws would say
+    /// that the fault is small.
     fn of_faulty_throws(
         &self,
         alarm: &AlarmEvent,
@@ -490,8 +490,8 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
     drifts.into_iter().map(|(.., drifting)| drifting).collect()
 }
 
-/// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
-/// if its fault is intermittent.
+/// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part,
+/// and if its fault is intermittent.
 fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
     alarms.find_active(cause).filter(|alarm| !alarm.rule.gives_way()).map(|alarm| alarm.last.severity)
 }

@@ -180,8 +180,8 @@ impl Attribution {
     }
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
-    /// without one, of the friction, or of the stiffness if the two named causes are others. `levels` and `last_few`: means of the last throws of each direction, as in
-    /// [`Drift`](super::Drift).
+    /// without one, of the friction, or of the stiffness if the two named causes are others. `levels` and `last_few`:
+    /// means of the last throws of each direction, as in [`Drift`](super::Drift).
     pub(crate) fn unless_opposite(self, [levels, last_few]: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
         let cause = match self.naming {
             Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
@@ -380,8 +380,8 @@ impl Attribution {
 
     /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
     /// would be the same. Dry friction lowers b0 as much as a loss of torque that leaves the back-EMF, and where it
-    /// grows along the stroke, it raises a0/b0 as a stiffer spring does. Iron that saturates raises both ratios as a loss
-    /// of torque does.
+    /// grows along the stroke, it raises a0/b0 as a stiffer spring does. Iron that saturates raises both ratios as a
+    /// loss of torque does.
     pub(crate) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);

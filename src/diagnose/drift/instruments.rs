@@ -201,10 +201,10 @@ impl Instruments {
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), [of_inrush, 0.0])
     }
 
-    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where the motor may seem
-    /// to change by `of_motor`, and the inertia by `of_inertia`. Dry friction F at the speed v adds F/v to a1, and a speed
-    /// that changes along the stroke looks like stiffness. Both grow at most as much as the duration. In the ratios to
-    /// b0, they look like a weaker motor.
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where the motor may
+    /// seem to change by `of_motor`, and the inertia by `of_inertia`. Dry friction F at the speed v adds F/v to a1, and
+    /// a speed that changes along the stroke looks like stiffness. Both grow at most as much as the duration. In the
+    /// ratios to b0, they look like a weaker motor.
     fn speed_explains(
         &self,
         attribution: &Attribution,
@@ -230,9 +230,9 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a change of friction, alone or beside a small change of the motor, or a change of the
-    /// inertia. The model has no dry friction, whose effect on the coefficients depends on the speed. `last_few`: as
-    /// [`Drift::last_few`].
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor, or a change of
+    /// the inertia. The model has no dry friction, whose effect on the coefficients depends on the speed. `last_few`:
+    /// as [`Drift::last_few`].
     fn supply_explains(
         &self,
         attribution: &Attribution,
@@ -241,8 +241,8 @@ impl Instruments {
         settings: &Settings,
     ) -> bool {
         let Some(lost) = self.gauges.supply_lost(window.throws) else { return false };
-        // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which helps
-        // the start of one direction and hinders that of the other.
+        // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which
+        // helps the start of one direction and hinders that of the other.
         let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
         let both = mean_of_both(last_few).filter(|_| show_start);
         let (both, of_spring) = both.map_or((*window, SPRING_PER_LOSS * lost.value.abs()), |both| (both, 0.0));

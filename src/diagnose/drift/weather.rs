@@ -12,8 +12,8 @@ use crate::diagnose::{
 
 /// Throws of the machine after which the last few throws of each direction all show a fall.
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
-/// Number of standard deviations by which a fall of friction must be larger than rain explains, and the largest logarithm
-/// that they may be. The strongest window is often the one in which the scatter increases the fall.
+/// Number of standard deviations by which a fall of friction must be larger than rain explains, and the largest
+/// logarithm that they may be. The strongest window is often the one in which the scatter increases the fall.
 const RAIN_SD: f64 = 2.0;
 const RAIN_MOST_SCATTER: f64 = 0.1;
 const DAYS_OF_WEEK: f64 = 7.0;

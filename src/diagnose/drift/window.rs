@@ -326,9 +326,10 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// T of the innovations of `window` along those of a lasting change of its mean, without the largest innovation; for
-    /// scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible for
-    /// the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
+    /// T of the innovations of `window` along those of a lasting change of its mean, without the largest innovation;
+    /// for scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible
+    /// for the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it
+    /// shifted.
     fn t_without_outliers(
         &self,
         window: &Window,

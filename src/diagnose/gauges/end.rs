@@ -1,5 +1,6 @@
-//! A changed current at the end of the stroke: the force that closes or locks the points has grown, or is lost. The window
-//! of the estimate ends before it, so neither coefficients nor ratios show it. The next step is points that do not lock.
+//! A changed current at the end of the stroke: the force that closes or locks the points has grown, or is lost. The
+//! window of the estimate ends before it, so neither coefficients nor ratios show it. The next step is points that do
+//! not lock.
 
 use super::{
     Gauge, Gauges, mean,
@@ -11,8 +12,8 @@ use crate::diagnose::{
     text,
 };
 
-/// Change that matters, as part of the larger of running current and current at the end. On healthy machines the rise is
-/// constant within some hundredths of this; a rise of 1 doubles the current.
+/// Change that matters, as part of the larger of running current and current at the end. On healthy machines the rise
+/// is constant within some hundredths of this; a rise of 1 doubles the current.
 const RISE: f64 = 0.3;
 /// Least significant change: in standard deviations of one throw while the normal value was learned, and in standard
 /// deviations of a level with the scatter of its throws. A force that grows may scatter by much more than before.
@@ -28,8 +29,8 @@ pub(crate) fn judge_end(watch: &mut SideWatch, gauges: &Gauges, step: &Step) -> 
     watch.judge(gauges, [Gauge::EndRise, Gauge::Running], |side| change(side, running_a), text, step)
 }
 
-/// The change of the rise at the end of the stroke that the running current does not explain. `running_a`: normal running
-/// current of both directions \[A\].
+/// The change of the rise at the end of the stroke that the running current does not explain. `running_a`: normal
+/// running current of both directions \[A\].
 ///
 /// A changed motor or sensor changes the whole current by a factor, so the difference between end and running current
 /// too. Friction over the whole stroke leaves this difference as it was. So all differences between these two are

@@ -192,8 +192,8 @@ impl FeatureWatch {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
-    /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days. The
-    /// charge falls with both current and duration, so these two count.
+    /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days.
+    /// The charge falls with both current and duration, so these two count.
     fn is_new_fall(&mut self, changes: &[GaugeChange], at: Timestamp) -> bool {
         let is_fall = |change: &GaugeChange| change.gauge != Gauge::Travel && change.level.value < 0.0;
         let is_small = |change: &GaugeChange| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;

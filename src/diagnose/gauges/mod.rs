@@ -1,6 +1,6 @@
-//! Gauges: quantities of a throw beside the coefficients, such as travel, resistance and duration. Each is compared with
-//! its normal value in the direction, as the logarithm of the ratio or as a difference. Errors of sensors, clock and
-//! supply change the gauges in other ways than faults of parts, which distinguishes the two.
+//! Gauges: quantities of a throw beside the coefficients, such as travel, resistance and duration. Each is compared
+//! with its normal value in the direction, as the logarithm of the ratio or as a difference. Errors of sensors, clock
+//! and supply change the gauges in other ways than faults of parts, which distinguishes the two.
 
 mod circuit;
 mod end;

@@ -1,5 +1,5 @@
-//! A changed travel of a toe whose movement is judged: the points stop at another place. The coefficients of the movement
-//! before it stay as they were. A configured stroke shows a single short throw; this rule needs none.
+//! A changed travel of a toe whose movement is judged: the points stop at another place. The coefficients of the
+//! movement before it stay as they were. A configured stroke shows a single short throw; this rule needs none.
 
 use super::{
     Gauge, Gauges,
@@ -17,7 +17,8 @@ const SHORTER: f64 = 0.04;
 const LONGER: f64 = 0.1;
 /// Least significant change, in standard deviations of one throw.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Least change of the duration, as part of that of the travel. A position sensor with another gain leaves the duration.
+/// Least change of the duration, as part of that of the travel. A position sensor with another gain leaves the
+/// duration.
 const OF_DURATION: f64 = 0.5;
 
 /// Applies a throw, which the `gauges` contain already.

@@ -44,8 +44,8 @@ impl MachineMonitor {
         self.operation.is_announced()
     }
 
-    /// Whether nothing of a logger was ever received, as for the monitor of a daemon: no throw, no token, and no message
-    /// that shows a gap before it.
+    /// Whether nothing of a logger was ever received, as for the monitor of a daemon: no throw, no token, and no
+    /// message that shows a gap before it.
     pub fn has_no_logger(&self) -> bool {
         self.order == 0 && !self.is_announced() && !self.operation.has_gap()
     }

@@ -196,8 +196,8 @@ impl MachineMonitor {
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
-    /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has the
-    /// events.
+    /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has
+    /// the events.
     pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
         let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
         let why = format!("the configuration of the machine changed: {changed}");

@@ -29,8 +29,8 @@ impl MachineMonitor {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
-    /// Takes note of a throw that was made before the last new baseline or the last end of maintenance. It shows nothing
-    /// about the machine as it is now.
+    /// Takes note of a throw that was made before the last new baseline or the last end of maintenance. It shows
+    /// nothing about the machine as it is now.
     pub fn observe_outdated(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
         self.order += 1;
         let events = self.alarms.take_events();
@@ -60,7 +60,8 @@ impl MachineMonitor {
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
         if self.runs_on_at_its_end(&observation) {
-            // The points arrived, and only detection or switch-off failed. The current is not that of the movement alone.
+            // The points arrived, and only detection or switch-off failed. The current is not that of the movement
+            // alone.
             let observation = observation.to_mut();
             observation.outcome = None;
             let Features { running_current_a, mean_current_a, charge_as, energy_j, .. } = &mut observation.features;
@@ -324,9 +325,9 @@ impl MachineMonitor {
     }
 }
 
-/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which often
-/// runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is from the
-/// duration.
+/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which
+/// often runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is
+/// from the duration.
 fn without_duration(all: &Features) -> Features {
     Features { duration_s: None, back_emf_v_s_per_rad: None, ..all.clone() }
 }

@@ -308,8 +308,8 @@ impl Operation {
         is_unusual
     }
 
-    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel then
-    /// shows neither an obstruction nor a fault of the position sensor.
+    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel
+    /// then shows neither an obstruction nor a fault of the position sensor.
     pub(crate) fn begins_open(&mut self, throw: &Observation) -> bool {
         let Features { start_position_mm: start, end_position_mm: end, .. } = throw.features;
         let before = self.left_open_mm.take();
@@ -371,9 +371,9 @@ impl Operation {
     }
 }
 
-/// Raises the alarm that the machine is not monitored. An active alarm changes if its reason is another: silence instead
-/// of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated. Returns whether
-/// the alarm changed.
+/// Raises the alarm that the machine is not monitored. An active alarm changes if its reason is another: silence
+/// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
+/// Returns whether the alarm changed.
 pub(crate) fn not_monitored(rule: Rule, text: String, step: &mut Step) -> bool {
     let event = step.warning(Cause::NotMonitored, text);
     match step.alarms.rule(Cause::NotMonitored) {

@@ -68,8 +68,8 @@ impl Stamp {
     }
 }
 
-/// Whether the ages of two throws show that each was published at once. Their receptions are `apart`. The ages of throws
-/// of a backlog, and of a simulation in fast motion, change by more than a tenth of this time.
+/// Whether the ages of two throws show that each was published at once. Their receptions are `apart`. The ages of
+/// throws of a backlog, and of a simulation in fast motion, change by more than a tenth of this time.
 pub(crate) fn are_steady([before, after]: [SignedDuration; 2], apart: SignedDuration) -> bool {
     (after - before).abs() * 10 <= apart
 }

@@ -106,8 +106,8 @@ pub(crate) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<
 }
 
 impl Operation {
-    /// Raises and clears the alarm about all machines of a site. It stays while the common change is unknown, as at night
-    /// and on days without traffic, for at most [`UNKNOWN_DAYS`].
+    /// Raises and clears the alarm about all machines of a site. It stays while the common change is unknown, as at
+    /// night and on days without traffic, for at most [`UNKNOWN_DAYS`].
     pub(crate) fn on_common(&mut self, common: &Common, step: &mut Step) {
         if common.is_known {
             self.silence_s = 0.0;

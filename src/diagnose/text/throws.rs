@@ -110,8 +110,8 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
     )
 }
 
-/// Text for a current at the end of the stroke that has changed, over `throws` throws of a direction; `changes`: a part by
-/// [`end_change`] for each direction with a change; whether it has `risen`, and `fallen`, in one of them.
+/// Text for a current at the end of the stroke that has changed, over `throws` throws of a direction; `changes`: a part
+/// by [`end_change`] for each direction with a change; whether it has `risen`, and `fallen`, in one of them.
 pub(crate) fn end(name: &str, changes: &str, [risen, fallen]: [bool; 2], throws: usize) -> String {
     let grown = "a force that closes or locks the points has grown. If it grows further, the points will not lock. Check \
                  the adjustment of lock, stretcher bar and detector, the lock for dirt and lubrication, and the gap \
@@ -131,8 +131,8 @@ pub(crate) fn end(name: &str, changes: &str, [risen, fallen]: [bool; 2], throws:
     )
 }
 
-/// Text for a changed travel of the toe, over `throws` throws of a direction; `changes`: a part by [`travel_change`] for
-/// each direction with a change; whether it is `shorter`, and `longer`, in one of them.
+/// Text for a changed travel of the toe, over `throws` throws of a direction; `changes`: a part by [`travel_change`]
+/// for each direction with a change; whether it is `shorter`, and `longer`, in one of them.
 pub(crate) fn travel(name: &str, changes: &str, [shorter, longer]: [bool; 2], throws: usize) -> String {
     let what = match (shorter, longer) {
         (true, true) => "shorter in one direction and longer in the other",
@@ -156,7 +156,8 @@ pub(crate) fn travel_change(direction: Direction, [from_mm, to_mm]: [f64; 2]) ->
     format!("{direction} from {from_mm:.1} to {to_mm:.1} mm")
 }
 
-/// Text for a motor that ran on after the arrival of the toe in `count` of the last eight throws, for `longest_s` at most.
+/// Text for a motor that ran on after the arrival of the toe in `count` of the last eight throws, for `longest_s` at
+/// most.
 pub(crate) fn runs_on(name: &str, count: u32, longest_s: f64, usual_s: f64) -> String {
     format!(
         "Machine {name}: in {count} of the last 8 throws the motor ran on after the toe had arrived where it always \

@@ -29,8 +29,8 @@ impl Tracks {
     /// Otherwise the course over both directions if they agree. If one direction has hardly a drift, the course of the
     /// other: just after a step, a direction has one throw with the drift, or none. If both have a drift of different
     /// sizes, the size is between the two: friction that grows along the stroke seems larger in the direction in which
-    /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift. `now`:
-    /// number of the latest throw.
+    /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift.
+    /// `now`: number of the latest throw.
     pub(crate) fn course(
         &self,
         weights: &Vector3<f64>,
