@@ -9,11 +9,13 @@
 //! | `baseline` | level, scatter and temperature effect of a healthy machine; trend and rain while the baseline fills |
 //! | `drift` | from the last throws to a drift, its cause, its size at this throw, its forecast and its alarms |
 //! | `gauges` | further quantities of a throw; they distinguish a faulty sensor or supply from a faulty part |
-//! | `operation` | alarms that concern no part: incomplete, slow and lost throws, silence, clocks, weather of the site |
+//! | `operation` | alarms that concern no part: incomplete, slow and lost throws, silence, clocks, weather of the site
+//! |
 //! | `alarm` | the life cycle of an alarm, and the commands of operators |
 //! | `text` | the sentences that a person reads about an alarm |
 //! | `statistics` | statistics of short series |
-//! | `observation`, `verdict`, `event`, `settings`, `snapshot` | what enters and leaves a monitor, and how it is stored |
+//! | `observation`, `verdict`, `event`, `settings`, `snapshot` | what enters and leaves a monitor, and how it is stored
+//! |
 
 mod alarm;
 mod baseline;

@@ -131,8 +131,8 @@ impl Observation {
         }
     }
 
-    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement, or
-    /// the movement began with an open toe, duration and charge are lower bounds.
+    /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
+    /// or the movement began with an open toe, duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
         let is_cut_off =
             matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
@@ -347,7 +347,8 @@ mod tests {
 
     use super::*;
 
-    /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a change.
+    /// A machine of ratios has complete estimates too, whose ratios have other errors: they must not look like a
+    /// change.
     #[test]
     fn ratios_of_a_complete_estimate_are_those_of_an_estimate_of_ratios() {
         let running = RunningRatios { values: [0.38, 0.037], log_covariance: Matrix2::identity() * 1e-4 };

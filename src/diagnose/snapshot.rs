@@ -1,6 +1,6 @@
 //! Snapshots of earlier versions of the program, and their conversion to the present form.
 //!
-//! Early snapshots of version 2 store the owner of an alarm as a flag of each rule.
+//! Early snapshots of version 2 store the owner of an alarm beside the alarm, as a flag of each rule.
 //!
 //! Snapshots of version 1 have no version number. They store the state of an alarm as flags and all counters of a
 //! condition together, and allow a maintenance window without end.
@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::{
-    AlarmEvent, AlarmState, Cause, SensorChannel,
+    AlarmEvent, Cause, SensorChannel,
     alarm::{Acknowledgement, Alarm, Alarms, Maintenance, Rule, State},
     drift::{Beginning, Condition, Ending, History, Onset},
     operation::Operation,
@@ -64,23 +64,18 @@ impl From<Board> for Alarms {
 }
 
 impl From<AlarmOne> for Alarm {
-    /// Version 1 stored the time of an acknowledgement and the operator of a shelving in events; both come from the
-    /// latest.
     fn from(alarm: AlarmOne) -> Self {
-        let last = alarm.last;
-        let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });
+        let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by });
         let state = match (alarm.active, acknowledged) {
             (true, acknowledged) => State::Active { acknowledged },
             (false, None) => State::Cleared,
             (false, Some(_)) => State::Normal,
         };
-        let shelved_by = last.by.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
-        let why = last.why.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
         let state = match alarm.shelved_until {
-            Some(until) => State::Shelved { until, by: shelved_by, why, beneath: Box::new(state) },
+            Some(until) => State::Shelved { until, beneath: Box::new(state) },
             None => state,
         };
-        Self { state, ..Self::cleared(Rule::Usual, last) }
+        Self { state, ..Self::cleared(Rule::Usual, alarm.last) }
     }
 }
 
@@ -97,7 +92,7 @@ impl ConditionOne {
 }
 
 /// The version of a snapshot. For early snapshots of version 2 also the owners of the alarms: for each rule, the cause
-/// or the sensor of the alarm that it owns.
+/// or the sensor of the alarm that it owns; and the reason why the machine is not monitored.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Header {
@@ -106,12 +101,19 @@ pub(super) struct Header {
     start: Flag<bool>,
     drift: OfDrift,
     instruments: Flag<Option<SensorChannel>>,
+    operation: OfOperation,
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct OfDrift {
     intermittent: Flag<Option<Cause>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct OfOperation {
+    unmonitored: Option<String>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -124,11 +126,15 @@ impl Header {
     /// Sets the owners of the alarms.
     pub(super) fn give_owners(&self, alarms: &mut Alarms) {
         let of_sensor = self.instruments.alarmed.filter(|channel| alarms.faulty_sensor() == Some(*channel));
+        let is_unmonitored =
+            |reason: &str| (self.operation.unmonitored.as_deref() == Some(reason)).then_some(Cause::NotMonitored);
         let owners = [
             (self.start.alarmed.then_some(Cause::Unattributed), Rule::Start),
             (self.features.alarmed.then_some(Cause::Unattributed), Rule::Features),
             (self.drift.intermittent.alarmed, Rule::Intermittent),
             (of_sensor.map(|_| Cause::Sensor), Rule::Gauges),
+            (is_unmonitored("silent"), Rule::Silence),
+            (is_unmonitored("two_loggers"), Rule::TwoLoggers),
         ];
         for (cause, rule) in owners {
             if let Some(cause) = cause {

@@ -115,7 +115,7 @@ pub struct Verdict {
     pub baseline: Option<(usize, usize)>,
     /// Baselines that became usable or complete with this throw.
     pub baselines_taken: Vec<BaselineRecord>,
-    /// Alarm events of this throw, in order.
+    /// Alarm events of this throw, in order; also those of its date, its boot and its configuration.
     pub events: Vec<AlarmEvent>,
 }
 

@@ -114,7 +114,7 @@ fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
     assert_eq!(twice, Err(CommandError::AlreadyAcknowledged { cause: Cause::Friction, by: by() }));
     let cleared = machine.events(60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::Normal]);
-    assert_eq!(machine.monitor.open_alarms(), []);
+    assert_eq!(machine.monitor.open_alarms(), [] as [&AlarmEvent; 0]);
     let again = machine.events(10, shift(Cause::Friction, 25.0));
     assert_eq!(again[0].event_no, 1);
     assert_ne!(again[0].raised_at, raised.raised_at);

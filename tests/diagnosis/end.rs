@@ -3,6 +3,7 @@
 
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Command, Severity},
+    estimate::Rejection,
     throw::Direction,
 };
 
@@ -81,6 +82,29 @@ fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mendin
     assert_eq!(states, [AlarmState::ClearedUnacknowledged], "{mended:?}");
 }
 
+/// The throws of the direction with the fault become incomplete, which shows no end of the fault.
+#[test]
+fn sound_throws_of_the_other_direction_do_not_end_an_alarm_about_the_end() {
+    let mut drive = Drive::after(60, 77_100, Voltage::Unknown);
+    let mut feed = |lock: f64, throws: u32, are_incomplete: bool| {
+        let mut events = Vec::new();
+        for _ in 0..throws {
+            let is_faulty = drive.next() == Direction::ReverseToNormal;
+            let mut throw = drive.throw(State { lock: if is_faulty { lock } else { 0.0 }, ..State::SOUND });
+            if is_faulty && are_incomplete {
+                throw.outcome = Some(Err(Rejection::NoMovement));
+            }
+            events.extend(drive.observe(&throw).events);
+        }
+        events.retain(|event: &AlarmEvent| event.cause == Cause::Unattributed);
+        events
+    };
+    assert!(feed(0.03, 40, false).iter().all(|event| event.state.is_active()));
+    assert_eq!(feed(0.03, 60, true), []);
+    let mended: Vec<AlarmState> = feed(0.0, 60, false).iter().map(|event| event.state).collect();
+    assert_eq!(mended, [AlarmState::ClearedUnacknowledged]);
+}
+
 /// An alarm without a named part, or about a sensor, hides no force at the end; the earlier fault stays in the text.
 #[test]
 fn an_earlier_fault_hides_no_force_at_the_end() {
@@ -118,6 +142,27 @@ fn a_lock_that_gives_no_force_any_more_is_named() {
         assert!(is_about_the_end(event) && event.severity == Severity::Warning, "{event:?}");
         assert!(event.text.contains("has fallen") && event.text.contains("whether the points lock"), "{}", event.text);
     }
+}
+
+#[test]
+fn a_force_that_is_lost_in_one_direction_and_grows_a_little_in_the_other_is_a_warning() {
+    let mut drive = Drive::new(77_600, Voltage::Unknown);
+    let mut feed = |locks: [f64; 2], throws: u32| {
+        let mut events = Vec::new();
+        for _ in 0..throws {
+            let lock = locks[usize::from(drive.next() == Direction::ReverseToNormal)];
+            events.extend(drive.feed(State { lock, ..State::SOUND }).events);
+        }
+        events
+    };
+    assert_eq!(feed([0.15, 0.0], 60), []);
+    let events = feed([0.0, 0.02], 30);
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert!(events[0].severity == Severity::Warning && events[0].text.contains("has fallen"), "{events:?}");
+    let events = feed([0.0, 0.2], 30);
+    let text = &events[0].text;
+    assert_eq!(events[0].severity, Severity::Critical);
+    assert!(text.contains("has risen in one direction and fallen in the other"), "{text}");
 }
 
 #[test]

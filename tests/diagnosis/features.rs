@@ -49,14 +49,25 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
     }
 }
 
+/// Throws that show nothing say nothing about the fault.
+#[test]
+fn a_machine_with_an_alarm_of_its_features_and_empty_traces_is_not_monitored() {
+    let mut drive = current_only(1);
+    assert_eq!(causes(&drive.events(24, State { friction: 1.8, ..State::SOUND }))[0], Cause::Unattributed);
+    let empty = |throw: &mut Observation| (throw.features, throw.outcome) = (Features::default(), None);
+    assert_eq!(causes(&drive.events_with(30, State::SOUND, empty)), [Cause::NotMonitored]);
+}
+
 /// A logger that lost its battery dates its throws to 1970. This changes neither currents nor durations.
 #[test]
 fn an_alarm_about_dates_hides_no_change_of_the_features() {
     let mut drive = current_only(3);
     let settings = Settings::default();
     let (last, received_at) = (drive.throw(State::SOUND), "2026-03-01T12:00:00Z".parse().unwrap());
-    let date = |_| drive.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(received_at), false, &settings).events;
-    assert_eq!(causes(&(0..3).flat_map(date).collect::<Vec<_>>()), [Cause::Sensor]);
+    for _ in 0..3 {
+        drive.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(received_at), false, &settings);
+    }
+    assert_eq!(causes(&drive.monitor.take_events()), [Cause::Sensor]);
     let events = drive.events(24, State { friction: 1.8, ..State::SOUND });
     assert_eq!(causes(&events)[0], Cause::Unattributed, "{events:?}");
     assert!(events.iter().all(|event| event.state.is_active()), "{events:?}");

@@ -239,11 +239,14 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
     assert!(event.text.contains("the last 5 messages") && event.text.contains("\"N\""), "{}", event.text);
 
     let mut machine = self::machine();
-    let dated = [1, 2, 3].map(|_| {
-        machine.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(last.started_at), false, &Settings::default())
-    });
-    assert!(dated.iter().all(|dated| dated.at == last.started_at) && dated[1].events.is_empty());
-    let event = &dated[2].events[0];
+    let mut date = || {
+        let received_at = Some(last.started_at);
+        let dated = machine.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, received_at, false, &Settings::default());
+        assert_eq!(dated.at, last.started_at);
+        machine.monitor.take_events()
+    };
+    assert_eq!([date(), date()], [[], []]);
+    let event = &date()[0];
     assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Clock)));
     assert!(event.text.contains("1970-01-01"), "{}", event.text);
 
@@ -260,9 +263,10 @@ fn an_alarm_about_a_clock_stays_at_a_new_baseline() {
     let mut machine = machine();
     let last = machine.throw(Vector3::zeros());
     let (now, settings) = (last.started_at, Settings::default());
-    let date =
-        |monitor: &mut MachineMonitor| monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(now), false, &settings);
-    let raised: Vec<_> = (0..3).flat_map(|_| date(&mut machine.monitor).events).collect();
+    for _ in 0..3 {
+        machine.monitor.date(&last.throw, Timestamp::UNIX_EPOCH, Some(now), false, &settings);
+    }
+    let raised = machine.monitor.take_events();
     assert_eq!(channels(&raised), [(Cause::Sensor, Some(SensorChannel::Clock))]);
     let by = "A. Person".to_owned();
     let command = Command::Rebaseline { by: by.clone(), why: "new motor".to_owned() };
@@ -272,6 +276,30 @@ fn an_alarm_about_a_clock_stays_at_a_new_baseline() {
         [Command::MaintenanceStart { until, by: by.clone(), why: "grease".into() }, Command::MaintenanceEnd { by }];
     let states = commands.map(|command| machine.monitor.command(&command, now, &settings).unwrap().remove(0).state);
     assert_eq!(states, [AlarmState::OutOfService, AlarmState::ActiveUnacknowledged]);
+}
+
+/// The remaining logger sends throws that cannot be evaluated: the alarm is about these, no longer about two loggers.
+#[test]
+fn the_alarm_about_two_loggers_ends_when_one_of_them_is_gone() {
+    let settings = Settings::default();
+    let mut machine = machine();
+    let mut now = machine.throw(Vector3::zeros()).started_at;
+    let mut publish = |boot_id: &str, minutes: i64| {
+        now += SignedDuration::from_mins(minutes);
+        let mut throw = machine.throw(Vector3::zeros());
+        throw.throw = ThrowRef { boot_id: boot_id.to_owned(), ..throw.throw };
+        throw.started_at = now;
+        machine.monitor.boot(&throw.throw, now, Some(now), now, &settings);
+        throw.outcome = None;
+        machine.monitor.observe(&throw, &settings).events
+    };
+    let of_two: Vec<AlarmEvent> = (0..8).flat_map(|at| publish(["a", "b"][at % 2], 10)).collect();
+    assert_eq!(summary(&of_two), [raised(Cause::NotMonitored)]);
+    assert!(of_two[0].text.contains("two loggers publish"), "{}", of_two[0].text);
+    let of_one: Vec<AlarmEvent> = (0..45).flat_map(|_| publish("a", 60)).collect();
+    assert_eq!(summary(&of_one), [ended(Cause::NotMonitored), raised(Cause::NotMonitored)]);
+    assert!(of_one[0].text.contains("only one logger"), "{}", of_one[0].text);
+    assert!(of_one[1].text.contains("could not be evaluated"), "{}", of_one[1].text);
 }
 
 /// A logger that always names the other direction is no fault. A throw without a movement says nothing about its names.

@@ -204,7 +204,7 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
     let mut configured = |settings: &estimate::Settings| machine.monitor.configured(Parameters::of(settings), at);
     assert_eq!(configured(&before), None);
     assert_eq!(configured(&before), None);
-    let (command, _) = configured(&after).unwrap();
+    let command = configured(&after).unwrap();
     assert_eq!(command.why(), Some("the configuration of the machine changed: neutral_mm from 0 to 57.3"));
     assert_eq!(configured(&after), None);
     assert_eq!(machine.monitor.state(), MachineState::Learning);
@@ -222,6 +222,24 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     let events = fresh.command(&ack, lost.event_at, &Settings::default()).unwrap();
     assert_eq!((events[0].event_no, events[0].state), (lost.event_no + 2, AlarmState::Normal));
     assert!(fresh.open_alarms().is_empty());
+}
+
+/// Its cause has an alarm already, so the alarm of the lost monitor ends at once, in a maintenance too.
+#[test]
+fn no_second_alarm_of_a_cause_outlives_a_maintenance() {
+    let mut machine = machine();
+    let own = feed(&mut machine, 1, fail).remove(0);
+    let settings = Settings::default();
+    let now = own.event_at + SignedDuration::from_hours(1);
+    let by = || "mia".to_owned();
+    let until = now + SignedDuration::from_hours(1);
+    let start = Command::MaintenanceStart { until, by: by(), why: "look".to_owned() };
+    machine.monitor.command(&start, now, &settings).unwrap();
+    let lost = AlarmEvent { raised_at: own.raised_at - SignedDuration::from_hours(9), ..own.clone() };
+    assert_eq!(machine.monitor.adopt(lost, now)[0].state, AlarmState::Normal);
+    machine.monitor.command(&Command::MaintenanceEnd { by: by() }, now, &settings).unwrap();
+    let open: Vec<_> = machine.monitor.open_alarms().iter().map(|alarm| alarm.raised_at).collect();
+    assert_eq!(open, [own.raised_at]);
 }
 
 /// Points move to and fro, so a fault of one direction never shows in two consecutive throws.
@@ -306,7 +324,7 @@ fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
     // The position sensor is mended, and the other is still faulty.
     let events = feed(&mut machine, 20, hot);
     assert_eq!(sensors(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
-    let events = feed(&mut machine, 20, |_| {});
+    let events = feed(&mut machine, 20, |throw| throw.temperature_c = Some(12.0));
     assert_eq!(sensors(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
@@ -337,7 +355,25 @@ fn a_wrong_voltage_is_not_hidden_by_a_wrong_temperature() {
     assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Supply))]);
     assert!(events[0].text.contains("0 V") && events[0].text.contains("850"), "{}", events[0].text);
     assert_eq!(feed(&mut machine, 20, only_volts), [], "the voltage is still wrong");
-    assert_eq!(summary(&feed(&mut machine, 20, |_| {})), [ended(Cause::Sensor)]);
+    let right = |throw: &mut Observation| throw.features.supply_v = Some(110.0);
+    assert_eq!(summary(&feed(&mut machine, 20, right)), [ended(Cause::Sensor)]);
+}
+
+/// A logger may leave out a value that its sensor does not give, and a trace may be unreadable.
+#[test]
+fn throws_without_a_value_do_not_end_the_alarm_about_its_sensor() {
+    type Change = fn(&mut Observation);
+    let cold: Change = |throw| throw.temperature_c = Some(-200.0);
+    let mild: Change = |throw| throw.temperature_c = Some(12.0);
+    let dead: Change = |throw| throw.features.supply_v = Some(0.0);
+    let live: Change = |throw| throw.features.supply_v = Some(110.0);
+    let unread: Change = |throw| (throw.features, throw.outcome) = (Features::default(), None);
+    for (wrong, missing, right) in [(cold, (|_| {}) as Change, mild), (dead, |_| {}, live), (disturb, unread, |_| {})] {
+        let mut machine = machine();
+        assert_eq!(summary(&feed(&mut machine, 4, wrong)), [raised(Cause::Sensor)]);
+        assert_eq!(feed(&mut machine, 15, missing), []);
+        assert_eq!(summary(&feed(&mut machine, 20, right)), [ended(Cause::Sensor)]);
+    }
 }
 
 /// At the end of a maintenance the rules forget the last throws, so the alarms that come from them must end too.

@@ -79,7 +79,7 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
             let is_named = |event: &AlarmEvent| {
                 event.text.split("; runner-up").next().is_some_and(|text| text.contains(&cause.to_string()))
             };
-            open.iter().filter(is_active).any(|event| event.cause == cause || is_named(event))
+            open.iter().copied().filter(is_active).any(|event| event.cause == cause || is_named(event))
         };
         let [first, second] = faults.map(|fault| fault.cause);
         let is_wrong =
@@ -91,7 +91,7 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
         judgement.second += u32::from(says(second));
         judgement.lost += u32::from(events.iter().any(is_lost));
         judgement.dropped += u32::from(events.iter().any(|event| event.cause == first && !is_active(&event)));
-        judgement.wrong += u32::from(open.iter().filter(is_active).any(is_wrong));
+        judgement.wrong += u32::from(open.iter().copied().filter(is_active).any(is_wrong));
     }
     judgement
 }
@@ -181,7 +181,7 @@ fn friction_and_stiffness_one_after_the_other_are_no_motor_fault_on_a_machine_of
         };
         let (second, size) = if first.friction > 1.0 { (Cause::Stiffness, 30.0) } else { (Cause::Friction, 40.0) };
         assert!(*cause == second && (pct - size).abs() < 2.0 * sd, "{events:#?}");
-        let mut open = causes(&drive.monitor.open_alarms());
+        let mut open = causes(drive.monitor.open_alarms());
         open.sort_unstable();
         assert_eq!(open, [Cause::Friction, Cause::Stiffness]);
     }
@@ -206,7 +206,7 @@ fn magnets_and_stiffness_one_after_the_other_keep_their_names_on_a_machine_of_ra
             events.iter().find(|event| event.cause == second).unwrap_or_else(|| panic!("{first:?}: {events:#?}"));
         let (pct, sd) = raised.change_pct.zip(raised.change_pct_sd).unwrap();
         assert!((pct - size).abs() < 2.5 * sd, "{raised:?}");
-        let open = causes(drive.monitor.open_alarms().iter().filter(is_part));
+        let open = causes(drive.monitor.open_alarms().into_iter().filter(is_part));
         assert!(open.len() == 2 && open.contains(&Cause::Kt) && open.contains(&Cause::Stiffness), "{open:?}");
     }
 }

@@ -129,5 +129,16 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), raised), raised, &settings).len(), 1);
     let night = raised + SignedDuration::from_hours(14);
     assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), night), night, &settings), []);
+    // The machines are not used any more.
+    let mut later = Vec::new();
+    for hour in 0..24 * 10 {
+        let now = night + SignedDuration::from_hours(hour);
+        assert_eq!(wet.tick(now, &settings), []);
+        later.extend(wet.follow_site(&MachineMonitor::common(monitors(), now), now, &settings));
+    }
+    let said: Vec<_> = later.iter().map(|event| (event.cause, event.state.as_str())).collect();
+    assert_eq!(said, [(Cause::Friction, "cleared_unacknowledged")]);
+    assert!(later[0].text.contains("too few of the machines"), "{}", later[0].text);
+    assert!(later[0].event_at > night + SignedDuration::from_hours(24 * 6), "{}", later[0].event_at);
     assert!(Common::default() == MachineMonitor::common(std::iter::empty(), events[0].event_at));
 }

@@ -1,6 +1,10 @@
 //! Points that stop at another place, and a motor that runs on where they stop. The coefficients stay as they were.
 
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Command, MachineState, Settings, Severity};
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, MachineState, Settings, Severity},
+    estimate::Rejection,
+    throw::Direction,
+};
 
 use crate::{
     drive::{Drive, State, Voltage},
@@ -30,6 +34,31 @@ fn a_toe_that_stops_short_is_found_without_a_configured_stroke() {
         let is_critical = events.iter().any(|event| event.severity == Severity::Critical);
         assert_eq!(is_critical, seed % 2 == 1, "seed {seed}: {events:#?}");
     }
+}
+
+/// A rejected throw shows no travel that the other direction could speak for.
+#[test]
+fn an_alarm_about_the_travel_stays_while_only_the_sound_direction_is_seen() {
+    let mut drive = Drive::after(60, 78_400, Voltage::Unknown);
+    let mut feed = |stroke: f64, throws: u32, are_rejected: bool| {
+        let mut events = Vec::new();
+        for _ in 0..throws {
+            let is_faulty = drive.next() == Direction::NormalToReverse;
+            let mut throw = drive.throw(State { stroke: if is_faulty { stroke } else { 1.0 }, ..State::SOUND });
+            if is_faulty && are_rejected {
+                throw.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 }));
+            }
+            events.extend(drive.observe(&throw).events);
+        }
+        events.retain(|event: &AlarmEvent| event.cause == Cause::Unattributed);
+        events
+    };
+    let raised = feed(0.93, 30, false);
+    assert!(!raised.is_empty() && raised.iter().all(|event| is_about(event, "the toe is shorter")), "{raised:#?}");
+    let rejected = feed(0.93, 30, true);
+    assert!(rejected.iter().all(|event| event.state.is_active()), "{rejected:#?}");
+    let mended: Vec<AlarmState> = feed(1.0, 40, false).iter().map(|event| event.state).collect();
+    assert_eq!(mended, [AlarmState::ClearedUnacknowledged]);
 }
 
 #[test]

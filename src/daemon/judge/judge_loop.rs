@@ -136,7 +136,7 @@ impl JudgeLoop {
     /// Runs until its stop signal, then judges the throws that are still pending.
     pub(crate) async fn run(mut self) -> Result<(), StoreError> {
         // An error is no reason to end: the daemon can work without this list.
-        let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
+        let adopted = self.judge.adopt(&self.own_machine).await.unwrap_or_else(|error| {
             tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
             Vec::new()
         });
@@ -311,7 +311,7 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.shared.loggers.borrow().clone();
-        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, &self.own_machine);
+        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers);
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;

@@ -78,10 +78,11 @@ impl Judge {
         Ok(Self { store, monitors, threads, config, last: None })
     }
 
-    /// Adopts the open alarms that no monitor has; returns the outcomes to store.
-    pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
+    /// Adopts the open alarms that no monitor has, and clears those of the daemon under a former name; returns the
+    /// outcomes to store.
+    pub(super) async fn adopt(&mut self, own_machine: &MachineId) -> Result<Vec<Outcome>, StoreError> {
         let open = self.store.reader().open_alarms(&Selector::default()).await?;
-        Ok(self.monitors.adopt(open, clock::now()))
+        Ok(self.monitors.adopt(open, own_machine, clock::now()))
     }
 
     /// The present configuration.

@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, HashSet},
+    mem,
     panic::{AssertUnwindSafe, catch_unwind},
     time::Duration,
 };
@@ -104,16 +105,24 @@ impl Monitors {
         self.of_machines.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
-    /// Adds the `open` alarms that no monitor has, as after the loss of a snapshot, to the monitors of their machines.
-    /// Otherwise nothing would ever clear them.
-    pub(crate) fn adopt(&mut self, open: Vec<Alarm>, now: Timestamp) -> Vec<Outcome> {
+    /// Takes care of the alarms that nothing else would ever clear, at the start. Adds the `open` alarms that no monitor
+    /// has, as after the loss of a snapshot, to the monitors of their machines. Clears the alarms of the daemon under a
+    /// former name, after a change of `monitor.site` or `monitor.id`.
+    pub(crate) fn adopt(&mut self, open: Vec<Alarm>, own_machine: &MachineId, now: Timestamp) -> Vec<Outcome> {
         let mut outcomes = Vec::new();
         for Alarm { machine, event, .. } in open {
             let monitor = self.monitor(&machine);
-            let is_own = |own: &AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
+            let is_own = |own: &&AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
             if !monitor.open_alarms().iter().any(is_own) {
                 let events = monitor.adopt(event, now);
                 outcomes.push(outcome(&machine, Some(monitor), now, events));
+            }
+        }
+        let is_other = |machine: &MachineId| machine != own_machine && machine.machine.as_str() != ALL_MACHINES;
+        for (machine, monitor) in self.of_machines.iter_mut().filter(|(machine, _)| is_other(machine)) {
+            let events = if monitor.has_no_logger() { monitor.renamed(own_machine, now) } else { Vec::new() };
+            if !events.is_empty() {
+                outcomes.push(outcome(machine, Some(monitor), now, events));
             }
         }
         outcomes
@@ -178,8 +187,7 @@ impl Monitors {
         observation.started_at = dated.at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let (configured, configuration_events) = monitor.configured(parameters, observation.started_at).unzip();
-        let command = configured.or(boot.command);
+        let command = monitor.configured(parameters, observation.started_at).or(boot.command);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
@@ -196,8 +204,7 @@ impl Monitors {
             verdict.present.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut events = [dated.events, boot.events, configuration_events.unwrap_or_default()].concat();
-        events.append(&mut verdict.events);
+        let events = mem::take(&mut verdict.events);
         let outcome = Outcome { command, ..outcome(&stored.machine, is_last.then_some(&*monitor), at, events) };
         // Only for throws without changes of the coefficients: their health has the changes of the ratios.
         let baseline = match (observation.direction, verdict.change_pct) {
@@ -235,7 +242,6 @@ impl Monitors {
         now: Timestamp,
         settings: &Settings,
         loggers: &Loggers,
-        own_machine: &MachineId,
     ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
         self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
@@ -247,10 +253,6 @@ impl Monitors {
             }
             events.extend(monitor.logger(loggers.alive.contains(machine), now, settings));
             events.extend(monitor.tick(now, settings));
-            // After a change of `monitor.site` or `monitor.id` nothing else clears the alarms under the old name.
-            if machine != own_machine && monitor.has_no_logger() && machine.machine.as_str() != ALL_MACHINES {
-                events.extend(monitor.renamed(own_machine, now));
-            }
             // The first token of a logger is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
             if index as u64 % TICKS_AN_HOUR == self.ticks || changes || self.to_store.contains(machine) {
@@ -369,7 +371,7 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
 mod tests {
     use super::*;
     use crate::{
-        diagnose::MachineState,
+        diagnose::{MachineState, Severity},
         estimate,
         store::ThrowRow,
         throw::{Throw, Trace},
@@ -409,6 +411,26 @@ mod tests {
         assert_eq!((&*judgement.health.quality, judgement.outcome.monitor), ("estimator_failed", None));
         assert_eq!(monitors.of_machines.get(&machine).map(json), Some(snapshot));
         assert!(monitors.to_store.contains(&machine));
+    }
+
+    /// A gap may be reported before the first throw of a machine is judged.
+    #[test]
+    fn only_a_former_name_of_the_daemon_loses_its_alarms_at_the_start() {
+        let (settings, now) = (Settings::default(), Timestamp::UNIX_EPOCH);
+        let [own, former, machine] = ["pointsd", "old", "21B"].map(|name| MachineId::new("north", name).unwrap());
+        let mut monitors = Monitors::default();
+        let full = |monitor: &mut MachineMonitor| monitor.trouble(Some((Severity::Critical, "full")), now, &settings);
+        for daemon in [&own, &former] {
+            assert!(monitors.update(daemon, now, full).is_some());
+        }
+        let gap = Missing { throws: 3, ..Missing::default() };
+        assert_eq!(monitors.report_gap(&machine, gap, now, &settings).events.len(), 1);
+        let ended = |changed: Vec<(MachineId, Vec<AlarmEvent>)>| {
+            changed.into_iter().filter(|(_, events)| !events.is_empty()).map(|(machine, _)| machine).collect::<Vec<_>>()
+        };
+        assert_eq!(ended(monitors.tick(now, &settings, &Loggers::default())), []);
+        let adopted = monitors.adopt(Vec::new(), &own, now);
+        assert_eq!(adopted.into_iter().map(|outcome| outcome.machine).collect::<Vec<_>>(), [former]);
     }
 
     #[test]

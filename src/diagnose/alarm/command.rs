@@ -84,8 +84,6 @@ pub(crate) struct Maintenance {
     /// End of the window. `None` only in snapshots of version 1, which allowed windows without end; the next tick sets
     /// it.
     pub(crate) until: Option<Timestamp>,
-    pub(crate) by: String,
-    pub(crate) why: String,
 }
 
 /// A command that was not applied.

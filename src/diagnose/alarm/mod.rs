@@ -61,20 +61,15 @@ pub(super) enum State {
     Shelved {
         /// End of the shelving.
         until: Timestamp,
-        /// The operator who shelved it.
-        by: String,
-        /// The operator's reason.
-        why: String,
         /// The state without the shelving: one of the other three.
         beneath: Box<State>,
     },
 }
 
-/// Operator and time of an acknowledgement.
+/// Operator of an acknowledgement. Its time is that of the event.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Acknowledgement {
     pub(super) by: String,
-    pub(super) at: Timestamp,
 }
 
 impl State {
@@ -140,8 +135,8 @@ pub(super) struct Alarms {
 }
 
 impl Alarms {
-    /// Removes and returns the new events, in order. A monitor calls this at the end of every step, so that no snapshot
-    /// contains new events.
+    /// Removes and returns the new events, in order. A monitor calls this at the end of every step; the steps before an
+    /// observation leave their events to it. So no snapshot contains new events.
     pub(super) fn take_events(&mut self) -> Vec<AlarmEvent> {
         mem::take(&mut self.new)
     }
@@ -193,9 +188,9 @@ impl Alarms {
     }
 
     /// Raises the alarm of the cause of `event`, which is a draft made by `rule`. An alarm that is active already does
-    /// not change, with three exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the faulty
-    /// part or whose fault was intermittent, the evidence of an alarm from before a maintenance is replaced, and a fault
-    /// without a named part is added to that of another rule. Returns whether the alarm changed.
+    /// not change, with three exceptions: the usual rule of a cause takes over an alarm whose rule cannot name the
+    /// faulty part or whose fault was intermittent, the evidence of an alarm from before a maintenance is replaced, and
+    /// a fault without a named part is added to that of another rule. Returns whether the alarm changed.
     pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         match self.find_active(event.cause) {
             Some(alarm) if rule == Rule::Usual && alarm.rule.gives_way() => {
@@ -258,8 +253,8 @@ impl Alarms {
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
-    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one fault
-    /// does not hide another.
+    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one
+    /// fault does not hide another.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
         let is_other = |alarm: &&Alarm| {
             alarm.last.channel != event.channel
@@ -319,9 +314,14 @@ impl Alarms {
     /// Takes over an open alarm of a monitor whose snapshot was lost. The alarm becomes a cleared one; it ends at once
     /// if its cause has an open alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
-        let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
+        let is_over = self.find(last.cause).is_some();
+        let state = if is_over { State::Normal } else { State::Cleared };
         self.open.push(Alarm { state, ..Alarm::cleared(Rule::Usual, last) });
+        // During maintenance too, as only the first alarm of a cause would be found later.
+        let out_of_service = self.out_of_service;
+        self.out_of_service &= !is_over;
         self.event(self.open.len() - 1, at, Actor::default(), Some(text));
+        self.out_of_service = out_of_service;
     }
 
     /// Adds an event with a text to an open alarm, without a change of its state.
@@ -352,7 +352,7 @@ impl Alarms {
             State::Active { acknowledged: Some(before) } => {
                 return Err(CommandError::AlreadyAcknowledged { cause, by: before.by.clone() });
             }
-            State::Active { acknowledged } => *acknowledged = Some(Acknowledgement { by: by.to_owned(), at }),
+            State::Active { acknowledged } => *acknowledged = Some(Acknowledgement { by: by.to_owned() }),
             over => {
                 *over = State::Normal;
                 last.acknowledged_by = Some(by.to_owned());
@@ -372,8 +372,7 @@ impl Alarms {
     ) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm(cause))?;
         let state = &mut self.open[index].state;
-        let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
-        *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
+        *state = State::Shelved { until, beneath: Box::new(state.beneath().clone()) };
         self.event(index, at, actor, None);
         Ok(())
     }

@@ -8,7 +8,8 @@ use crate::diagnose::Cause;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Rule {
-    /// The usual rule of the cause. For a drift: the rule of the means of coefficients over windows of throws.
+    /// The usual rule of the cause. For a drift: the rule of the means of coefficients over windows of throws. For a
+    /// machine that is not monitored: throws that cannot be evaluated, or do not show every fault.
     #[default]
     Usual,
     /// Changed features of throws without coefficients.
@@ -32,6 +33,10 @@ pub(crate) enum Rule {
     Offset,
     /// A changed resistance of the motor and its line to the supply.
     Circuit,
+    /// No throw arrives, or the logger is gone.
+    Silence,
+    /// Two loggers that publish as one machine, so that no throw is evaluated.
+    TwoLoggers,
 }
 
 impl Rule {
@@ -50,8 +55,8 @@ impl Rule {
         }
     }
 
-    /// Whether this rule and `other`, which both name no part, see different faults. The usual rule, that of the features
-    /// and that of the start see a changed movement.
+    /// Whether this rule and `other`, which both name no part, see different faults. The usual rule, that of the
+    /// features and that of the start see a changed movement.
     pub(crate) fn sees_other_faults_than(self, other: Self) -> bool {
         let is_own = |rule: Self| matches!(rule, Self::End | Self::Travel | Self::RunOn | Self::Intermittent);
         self != other && (is_own(self) || is_own(other))

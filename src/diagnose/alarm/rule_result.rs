@@ -44,7 +44,7 @@ impl RuleResult {
                 let supply =
                     alarms.is_active(Cause::Supply) && rule.knows_no_part() && rule.is_explained_by(Cause::Supply);
                 let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
-                step.clear(cause, text);
+                step.clear(cause, |_| text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))
                 if alarms.severity(cause).is_some_and(|severity| event.severity > severity) =>
@@ -72,7 +72,7 @@ pub(crate) fn withdraw_explained(step: &mut Step) {
         Some((unnamed, part))
     });
     if let Some((unnamed, part)) = found {
-        step.clear(unnamed, text::explained(step.name, part));
+        step.clear(unnamed, |name| text::explained(name, part));
     }
 }
 

@@ -56,17 +56,16 @@ impl Step<'_> {
         AlarmEvent { channel: Some(channel), ..self.warning(Cause::Sensor, text) }
     }
 
-    pub(crate) fn critical(&self, cause: Cause, text: String) -> AlarmEvent {
-        self.event(cause, Severity::Critical, text)
-    }
-
     /// Raises the alarm of a cause for its usual rule. Returns whether the alarm changed.
     pub(crate) fn raise(&mut self, event: AlarmEvent) -> bool {
         self.alarms.raise(Rule::Usual, event)
     }
 
-    pub(crate) fn clear(&mut self, cause: Cause, text: String) {
-        self.alarms.clear(cause, text, self.at);
+    /// Clears the alarm of a cause, if it is active; `text` makes the text from the name of the machine.
+    pub(crate) fn clear(&mut self, cause: Cause, text: impl FnOnce(&str) -> String) {
+        if self.alarms.is_active(cause) {
+            self.alarms.clear(cause, text(self.name), self.at);
+        }
     }
 
     /// Adds an event with this text to the open alarm of a cause.

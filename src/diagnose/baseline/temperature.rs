@@ -1,8 +1,8 @@
 //! The effect of temperature on the coefficients of a direction, learned from the baseline and from later throws.
 //!
 //! In logarithms x = centre + level + f(T - reference), with f(d) = k d + c d²/2. A baseline rarely spans a year, so it
-//! hardly determines f. Later throws improve f when they leave the longest window. The centre does not change, so at the
-//! reference temperature a drift stays visible; elsewhere f can hide [`MOST_PER_K`] times the distance at most. The
+//! hardly determines f. Later throws improve f when they leave the longest window. The centre does not change, so at
+//! the reference temperature a drift stays visible; elsewhere f can hide [`MOST_PER_K`] times the distance at most. The
 //! covariance of every window contains the uncertainty of f there.
 //!
 //! A fault changes a coefficient for good and must not count as an effect of the temperature. Therefore the model has a
@@ -60,8 +60,8 @@ const SMALL_STEP_SD: f64 = 2.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
-/// Least number of throws with a temperature for a fit: the least number in a baseline. With fewer, the scatter is that of
-/// all throws.
+/// Least number of throws with a temperature for a fit: the least number in a baseline. With fewer, the scatter is that
+/// of all throws.
 const LEAST_KNOWN: usize = 12;
 
 /// Whether the last throws show a drift, which must not be learned as normal.

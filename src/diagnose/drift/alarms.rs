@@ -195,7 +195,7 @@ impl DriftAlarms {
                     None if at_once => text::cleared_at_once(name, cause, may_be_rain),
                     None => text::cleared(name, cause),
                 };
-                step.clear(cause, text);
+                step.clear(cause, |_| text);
             }
             // Beside another fault the size is not certain enough for this.
             (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
@@ -207,7 +207,7 @@ impl DriftAlarms {
                     Origin::Supply => Cause::Supply,
                     _ => latest.drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
                 };
-                step.clear(cause, text::withdrawn(name, cause, other));
+                step.clear(cause, |name| text::withdrawn(name, cause, other));
             }
             _ => {}
         }
@@ -275,7 +275,7 @@ impl DriftAlarms {
         {
             self.intermittent.end();
             self.now.retain(|drifting| drifting.cause != cause);
-            step.clear(cause, text::intermittent_unknown(step.name, cause));
+            step.clear(cause, |name| text::intermittent_unknown(name, cause));
         }
     }
 
@@ -405,8 +405,8 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The drift of the faulty throws behind an alarm about an intermittent fault. The mean of all throws would say that
-    /// the fault is small.
+    /// The drift of the faulty throws behind an alarm about an intermittent fault. The mean of all throws would say
+    /// that the fault is small.
     fn of_faulty_throws(
         &self,
         alarm: &AlarmEvent,
@@ -490,8 +490,8 @@ fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
     drifts.into_iter().map(|(.., drifting)| drifting).collect()
 }
 
-/// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part, and
-/// if its fault is intermittent.
+/// The severity of the active alarm about a lasting change of `cause`; `None` without one, if its rule knows no part,
+/// and if its fault is intermittent.
 fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
     alarms.find_active(cause).filter(|alarm| !alarm.rule.gives_way()).map(|alarm| alarm.last.severity)
 }

@@ -171,16 +171,17 @@ impl Attribution {
             let relevance = main.relevance(settings).max(second.relevance(settings));
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
-        let lead = all.score_without(main.cause) - best.score;
-        let relevance_otherwise = all.relevance_without(main.cause, settings);
+        let (otherwise, parts) = all.best_without(main.cause);
+        let lead = otherwise - best.score;
+        let relevance_otherwise = parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max);
         let naming = Naming::One(main);
         let one = Self { naming, relevance: main.relevance(settings), lead, relevance_otherwise, ..attribution };
         one.since_known(&all, case).unwrap_or(one)
     }
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
-    /// without one, of the friction, or of the stiffness if the two named causes are others. `levels` and `last_few`: means of the last throws of each direction, as in
-    /// [`Drift`](super::Drift).
+    /// without one, of the friction, or of the stiffness if the two named causes are others. `levels` and `last_few`:
+    /// means of the last throws of each direction, as in [`Drift`](super::Drift).
     pub(crate) fn unless_opposite(self, [levels, last_few]: [&[Option<Window>; 2]; 2], settings: &Settings) -> Self {
         let cause = match self.naming {
             Naming::One(main) | Naming::Another { new: main, .. } => main.cause,
@@ -209,7 +210,7 @@ impl Attribution {
         let [pair, ..] = &all.pairs;
         let is_dry = pair.size_of(Cause::Friction) > VERY_DRY && pair.size_of(Cause::Stiffness) > 0.0;
         let friction = pair.part(Cause::Friction).filter(|_| is_dry && self.may_be_far_end(known))?;
-        let lead = all.score_without(Cause::Friction) - pair.score;
+        let lead = all.best_without(Cause::Friction).0 - pair.score;
         let relevance = friction.relevance(settings);
         (lead >= CLOSE).then_some(Self { naming: Naming::One(friction), relevance, lead, ..self })
     }
@@ -379,8 +380,8 @@ impl Attribution {
 
     /// The second part that may have changed too, if a rise of friction alone is named: the coefficients and gauges
     /// would be the same. Dry friction lowers b0 as much as a loss of torque that leaves the back-EMF, and where it
-    /// grows along the stroke, it raises a0/b0 as a stiffer spring does. Iron that saturates raises both ratios as a loss
-    /// of torque does.
+    /// grows along the stroke, it raises a0/b0 as a stiffer spring does. Iron that saturates raises both ratios as a
+    /// loss of torque does.
     pub(crate) fn may_hide(&self) -> Option<Cause> {
         let is_of_friction =
             matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0);

@@ -20,7 +20,7 @@ use crate::diagnose::{
     statistics::{LONGEST_WINDOW, WINDOWS, streak},
 };
 
-/// Least part of the level ([`Ending::level`]) at which a size still has this level: the scatter of a few throws can
+/// Least part of the level ([`Ending::reached`]) at which a size still has this level: the scatter of a few throws can
 /// cause the difference.
 const NEAR_LEVEL: f64 = 0.75;
 /// Part of the level below which a size has left it: more than half of the drift has ended.
@@ -130,13 +130,14 @@ pub(crate) struct Ending {
     pub(super) turned: u32,
     /// Largest size relative to the warning limit that two throws in a row have reached: an outlier remains among the
     /// last few throws of its own direction only.
-    pub(crate) level: f64,
+    #[serde(rename = "level")]
+    pub(crate) reached: f64,
     /// Size at the last throw relative to the warning limit.
     last: f64,
-    /// Throws since the size was near `level`. Snapshots of version 1 have another name for this field.
+    /// Throws since the size was near `reached`. Snapshots of version 1 have another name for this field.
     #[serde(alias = "below_level")]
     pub(super) since_level: u32,
-    /// Throws in which the size fell from `level` to less than half of it; `None` while it is above.
+    /// Throws in which the size fell from `reached` to less than half of it; `None` while it is above.
     pub(super) fell_within: Option<u32>,
     /// Whether a new baseline was proposed.
     pub(super) proposed: bool,
@@ -237,11 +238,11 @@ impl Ending {
     fn update_level(&mut self, latest: Option<f64>) {
         self.since_level = self.since_level.saturating_add(1);
         let Some(latest) = latest else { return };
-        self.level = self.level.max(latest.min(self.last));
+        self.reached = self.reached.max(latest.min(self.last));
         self.last = latest;
-        if latest >= NEAR_LEVEL * self.level {
+        if latest >= NEAR_LEVEL * self.reached {
             (self.since_level, self.fell_within) = (0, None);
-        } else if latest >= LEFT_LEVEL * self.level {
+        } else if latest >= LEFT_LEVEL * self.reached {
             self.fell_within = None;
         } else if self.fell_within.is_none() {
             self.fell_within = Some(self.since_level);
@@ -250,7 +251,7 @@ impl Ending {
 
     /// Whether the size fell as after a repair: by half within a few throws of each direction.
     fn fell_at_once(&self) -> bool {
-        self.level >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
+        self.reached >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
     }
 
     fn transition(&mut self, settings: &Settings) -> Transition {

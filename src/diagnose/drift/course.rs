@@ -3,10 +3,10 @@
 //! Along the effect of its cause, a throw has the value `level + n`, where n is noise. The level goes through stages.
 //! In the first stage there is no drift, and the level is o, the error of the baseline's centre. Each later stage
 //! begins at some throw and has the level `a + b s + c s^2`, s throws after its beginning, independent of the stage
-//! before it; or in place of `s^2` the growth `2 t^2 (exp(s/t) - 1 - s/t)` with a time constant t, which begins like it.
-//! A step, a ramp, a ramp that has ended, an accelerating wear and a repair are all such series. The noise n is the sum
-//! of two first-order autoregressions, one of them slow, which begin anew with each stage. Sizes are parts of the normal
-//! value, because wear is linear in these and not in their logarithms.
+//! before it; or in place of `s^2` the growth `2 t^2 (exp(s/t) - 1 - s/t)` with a time constant t, which begins like
+//! it. A step, a ramp, a ramp that has ended, an accelerating wear and a repair are all such series. The noise n is the
+//! sum of two first-order autoregressions, one of them slow, which begin anew with each stage. Sizes are parts of the
+//! normal value, because wear is linear in these and not in their logarithms.
 //!
 //! With normal priors on o, a, b, c a stage is a linear problem, solved recursively by a Kalman filter whose state is
 //! a, b, c and the slow noise. The evidence of a stage is the product of the densities of its values. The evidence of

@@ -152,8 +152,8 @@ pub(crate) struct Leaks {
 
 impl Leaks {
     /// All leaks on a machine with this ratio of the friction to the force of the spring; `is_wound_up`: its drive is,
-    /// before the toe moves. Some look like a fault of the motor or of the stiffness, so they are used only if the gauges
-    /// show whether the motor changed.
+    /// before the toe moves. Some look like a fault of the motor or of the stiffness, so they are used only if the
+    /// gauges show whether the motor changed.
     pub(super) fn beside_gauges(friction_over_spring: f64, is_wound_up: bool) -> Self {
         let friction = if is_wound_up { OF_FRICTION_WOUND_UP } else { OF_FRICTION };
         Self { friction, motor: OF_MOTOR, friction_over_spring }

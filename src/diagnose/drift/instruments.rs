@@ -75,16 +75,6 @@ struct FaultCounts {
     lingers: bool,
 }
 
-/// What a throw shows of a fault of a sensor or the supply.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Seen {
-    AboveLimit,
-    BelowLimit,
-    /// The throw may show the fault.
-    Alike,
-    Nothing,
-}
-
 /// Gauges of a machine, and the alarms about its sensors and supply.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -211,10 +201,10 @@ impl Instruments {
         is_changed && self.speed_explains(attribution, window, circuit.level.value.signum(), [of_inrush, 0.0])
     }
 
-    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where the motor may seem
-    /// to change by `of_motor`, and the inertia by `of_inertia`. Dry friction F at the speed v adds F/v to a1, and a speed
-    /// that changes along the stroke looks like stiffness. Both grow at most as much as the duration. In the ratios to
-    /// b0, they look like a weaker motor.
+    /// Whether a motor that the supply makes slower (`sense` 1) or faster (-1) explains a drift, where the motor may
+    /// seem to change by `of_motor`, and the inertia by `of_inertia`. Dry friction F at the speed v adds F/v to a1, and
+    /// a speed that changes along the stroke looks like stiffness. Both grow at most as much as the duration. In the
+    /// ratios to b0, they look like a weaker motor.
     fn speed_explains(
         &self,
         attribution: &Attribution,
@@ -240,9 +230,9 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a change of friction, alone or beside a small change of the motor, or a change of the
-    /// inertia. The model has no dry friction, whose effect on the coefficients depends on the speed. `last_few`: as
-    /// [`Drift::last_few`].
+    /// Whether the supply explains a change of friction, alone or beside a small change of the motor, or a change of
+    /// the inertia. The model has no dry friction, whose effect on the coefficients depends on the speed. `last_few`:
+    /// as [`Drift::last_few`].
     fn supply_explains(
         &self,
         attribution: &Attribution,
@@ -251,8 +241,8 @@ impl Instruments {
         settings: &Settings,
     ) -> bool {
         let Some(lost) = self.gauges.supply_lost(window.throws) else { return false };
-        // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which helps
-        // the start of one direction and hinders that of the other.
+        // A machine has one motor and one inertia. The mean of both directions shows them without the spring, which
+        // helps the start of one direction and hinders that of the other.
         let show_start = last_few.iter().flatten().all(|window| window.shows(Cause::Inertia));
         let both = mean_of_both(last_few).filter(|_| show_start);
         let (both, of_spring) = both.map_or((*window, SPRING_PER_LOSS * lost.value.abs()), |both| (both, 0.0));
@@ -325,11 +315,8 @@ impl Instruments {
         let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
         let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        let seen = match Seen::fault(fault.map(|_| of_drift.is_none() || drift.matters())) {
-            Seen::Nothing if is_alike => Seen::Alike,
-            seen => seen,
-        };
-        self.sensor.follow(seen, left, delay);
+        let matters = fault.map(|_| of_drift.is_none() || drift.matters());
+        self.sensor.follow(matters, is_alike, left, delay);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
@@ -341,7 +328,7 @@ impl Instruments {
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
         } else if self.sensor.over >= settings.off_delay_throws && is_own {
-            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor));
+            step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor));
         }
     }
 
@@ -355,14 +342,14 @@ impl Instruments {
             Channel::Position => &mut self.shift,
         };
         let delay = step.settings.on_delay_throws;
-        counts.follow(Seen::fault((size > 1.0).then_some(true)), Some(size), delay);
+        counts.follow((size > 1.0).then_some(true), false, Some(size), delay);
         let is_own =
             || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
         if counts.named >= delay {
             let event = step.sensor(channel, text::offset(step.name, sensor, &level));
             step.alarms.raise_another(Rule::Offset, event, counts.named == delay);
         } else if counts.over >= step.settings.off_delay_throws && is_own() {
-            step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
+            step.clear(Cause::Sensor, |name| text::offset_over(name, sensor));
         }
     }
 
@@ -376,13 +363,13 @@ impl Instruments {
         let left = self.gauges.supply_change(WINDOWS[0]).map(of_limit);
         let delay = step.settings.on_delay_throws;
         let matters = lost.map(|lost| of_limit(lost) > 1.0);
-        self.supply.follow(Seen::fault(matters.max(explained)), left, delay);
+        self.supply.follow(matters.max(explained), false, left, delay);
         // A gain error of the current sensor changes the resistance too.
         let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
-        self.circuit.follow(Seen::fault(circuit.map(|_| true)), left, delay);
+        self.circuit.follow(circuit.map(|_| true), false, left, delay);
         let event = |level: Level, text: String| step.warning(Cause::Supply, text).of_size(level);
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
@@ -405,7 +392,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply));
+            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply));
         }
     }
 
@@ -417,26 +404,15 @@ impl Instruments {
 }
 
 impl FaultCounts {
-    /// Counts a throw. `left`: the measured quantity as part of its limit, `None` if unknown; `delay`: throws until an
-    /// alarm. A fault without an alarm explains no later drift.
-    fn follow(&mut self, seen: Seen, left: Option<f64>, delay: u32) {
-        let holds = matches!(seen, Seen::AboveLimit | Seen::BelowLimit);
-        streak(&mut self.named, seen == Seen::AboveLimit);
-        streak(&mut self.unseen, seen == Seen::Nothing);
-        count_over(&mut self.over, if holds { Some(1.0) } else { left });
+    /// Counts a throw. `matters`: `None` without a fault, else whether its size is above the limit; `is_alike`: a throw
+    /// without a fault may show it all the same; `left`: the measured quantity as part of its limit, `None` if unknown;
+    /// `delay`: throws until an alarm. A fault without an alarm explains no later drift.
+    fn follow(&mut self, matters: Option<bool>, is_alike: bool, left: Option<f64>, delay: u32) {
+        streak(&mut self.named, matters == Some(true));
+        streak(&mut self.unseen, matters.is_none() && !is_alike);
+        count_over(&mut self.over, if matters.is_some() { Some(1.0) } else { left });
         let is_recent = self.unseen < LINGERS && self.over < LINGERS;
-        self.lingers = seen == Seen::AboveLimit && self.named >= delay || self.lingers && is_recent;
-    }
-}
-
-impl Seen {
-    /// `matters`: `None` without a fault, else whether its size is above the limit.
-    fn fault(matters: Option<bool>) -> Self {
-        match matters {
-            Some(true) => Self::AboveLimit,
-            Some(false) => Self::BelowLimit,
-            None => Self::Nothing,
-        }
+        self.lingers = matters == Some(true) && self.named >= delay || self.lingers && is_recent;
     }
 }
 

@@ -45,11 +45,11 @@ impl LatestThrow<'_> {
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
     }
 
-    /// Whether a change of `cause` is friction that grows along the stroke, as it stiffens both directions. Then a1 rises
-    /// more in the direction in which the spring helps, and hardly in the other, although both have the friction.
+    /// Whether a change of `cause` is friction that grows along the stroke, as it stiffens both directions. Then a1
+    /// rises more in the direction in which the spring helps, and hardly in the other, although both have the friction.
     fn grows_along_stroke(self, cause: Cause) -> bool {
-        /// Least rise of ln(a0/b0) in each direction, and least number of its standard deviations: a smaller rise may be
-        /// scatter.
+        /// Least rise of ln(a0/b0) in each direction, and least number of its standard deviations: a smaller rise may
+        /// be scatter.
         const STIFFER: f64 = 0.1;
         const SHOWN_SD: f64 = 3.0;
         let of_spring = Vector3::new(-1.0, 0.0, 1.0);
@@ -102,8 +102,9 @@ impl LatestThrow<'_> {
     /// At the start of the throw, b0 comes from the torque less the dry friction. If the torque changes by the factor
     /// r, b0 changes by (r - q)/(1 - q), where q is the dry friction as part of the torque at the inrush current. The
     /// ratio b0/a0 of the movement changes by the same factor, as the spring slows the motor along the stroke: a
-    /// constant friction is fitted by viscous friction, which falls with the speed, and by stiffness for the rest. A motor
-    /// that loses torque alone becomes slower, one with weaker magnets faster, and the dry part of a1 changes as above.
+    /// constant friction is fitted by viscous friction, which falls with the speed, and by stiffness for the rest. A
+    /// motor that loses torque alone becomes slower, one with weaker magnets faster, and the dry part of a1 changes as
+    /// above.
     fn without_dry_friction(self, part: Explanation, direction: Option<Direction>) -> Explanation {
         match part.cause {
             Cause::Friction => self.at_usual_speed(part, 1.0, direction),
@@ -131,8 +132,8 @@ impl LatestThrow<'_> {
         }
     }
 
-    /// `part` with its size corrected for the change of the dry part of a1 with the speed; `of_a1` is the weight of ln a1
-    /// in the size.
+    /// `part` with its size corrected for the change of the dry part of a1 with the speed; `of_a1` is the weight of ln
+    /// a1 in the size.
     fn at_usual_speed(self, part: Explanation, of_a1: f64, direction: Option<Direction>) -> Explanation {
         let Some(Level { value, sd }) = self.gauges.longer(direction).map(dry_rise) else { return part };
         Explanation { size: part.size - of_a1 * value, size_sd: part.size_sd.hypot(of_a1 * sd), ..part }

@@ -53,25 +53,11 @@ impl Explanations {
         pair.part(alone.cause).filter(|_| pair.score < self.singles[0].score).unwrap_or(alone)
     }
 
-    /// The best score of one or two causes without `cause`.
-    pub(super) fn score_without(&self, cause: Cause) -> f64 {
-        let [single, pair] = self.best_without(cause);
-        single.0.min(pair.0)
-    }
-
-    /// Size relative to the warning limit of the best explanation by one or two causes without `cause`.
-    pub(super) fn relevance_without(&self, cause: Cause, settings: &Settings) -> f64 {
-        let [(of_single, single), (of_pair, pair)] = self.best_without(cause);
-        let parts = if of_single <= of_pair { single } else { pair };
-        parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
-    }
-
-    /// Score and causes of the best single explanation without `cause`, and of the best pair without it.
-    fn best_without(&self, cause: Cause) -> [(f64, &[Explanation]); 2] {
-        let single = self.singles.iter().find(|fit| !fit.includes(cause));
-        let pair = self.pairs.iter().find(|fit| !fit.includes(cause));
-        let none = (f64::INFINITY, [].as_slice());
-        [single.map_or(none, |fit| (fit.score, &fit.parts)), pair.map_or(none, |fit| (fit.score, &fit.parts))]
+    /// Score and causes of the best explanation by one or two causes without `cause`.
+    pub(super) fn best_without(&self, cause: Cause) -> (f64, &[Explanation]) {
+        let singles = self.singles.iter().filter(|fit| !fit.includes(cause)).map(|fit| (fit.score, &fit.parts[..]));
+        let pairs = self.pairs.iter().filter(|fit| !fit.includes(cause)).map(|fit| (fit.score, &fit.parts[..]));
+        singles.chain(pairs).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, &[]))
     }
 }
 

@@ -1,20 +1,19 @@
 //! Which claim an alarm may make about a drift that weather may have caused. Weather changes friction most: rain lowers
 //! it for days, a season changes it over months.
 
-use jiff::SignedDuration;
 use nalgebra::Vector3;
 
 use super::{Claim, DriftAlarms, FrictionChange, LatestThrow, Naming};
 use crate::diagnose::{
     Cause,
-    gauges::{RAIN_HOURS, RAIN_PCT, SLOW_FROM},
+    gauges::{RAIN_PCT, SLOW_FROM, may_rain_last},
     statistics::{LONGEST_WINDOW, WINDOWS, percent},
 };
 
 /// Throws of the machine after which the last few throws of each direction all show a fall.
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
-/// Number of standard deviations by which a fall of friction must be larger than rain explains, and the largest logarithm
-/// that they may be. The strongest window is often the one in which the scatter increases the fall.
+/// Number of standard deviations by which a fall of friction must be larger than rain explains, and the largest
+/// logarithm that they may be. The strongest window is often the one in which the scatter increases the fall.
 const RAIN_SD: f64 = 2.0;
 const RAIN_MOST_SCATTER: f64 = 0.1;
 const DAYS_OF_WEEK: f64 = 7.0;
@@ -66,10 +65,8 @@ impl DriftAlarms {
             self.fallen = None;
             return Claim::None;
         }
-        let is_new = at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
-            || order - first < u64::from(LONGEST_WINDOW);
         let least_size = fall.size + (RAIN_SD * fall.size_sd).min(RAIN_MOST_SCATTER);
         let may_be_rain = -percent(fall.size) >= RAIN_PCT.start && -percent(least_size) < RAIN_PCT.end;
-        if is_new && may_be_rain { Claim::Counts } else { Claim::Named }
+        if may_be_rain && may_rain_last(since, order - first, at) { Claim::Counts } else { Claim::Named }
     }
 }

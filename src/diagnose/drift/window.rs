@@ -88,13 +88,11 @@ impl RecentThrow {
 
     /// The residual of this throw. One of ratios gets the common scale of the other throws, or 0 if this is unknown.
     fn scaled(&self, residual: Vector3<f64>, scale: &CommonScale) -> Vector3<f64> {
-        let (k, mean) = match scale {
-            _ if self.has_scale() => return residual,
-            CommonScale::OfAll => return residual,
-            CommonScale::OfSome { k, mean } => (k, *mean),
-            CommonScale::Unknown { k } => (k, 0.0),
-        };
-        residual.add_scalar(mean - k.dot(&residual))
+        match scale {
+            CommonScale::OfSome { k, mean } if !self.has_scale() => residual.add_scalar(mean - k.dot(&residual)),
+            CommonScale::Unknown { k } if !self.has_scale() => residual.add_scalar(-k.dot(&residual)),
+            _ => residual,
+        }
     }
 
     /// The residual without temperature compensation, and the distance from the reference temperature \[K\].
@@ -328,9 +326,10 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// T of the innovations of `window` along those of a lasting change of its mean, without the largest innovation; for
-    /// scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible for
-    /// the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it shifted.
+    /// T of the innovations of `window` along those of a lasting change of its mean, without the largest innovation;
+    /// for scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible
+    /// for the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it
+    /// shifted.
     fn t_without_outliers(
         &self,
         window: &Window,

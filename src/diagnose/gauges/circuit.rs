@@ -174,9 +174,9 @@ impl Gauges {
         warmer.map_or([-heat(WEATHER_K), heat(WEATHER_K)], |warmer| [warmer.min(0.0), warmer.max(0.0)])
     }
 
-    /// Change of the resistance between supply and motor that heat does not explain. The level is that of the last three
-    /// throws; six throws must show the change too, so a single throw does not. If the published voltage is wrong, this
-    /// explains the change. `None` if the change is unknown.
+    /// Change of the resistance between supply and motor that heat does not explain. The level is that of the last
+    /// three throws; six throws must show the change too, so a single throw does not. If the published voltage is
+    /// wrong, this explains the change. `None` if the change is unknown.
     pub(crate) fn circuit(&self) -> Option<Circuit> {
         // Then the effect of the temperature of the air is compensated.
         let knows_weather = self.level(Gauge::Air, WINDOWS[0]).is_some();

@@ -37,8 +37,8 @@ const LARGER: f64 = 1.5;
 const OF_SEASON: f64 = 2.0;
 /// Part of a slow change that existed a week ago: a season takes months.
 pub(crate) const SLOW_FROM: f64 = 1.0 / 3.0;
-/// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
-pub(crate) const RAIN_HOURS: i64 = 72;
+/// Longest time for which rain lowers the friction: two wet days and a day of drying.
+const RAIN: SignedDuration = SignedDuration::from_hours(72);
 /// Losses of friction by rain or grease \[%\]: water halves the friction of steel on steel, a part of the machine's
 /// friction.
 pub(crate) const RAIN_PCT: Range<f64> = 10.0..25.0;
@@ -117,6 +117,12 @@ struct JudgedChange {
     is_slow: bool,
 }
 
+/// Whether rain may still be the reason of a fall of the load `since` a time, after this number of throws. Throws that
+/// are made at once do not show that the fall lasts.
+pub(crate) fn may_rain_last(since: Timestamp, throws: u64, at: Timestamp) -> bool {
+    at.duration_since(since) < RAIN || throws < LONGEST_WINDOW.into()
+}
+
 impl FeatureWatch {
     /// Applies a throw without an estimate.
     pub(crate) fn on_features(
@@ -186,8 +192,8 @@ impl FeatureWatch {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
-    /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days. The
-    /// charge falls with both current and duration, so these two count.
+    /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days.
+    /// The charge falls with both current and duration, so these two count.
     fn is_new_fall(&mut self, changes: &[GaugeChange], at: Timestamp) -> bool {
         let is_fall = |change: &GaugeChange| change.gauge != Gauge::Travel && change.level.value < 0.0;
         let is_small = |change: &GaugeChange| change.gauge == Gauge::Charge || -change.level.pct() < RAIN_PCT.end;
@@ -201,10 +207,8 @@ impl FeatureWatch {
         } else if !changes.is_empty() {
             self.fallen = Some((at, 0));
         }
-        let is_new = |(since, throws): (Timestamp, u32)| {
-            at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS) || throws < LONGEST_WINDOW
-        };
-        self.fallen.is_some_and(is_new) && changes.iter().all(is_small)
+        self.fallen.is_some_and(|(since, throws)| may_rain_last(since, throws.into(), at))
+            && changes.iter().all(is_small)
     }
 
     /// Stores the earlier changes of a side of a machine without a temperature.

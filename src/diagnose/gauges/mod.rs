@@ -1,8 +1,6 @@
-//! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature, rise at the end).
-//! Each gauge is used as the logarithm of its ratio to the normal value of the direction, but delay of the start,
-//! current at rest, middle, temperature and rise at the end as a difference. Errors of sensors, clock and supply change
-//! the gauges in other ways than faults of parts, which distinguishes the two.
+//! Gauges: quantities of a throw beside the coefficients, such as travel, resistance and duration. Each is compared
+//! with its normal value in the direction, as the logarithm of the ratio or as a difference. Errors of sensors, clock
+//! and supply change the gauges in other ways than faults of parts, which distinguishes the two.
 
 mod circuit;
 mod end;
@@ -11,18 +9,20 @@ mod gauge;
 mod levels;
 mod normal;
 mod offset;
+mod side_watch;
 mod start;
 mod supply;
 mod travel;
 
 pub(super) use circuit::{AtStart, BackEmf, Circuit, ShownBy};
-pub(super) use end::EndWatch;
-pub(super) use features::{FeatureWatch, RAIN_HOURS, RAIN_PCT, SLOW_FROM};
+pub(super) use end::judge_end;
+pub(super) use features::{FeatureWatch, RAIN_PCT, SLOW_FROM, may_rain_last};
 pub(super) use gauge::Gauge;
 pub(super) use levels::{GaugeChange, Gauges};
+pub(super) use side_watch::SideWatch;
 pub(super) use start::StartWatch;
 pub(super) use supply::dry_rise;
-pub(super) use travel::TravelWatch;
+pub(super) use travel::judge_travel;
 
 use self::{
     gauge::{Values, heat, values},

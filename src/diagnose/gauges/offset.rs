@@ -25,9 +25,9 @@ const END_SHARE: f64 = 0.01;
 const SHIFT_SD: f64 = 4.0;
 
 impl Gauges {
-    /// Offset of a sensor, and its size relative to the least reported offset: that of the current sensor by the current
-    /// at rest, that of the position sensor by both ends of the movement. The level is that of the last three throws;
-    /// six throws must show the offset too.
+    /// Offset of a sensor, and its size relative to the least reported offset: that of the current sensor by the
+    /// current at rest, that of the position sensor by both ends of the movement. The level is that of the last three
+    /// throws; six throws must show the offset too.
     pub(crate) fn offset(&self, sensor: Channel) -> Option<(Level, f64)> {
         let ((level, size), (_, longer)) = (self.offset_in(sensor, WINDOWS[0])?, self.offset_in(sensor, WINDOWS[1])?);
         Some((level, size.min(longer)))

@@ -16,8 +16,8 @@ const MOTOR_OF_INRUSH: f64 = 0.12;
 /// unknown, as the speed in a throw hardly changes and so a constant torque looks like viscous friction.
 const DRY: (f64, f64) = (0.5, 0.29);
 
-/// Rise of ln a1 by dry friction in a movement that takes `longer`, a change of the duration as a logarithm: dry friction F
-/// at the speed v adds F/v to a1.
+/// Rise of ln a1 by dry friction in a movement that takes `longer`, a change of the duration as a logarithm: dry
+/// friction F at the speed v adds F/v to a1.
 pub(crate) fn dry_rise(longer: Level) -> Level {
     let Level { value, sd } = longer;
     Level { value: DRY.0 * value, sd: (DRY.1 * value).hypot(DRY.0 * sd) }

@@ -6,8 +6,8 @@ use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
         AlarmEvent, Cause, Irregularity, Missing, Settings,
-        alarm::{Actor, Command, Step},
-        operation::boots,
+        alarm::{Actor, Command, Rule, Step},
+        operation::{Boots, boots, not_monitored},
         text,
     },
     throw::ThrowRef,
@@ -20,8 +20,6 @@ pub struct Dated {
     pub at: Timestamp,
     /// Whether the throw is one for [`MachineMonitor::observe_outdated`].
     pub is_outdated: bool,
-    /// Events of the alarm about the clock.
-    pub events: Vec<AlarmEvent>,
 }
 
 /// The effect of the boot of a throw.
@@ -32,8 +30,6 @@ pub struct BootCheck {
     pub two_loggers: Option<String>,
     /// The command of a new baseline, if one was started.
     pub command: Option<Command>,
-    /// Events of the alarm about two loggers.
-    pub events: Vec<AlarmEvent>,
 }
 
 impl MachineMonitor {
@@ -48,9 +44,10 @@ impl MachineMonitor {
         self.operation.is_announced()
     }
 
-    /// Whether neither a throw nor a token of a logger was ever received, as for the monitor of a daemon.
+    /// Whether nothing of a logger was ever received, as for the monitor of a daemon: no throw, no token, and no
+    /// message that shows a gap before it.
     pub fn has_no_logger(&self) -> bool {
-        self.order == 0 && !self.is_announced()
+        self.order == 0 && !self.is_announced() && !self.operation.has_gap()
     }
 
     /// Applies a gap: throws that never arrived.
@@ -58,7 +55,7 @@ impl MachineMonitor {
         self.step(at, None, settings, |operation, step| operation.on_gap(missing, step))
     }
 
-    /// Checks the clock of the logger at a throw, before its observation.
+    /// Checks the clock of the logger at a throw, before its observation, whose verdict has the events.
     ///
     /// Without `received_at` the clock of this computer is not trusted, and the logger's clock is wrong only if its
     /// time is impossible. `is_behind`: a comparison with other loggers shows that this clock is behind.
@@ -78,7 +75,7 @@ impl MachineMonitor {
         }
         let is_outdated = |since| self.clock.is_before(since, started_at, received_at);
         let is_outdated = self.in_service_since.is_some_and(is_outdated);
-        Dated { at, is_outdated, events: self.alarms.take_events() }
+        Dated { at, is_outdated }
     }
 
     /// Whether throws that the logger makes before a new baseline, and sends after it, will be recognised.
@@ -100,8 +97,8 @@ impl MachineMonitor {
         self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step))
     }
 
-    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation: shows whether two loggers
-    /// publish as this machine.
+    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation, whose verdict has the events:
+    /// shows whether two loggers publish as this machine.
     ///
     /// Without `received_at` the clock of this computer is not trusted, and two loggers cannot be detected.
     pub fn boot(
@@ -119,19 +116,33 @@ impl MachineMonitor {
         let at = to_micros(at);
         let Some(since) = self.boots.two().map(|two| two.since) else {
             if had_two {
-                self.operation.reset();
+                self.end_two_loggers(at);
             }
             return BootCheck::default();
         };
         let command = if had_two { None } else { self.forget_since(since, at, settings) };
         let two_loggers = self.two_loggers();
-        let text = two_loggers.clone().filter(|_| self.maintenance.is_none());
-        let events = self.step(at, Some(throw), settings, |operation, step| {
-            if let Some(text) = text {
-                operation.on_two_loggers(text, step);
-            }
-        });
-        BootCheck { two_loggers, command, events }
+        if let Some(text) = two_loggers.clone().filter(|_| self.maintenance.is_none()) {
+            let Self { alarms, name, .. } = self;
+            not_monitored(Rule::TwoLoggers, text, &mut Step { alarms, name, at, throw: Some(throw), settings });
+        }
+        BootCheck { two_loggers, command }
+    }
+
+    /// Forgets the boots before a new baseline.
+    pub(super) fn forget_boots(&mut self, now: Timestamp) {
+        if self.boots.two().is_some() {
+            self.end_two_loggers(now);
+        }
+        self.boots = Boots::default();
+    }
+
+    /// Ends the alarm about two loggers: from now on the throws show whether the machine is monitored.
+    fn end_two_loggers(&mut self, now: Timestamp) {
+        self.operation.reset();
+        if self.alarms.owned_by(Rule::TwoLoggers).is_some() {
+            self.alarms.clear(Cause::NotMonitored, text::machine(&self.name, text::ONE_LOGGER), now);
+        }
     }
 
     /// The sentence about two loggers that publish as this machine; `None` for one logger.

@@ -11,7 +11,7 @@ use super::{
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral, ShownMotor},
     drift::{DriftAlarms, Instruments},
-    gauges::{EndWatch, FeatureWatch, StartWatch, TravelWatch},
+    gauges::{FeatureWatch, SideWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
     text,
@@ -39,8 +39,9 @@ pub struct MachineMonitor {
     instruments: Instruments,
     features: FeatureWatch,
     start: StartWatch,
-    end: EndWatch,
-    travel: TravelWatch,
+    /// The current at the end of the stroke.
+    end: SideWatch,
+    travel: SideWatch,
     /// The last departures from the baseline, for the diagnosis of the other machines of the site.
     trail: Trail,
     /// What the monitor could not show at the last evaluated throw; `None` if it could show every fault.
@@ -137,9 +138,8 @@ impl MachineMonitor {
             self.end_maintenance(Actor::default(), now);
         }
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
-        // Silence counts only after a first throw.
-        let in_service = self.maintenance.is_none() && self.order > 0;
-        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
+        let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0);
+        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, has_thrown, step))
     }
 
     /// Common change of machines with these monitors in the hours before `at`.
@@ -148,9 +148,9 @@ impl MachineMonitor {
     }
 
     /// Raises or clears the alarms about a change that most machines of a site have in common, as by weather. Call it
-    /// on the monitor of the site, not on the monitor of a machine.
+    /// on the monitor of the site, not on the monitor of a machine, after [`Self::tick`].
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        self.step(now, None, settings, |_, step| site::judge(common, step))
+        self.step(now, None, settings, |operation, step| operation.on_common(common, step))
     }
 
     /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
@@ -196,15 +196,22 @@ impl MachineMonitor {
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
-    /// compared, so a change starts a new baseline; returns the command that does this, with its events.
-    pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<(Command, Vec<AlarmEvent>)> {
+    /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has
+    /// the events.
+    pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
         let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
+        let now = to_micros(now);
         // Earlier throws are estimated with the new parameters too, so they count: `in_service_since` stays.
-        self.boots = Boots::default();
-        self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, to_micros(now));
-        Some((Command::Rebaseline { by, why }, self.alarms.take_events()))
+        self.forget_boots(now);
+        self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, now);
+        Some(Command::Rebaseline { by, why })
+    }
+
+    /// Removes and returns the events since the last verdict, as those of [`Self::date`].
+    pub fn take_events(&mut self) -> Vec<AlarmEvent> {
+        self.alarms.take_events()
     }
 
     /// Applies an operator's command.
@@ -225,7 +232,7 @@ impl MachineMonitor {
             Command::Shelve { cause, until, .. } => self.alarms.shelve(*cause, to_micros(*until), actor, now)?,
             Command::Unshelve { cause, .. } => self.alarms.unshelve(*cause, actor, now)?,
             Command::Rebaseline { by, why } => {
-                self.boots = Boots::default();
+                self.forget_boots(now);
                 self.in_service_since = Some(now);
                 self.rebaseline(by, why, actor, now);
             }
@@ -237,9 +244,8 @@ impl MachineMonitor {
                 }
             }
             // A machine that is in maintenance gets the new window instead of the old one, as with a second shelving.
-            Command::MaintenanceStart { until, by, why } => {
-                let until = Some(to_micros(*until));
-                self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));
+            Command::MaintenanceStart { until, .. } => {
+                self.maintenance = Some(Box::new(Maintenance { until: Some(to_micros(*until)) }));
                 self.alarms.set_out_of_service(true, actor, now);
             }
             Command::MaintenanceEnd { .. } if self.maintenance.is_none() => return Err(CommandError::NotInMaintenance),
@@ -293,16 +299,16 @@ impl MachineMonitor {
         self.instruments.forget_recent();
         self.features = FeatureWatch::default();
         self.start = StartWatch::default();
-        self.end = EndWatch::default();
-        self.travel = TravelWatch::default();
+        self.end = SideWatch::default();
+        self.travel = SideWatch::default();
         self.drift.reset();
         self.blind = None;
         self.end_rules(now);
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
-    pub fn open_alarms(&self) -> Vec<AlarmEvent> {
-        self.alarms.events().cloned().collect()
+    pub fn open_alarms(&self) -> Vec<&AlarmEvent> {
+        self.alarms.events().collect()
     }
 
     /// The drifts with an active alarm whose present size is known; named parts first, then the most severe.

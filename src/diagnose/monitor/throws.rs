@@ -12,6 +12,7 @@ use crate::{
         alarm::{Alarms, Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, Known, LatestThrow, Origin},
+        gauges::{judge_end, judge_travel},
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
         statistics::percent,
@@ -28,11 +29,12 @@ impl MachineMonitor {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
-    /// Takes note of a throw that was made before the last new baseline or the last end of maintenance. It shows nothing
-    /// about the machine as it is now.
+    /// Takes note of a throw that was made before the last new baseline or the last end of maintenance. It shows
+    /// nothing about the machine as it is now.
     pub fn observe_outdated(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
         self.order += 1;
-        self.verdict(observation, settings)
+        let events = self.alarms.take_events();
+        Verdict { events, ..self.verdict(observation, settings) }
     }
 
     /// Like [`Self::observe`], but subtracts the `common` change of the other machines of the site first.
@@ -42,6 +44,8 @@ impl MachineMonitor {
         let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
+        let has_temperature = observation.temperature_c.is_some();
+        let was_identified = observation.outcome.is_some();
         let mut observation = Cow::Borrowed(observation);
         if reversed {
             // The position is wrong, so neither the estimate nor the direction is known.
@@ -56,7 +60,8 @@ impl MachineMonitor {
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
         if self.runs_on_at_its_end(&observation) {
-            // The points arrived, and only detection or switch-off failed. The current is not that of the movement alone.
+            // The points arrived, and only detection or switch-off failed. The current is not that of the movement
+            // alone.
             let observation = observation.to_mut();
             observation.outcome = None;
             let Features { running_current_a, mean_current_a, charge_as, energy_j, .. } = &mut observation.features;
@@ -99,12 +104,17 @@ impl MachineMonitor {
         }
         let mut baselines_taken = Vec::new();
         if self.maintenance.is_none() {
-            let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
-            self.operation.on_sensors([temperature.implausible, supply_v.map(Implausible::Supply)], step);
+            let supply_v = observation.features.supply_v;
+            let impossible_v = supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
+            let voltage = (supply_v.is_some(), impossible_v.map(Implausible::Supply));
+            self.operation.on_sensors([(has_temperature, temperature.implausible), voltage], step);
             let unusable = observation.unusable();
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
-            self.operation.on_channel(unusable, step);
+            // A trace that was not read, or withheld, shows no sensor.
+            if was_identified || unusable.is_some() {
+                self.operation.on_channel(unusable, step);
+            }
             let taken = self.observe_in_service(observation, evaluated.as_ref(), step);
             baselines_taken = taken.into_iter().map(|record| self.neutral.as_estimated(record)).collect();
         }
@@ -194,15 +204,15 @@ impl MachineMonitor {
         }
         // No estimate shows the end of the stroke. This rule comes before that of the features, which names no place.
         if has_gauges && features.end_rise_a.is_some() {
-            self.end.judge(&self.instruments.gauges, step).apply(Rule::End, step);
+            judge_end(&mut self.end, &self.instruments.gauges, step).apply(Rule::End, step);
         }
         if let (Some(direction), Some(run_on_s), true) = (direction, features.run_on_s, observation.is_whole()) {
-            self.operation.on_run_on(direction, run_on_s, step);
+            self.operation.run_on.judge(direction, run_on_s, step).apply(Rule::RunOn, step);
         }
         // Ratios show fewer faults than coefficients do, so a machine with ratios keeps the feature rule.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         if is_judged {
-            self.travel.judge(&self.instruments.gauges, step).apply(Rule::Travel, step);
+            judge_travel(&mut self.travel, &self.instruments.gauges, step).apply(Rule::Travel, step);
         }
         let watched = self.watch_features(observation, is_judged, step);
         rule_result::withdraw_explained(step);
@@ -274,7 +284,7 @@ impl MachineMonitor {
         let sensor = step.alarms.distorting_sensor();
         if sensor.is_some_and(|sensor| self.features.is_explained_by(sensor)) {
             if let Some(unnamed) = step.alarms.owned_by(Rule::Features) {
-                step.clear(unnamed, text::explained(step.name, Cause::Sensor));
+                step.clear(unnamed, |name| text::explained(name, Cause::Sensor));
             }
         } else {
             let found = if is_explained { RuleResult::Nothing } else { found };
@@ -283,8 +293,9 @@ impl MachineMonitor {
         // A recording that is too slow may give an estimate by chance.
         let is_of_features = observation.is_without_position() && !self.has_position
             || observation.is_undersampled() && !self.tracks.any_baseline();
-        let has_features = is_of_features && observation.features.running_current_a.is_some();
-        is_judged || step.alarms.owned_by(Rule::Features).is_some() || has_features
+        let has_features = is_of_features && timed.running_current_a.is_some();
+        let may_show_end = timed.running_current_a.is_some() || timed.duration_s.is_some();
+        is_judged || step.alarms.owned_by(Rule::Features).is_some() && may_show_end || has_features
     }
 
     /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
@@ -337,9 +348,9 @@ impl MachineMonitor {
     }
 }
 
-/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which often
-/// runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is from the
-/// duration.
+/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which
+/// often runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is
+/// from the duration.
 fn without_duration(all: &Features) -> Features {
     Features { duration_s: None, back_emf_v_s_per_rad: None, ..all.clone() }
 }

@@ -57,17 +57,37 @@ pub(super) enum Logger {
     },
 }
 
-/// Counts of consecutive throws of one direction. The directions alternate, so a fault that concerns one direction
-/// never shows in consecutive throws of the machine.
+/// Numbers of consecutive throws of each direction, and of the machine. The directions alternate, so a fault that
+/// concerns one direction never shows in consecutive throws of the machine.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Streaks([u32; 3]);
+
+impl Streaks {
+    /// Counts a throw in which something `holds` or does not.
+    fn count(&mut self, direction: Option<Direction>, holds: bool) {
+        let [.., machine] = &mut self.0;
+        streak(machine, holds);
+        if let Some(direction) = direction {
+            streak(&mut self.0[direction.side()], holds);
+        }
+    }
+
+    /// The number of a direction; for `None`, that of the machine.
+    fn of(self, direction: Option<Direction>) -> u32 {
+        self.0[direction.map_or(Direction::BOTH.len(), Direction::side)]
+    }
+
+    pub(super) fn longest(self) -> u32 {
+        self.0.into_iter().max().unwrap_or_default()
+    }
+}
+
+/// Counts of consecutive throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub(super) struct DirectionCounts {
-    incomplete: u32,
+struct DirectionCounts {
     slow: u32,
     very_slow: u32,
-    pub(super) unevaluated: u32,
-    /// Throws in which the temperature or the scatter hides faults.
-    pub(super) blind: u32,
     /// The last 32 throws as bits, 1 for a throw that was not evaluated.
     #[serde(rename = "lost")]
     rejections: u32,
@@ -80,12 +100,13 @@ pub(super) struct DirectionCounts {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Operation {
-    pub(super) sides: [DirectionCounts; 2],
-    incomplete: u32,
+    sides: [DirectionCounts; 2],
+    incomplete_in_a_row: Streaks,
     complete: u32,
     fast_enough: u32,
-    pub(super) unevaluated: u32,
-    pub(super) blind: u32,
+    pub(super) unevaluated_in_a_row: Streaks,
+    /// Evaluated throws in which the temperature or the scatter hides faults.
+    pub(super) blind_in_a_row: Streaks,
     /// Throws whose movement contradicts the direction that the logger names, and throws whose movement agrees.
     contradicted: u32,
     agreed: u32,
@@ -104,7 +125,7 @@ pub(crate) struct Operation {
     /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
-    pub(super) run_on: RunOn,
+    pub(crate) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
     /// Direction that the logger names for the last throw, if no position shows the movement, and the number of throws
@@ -129,26 +150,12 @@ pub(crate) struct Operation {
     /// Number of them whose messages were refused.
     #[serde(skip_serializing_if = "is_default")]
     pub(super) refused: u64,
+    /// Time without a throw of the machine, or for a site without a known common change \[s\].
     pub(super) silence_s: f64,
-    /// Reason of the last alarm [`Cause::NotMonitored`]; `None` before the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    unmonitored: Option<Unmonitored>,
     pub(super) ticked_at: Option<Timestamp>,
     pub(super) logger: Logger,
     /// Time without failures of the daemon \[s\].
     pub(super) calm_s: f64,
-}
-
-/// Why a machine is not monitored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Unmonitored {
-    /// No throw arrives, or the logger is gone.
-    Silent,
-    /// The throws cannot be evaluated, or do not show every fault.
-    Unevaluated,
-    /// Two loggers publish as this machine, so that no throw is evaluated.
-    TwoLoggers,
 }
 
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
@@ -182,18 +189,13 @@ impl Operation {
         let shows_movement = observation.estimate().is_some() || observation.features.duration_s.is_some();
         let is_known = incomplete || observation.faulty_sensor().is_none() && shows_movement;
         if is_known {
-            streak(&mut self.incomplete, incomplete);
+            self.incomplete_in_a_row.count(direction, incomplete);
             streak(&mut self.complete, !incomplete);
         }
-        let (mut in_a_row, mut in_direction) = (self.incomplete, None);
+        let [of_machine, own] = [None, direction].map(|of| self.incomplete_in_a_row.of(of));
+        let (in_a_row, in_direction) = (of_machine.max(own), direction.filter(|_| own > of_machine));
         if let Some(direction) = direction {
             let own = &mut self.sides[direction.side()];
-            if is_known {
-                streak(&mut own.incomplete, incomplete);
-            }
-            if own.incomplete > in_a_row {
-                (in_a_row, in_direction) = (own.incomplete, Some(direction));
-            }
             match &observation.outcome {
                 Some(Err(rejection)) => own.rejected = Some(rejection.code().to_owned()),
                 Some(Ok(_)) => {}
@@ -226,10 +228,10 @@ impl Operation {
             let severity = if in_a_row == 1 && !is_open { Severity::Warning } else { Severity::Critical };
             step.alarms.raise_or_escalate(step.event(Cause::IncompleteThrow, severity, text));
         } else if is_known && self.complete >= enough {
-            step.clear(Cause::IncompleteThrow, text::complete_again(step.name, self.complete));
+            step.clear(Cause::IncompleteThrow, |name| text::complete_again(name, self.complete));
         }
         if self.since_gap >= enough {
-            step.clear(Cause::DataLoss, text::no_gap(step.name, self.since_gap));
+            step.clear(Cause::DataLoss, |name| text::no_gap(name, self.since_gap));
             (self.missing, self.refused) = (0, 0);
         }
     }
@@ -263,7 +265,7 @@ impl Operation {
             let event = event(Severity::Warning);
             step.raise(event);
         } else if self.fast_enough >= settings.off_delay_throws {
-            step.clear(Cause::SlowThrow, text::machine(step.name, text::FAST_AGAIN));
+            step.clear(Cause::SlowThrow, |name| text::machine(name, text::FAST_AGAIN));
         }
     }
 
@@ -278,72 +280,37 @@ impl Operation {
         let Step { name, settings, .. } = *step;
         let direction = observation.direction;
         let enough = settings.not_monitored_throws;
-        streak(&mut self.unevaluated, !evaluated);
+        self.unevaluated_in_a_row.count(direction, !evaluated);
         if evaluated {
-            streak(&mut self.blind, blind.is_some());
+            self.blind_in_a_row.count(direction, blind.is_some());
         }
         for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
             let own = &mut self.sides[own.side()];
             own.rejections = own.rejections << 1 | u32::from(!evaluated);
-            if direction.is_some() {
-                streak(&mut own.unevaluated, !evaluated);
-            }
-            if evaluated {
-                streak(&mut own.blind, blind.is_some());
-            }
         }
         let is_seen = self.sides.iter().all(|side| (side.rejections | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
-        let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
+        let is_blind = self.blind_in_a_row.longest() >= enough;
         // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
-        let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
+        let [normal, reverse] = Direction::BOTH.map(Some);
+        let unseen = [None, normal, reverse].into_iter().find(|own| self.unevaluated_in_a_row.of(*own) >= enough);
         let text = if let Some(blind) = blind.filter(|_| is_blind) {
             text::blind(name, blind)
-        } else if self.unevaluated >= enough {
-            let code = observation.rejection().map(Rejection::code);
-            text::unevaluated(name, None, self.unevaluated, code)
         } else if let Some(unseen) = unseen {
-            let DirectionCounts { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
-            text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
+            let of_side = |side: Direction| self.sides[side.side()].rejected.as_deref();
+            let code = unseen.map_or_else(|| observation.rejection().map(Rejection::code), of_side);
+            text::unevaluated(name, unseen, self.unevaluated_in_a_row.of(unseen), code)
         } else {
             if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-                step.clear(Cause::NotMonitored, text::machine(name, text::MONITORED_AGAIN));
+                step.clear(Cause::NotMonitored, |name| text::machine(name, text::MONITORED_AGAIN));
             }
             return;
         };
-        self.not_monitored(Unmonitored::Unevaluated, text, step);
-    }
-
-    /// Raises the alarm that the machine is not monitored. An active alarm changes if the reason is another: silence
-    /// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
-    /// Returns whether the alarm changed.
-    pub(super) fn not_monitored(&mut self, reason: Unmonitored, text: String, step: &mut Step) -> bool {
-        use Unmonitored::{TwoLoggers, Unevaluated};
-        let before = self.unmonitored.filter(|_| step.alarms.is_active(Cause::NotMonitored));
-        if (before, reason) == (Some(TwoLoggers), Unevaluated) {
-            return false;
-        }
-        self.unmonitored = Some(reason);
-        let event = step.warning(Cause::NotMonitored, text);
-        if before.is_some_and(|before| before != reason) {
-            step.alarms.raise_anew(Rule::Usual, event)
-        } else {
-            step.raise(event)
-        }
-    }
-
-    /// Applies that two loggers publish as this machine.
-    pub(crate) fn on_two_loggers(&mut self, text: String, step: &mut Step) {
-        self.not_monitored(Unmonitored::TwoLoggers, text, step);
-    }
-
-    /// Applies a whole throw whose motor ran for `run_on_s` after the arrival of the toe.
-    pub(crate) fn on_run_on(&mut self, direction: Direction, run_on_s: f64, step: &mut Step) {
-        self.run_on.judge(direction, run_on_s, step).apply(Rule::RunOn, step);
+        not_monitored(Rule::Usual, text, step);
     }
 
     /// Whether the last throw was not evaluated.
     pub(crate) fn is_rejecting(&self) -> bool {
-        self.unevaluated > 0
+        self.unevaluated_in_a_row.of(None) > 0
     }
 
     /// Applies whether the movement of a throw contradicts the direction that the logger names. Returns whether the
@@ -370,8 +337,8 @@ impl Operation {
         is_unusual
     }
 
-    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel then
-    /// shows neither an obstruction nor a fault of the position sensor.
+    /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel
+    /// then shows neither an obstruction nor a fault of the position sensor.
     pub(crate) fn begins_open(&mut self, throw: &Observation) -> bool {
         let Features { start_position_mm: start, end_position_mm: end, .. } = throw.features;
         let before = self.left_open_mm.take();
@@ -433,5 +400,17 @@ impl Operation {
             logger: self.logger,
             ..Self::default()
         };
+    }
+}
+
+/// Raises the alarm that the machine is not monitored. An active alarm changes if its reason is another: silence
+/// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
+/// Returns whether the alarm changed.
+pub(crate) fn not_monitored(rule: Rule, text: String, step: &mut Step) -> bool {
+    let event = step.warning(Cause::NotMonitored, text);
+    match step.alarms.rule(Cause::NotMonitored) {
+        Some(Rule::TwoLoggers) if rule == Rule::Usual => false,
+        Some(before) if before != rule => step.alarms.raise_anew(rule, event),
+        _ => step.alarms.raise(rule, event),
     }
 }

@@ -1,8 +1,12 @@
 //! Alarms about silence and lost data: of the logger, its throws, the daemon itself and other daemons.
 
-use super::{Logger, Operation, Unmonitored, unix_s};
+use super::{Logger, Operation, not_monitored, unix_s};
 use crate::{
-    diagnose::{Cause, Irregularity, Missing, Settings, Severity, alarm::Step, text},
+    diagnose::{
+        Cause, Irregularity, Missing, Settings, Severity,
+        alarm::{Rule, Step},
+        text,
+    },
     throw::without_digits,
 };
 
@@ -15,8 +19,9 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 
 impl Operation {
-    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence.
-    pub(crate) fn on_tick(&mut self, in_service: bool, step: &mut Step) {
+    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock is not silence. It
+    /// raises an alarm only on a machine with an earlier throw.
+    pub(crate) fn on_tick(&mut self, in_service: bool, has_thrown: bool, step: &mut Step) {
         let Step { name, at, settings, .. } = *step;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
         // The time of the last gap can be in the future only if the clock was set back.
@@ -26,12 +31,15 @@ impl Operation {
             return;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
+        if !has_thrown {
+            return;
+        }
         if let Logger::Gone { for_s, .. } = &mut self.logger {
             // A longer time is that of a restart of the daemon, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let text = text::logger_gone(name, *for_s / 60.0);
-                let is_raised = self.not_monitored(Unmonitored::Silent, text, step);
+                let is_raised = not_monitored(Rule::Silence, text, step);
                 if let Logger::Gone { alarmed, .. } = &mut self.logger {
                     *alarmed |= is_raised;
                 }
@@ -39,7 +47,7 @@ impl Operation {
             }
         }
         if self.is_silent(settings) {
-            self.not_monitored(Unmonitored::Silent, text::silent(name, self.silence_s / 3600.0), step);
+            not_monitored(Rule::Silence, text::silent(name, self.silence_s / 3600.0), step);
         }
     }
 
@@ -57,11 +65,10 @@ impl Operation {
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
         let enough = step.settings.not_monitored_throws;
-        let monitored = self.unevaluated.max(self.blind) < enough
-            && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
+        let monitored = self.unevaluated_in_a_row.longest().max(self.blind_in_a_row.longest()) < enough
             && !self.is_silent(step.settings);
         if there && alarmed && monitored {
-            step.clear(Cause::NotMonitored, text::machine(step.name, text::LOGGER_BACK));
+            step.clear(Cause::NotMonitored, |name| text::machine(name, text::LOGGER_BACK));
         }
     }
 
@@ -70,13 +77,18 @@ impl Operation {
         self.logger != Logger::Unannounced
     }
 
+    /// Whether throws are missing since the last end of the alarm about them.
+    pub(crate) fn has_gap(&self) -> bool {
+        self.missing > 0
+    }
+
     /// Applies a failure of the daemon to store data; `None` without one.
     pub(crate) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
         if let Some((severity, text)) = trouble {
             self.calm_s = 0.0;
             raise_or_remark(severity, text.to_owned(), step);
         } else if self.calm_s >= CALM_S {
-            step.clear(Cause::DataLoss, text::DAEMON_CALM.to_owned());
+            step.clear(Cause::DataLoss, |_| text::DAEMON_CALM.to_owned());
         }
     }
 
@@ -127,8 +139,8 @@ fn raise_or_remark(severity: Severity, text: String, step: &mut Step) {
 pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
     let cause = Cause::NotMonitored;
     match away {
-        None => step.clear(cause, text::PEERS_BACK.to_owned()),
+        None => step.clear(cause, |_| text::PEERS_BACK.to_owned()),
         Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
-        Some(text) => _ = step.raise(step.critical(cause, text)),
+        Some(text) => _ = step.raise(step.event(cause, Severity::Critical, text)),
     }
 }

@@ -68,8 +68,8 @@ impl Stamp {
     }
 }
 
-/// Whether the ages of two throws show that each was published at once. Their receptions are `apart`. The ages of throws
-/// of a backlog, and of a simulation in fast motion, change by more than a tenth of this time.
+/// Whether the ages of two throws show that each was published at once. Their receptions are `apart`. The ages of
+/// throws of a backlog, and of a simulation in fast motion, change by more than a tenth of this time.
 pub(crate) fn are_steady([before, after]: [SignedDuration; 2], apart: SignedDuration) -> bool {
     (after - before).abs() * 10 <= apart
 }
@@ -138,7 +138,7 @@ impl LoggerClock {
             let event = step.sensor(SensorChannel::Clock, text::wrong_clock(step.name, started_at, step.at));
             step.alarms.raise_another(Rule::Dates, event, self.wrong == IN_A_ROW);
         } else if self.right >= step.settings.off_delay_throws && step.alarms.owned_by(Rule::Dates).is_some() {
-            step.clear(Cause::Sensor, text::machine(step.name, text::RIGHT_CLOCK));
+            step.clear(Cause::Sensor, |name| text::machine(name, text::RIGHT_CLOCK));
         }
     }
 }

@@ -10,11 +10,11 @@ mod sensors;
 pub(super) mod site;
 mod thermometer;
 
-pub(super) use alarms::Operation;
+pub(super) use alarms::{Operation, not_monitored};
 pub(super) use boots::Boots;
 pub(super) use logger::on_peers;
 
-use self::alarms::{Logger, Unmonitored, unix_s};
+use self::alarms::{Logger, unix_s};
 pub(super) use logger_clock::LoggerClock;
 pub(crate) use logger_clock::{are_steady, is_possible_date};
 pub use site::Common;

@@ -16,8 +16,8 @@ use crate::{
 const LEARNED: u8 = 12;
 /// Time beyond the usual one that matters \[s\].
 const LONGER_S: f64 = 0.5;
-/// Throws among the last eight of the machine that raise the alarm, and that make it critical: one or two may be a stone
-/// that gave way.
+/// Throws among the last eight of the machine that raise the alarm, and that make it critical: one or two may be a
+/// stone that gave way.
 const LONG_OF_EIGHT: u32 = 3;
 const CRITICAL_OF_EIGHT: u32 = 6;
 /// Throws without a longer time that end the alarm: a contact that fails now and then must not make an alarm each time.

@@ -19,15 +19,20 @@ const BESIDE: [SensorChannel; 2] = [SensorChannel::Temperature, SensorChannel::S
 const OF_TRACE: [SensorChannel; 3] = [SensorChannel::Current, SensorChannel::Position, SensorChannel::Clock];
 
 impl Operation {
-    /// Applies the implausible temperature and the implausible supply voltage of a throw; `None` if plausible.
-    pub(crate) fn on_sensors(&mut self, implausible: [Option<Implausible>; 2], step: &mut Step) {
-        for ((channel, found), run) in BESIDE.into_iter().zip(implausible).zip(&mut self.plausible) {
-            *run = if found.is_none() { (*run).max(0).saturating_add(1) } else { (*run).min(0).saturating_sub(1) };
+    /// Applies temperature and supply voltage of a throw: whether the throw has the value, and why it is implausible;
+    /// `None` if it is plausible. A throw without the value does not show that the sensor works.
+    pub(crate) fn on_sensors(&mut self, values: [(bool, Option<Implausible>); 2], step: &mut Step) {
+        for ((channel, (has_value, found)), run) in BESIDE.into_iter().zip(values).zip(&mut self.plausible) {
+            if found.is_some() {
+                *run = (*run).min(0).saturating_sub(1);
+            } else if has_value {
+                *run = (*run).max(0).saturating_add(1);
+            }
             if let Some(implausible) = found.filter(|_| *run <= -IMPLAUSIBLE_IN_A_ROW) {
                 let event = step.sensor(channel, text::sensor_implausible(step.name, implausible));
                 step.alarms.raise_another(Rule::Usual, event, *run == -IMPLAUSIBLE_IN_A_ROW);
             } else if i64::from(*run) >= step.settings.off_delay_throws.into() && is_about(&[channel], step) {
-                step.clear(Cause::Sensor, text::sensor_plausible(step.name, channel));
+                step.clear(Cause::Sensor, |name| text::sensor_again(name, channel, "plausible"));
             }
         }
     }
@@ -50,7 +55,7 @@ impl Operation {
             && is_about(&OF_TRACE, step)
             && let Some(channel) = step.alarms.faulty_sensor()
         {
-            step.clear(Cause::Sensor, text::sensor_usable(step.name, channel));
+            step.clear(Cause::Sensor, |name| text::sensor_again(name, channel, "usable"));
         }
     }
 }

@@ -10,6 +10,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::Operation;
 use crate::diagnose::{
     AlarmEvent, Cause,
     alarm::{OVER_BELOW, Step},
@@ -28,6 +29,9 @@ const LEAST_OTHERS: usize = 3;
 const MOST_OTHERS: usize = 32;
 /// Part of the other machines whose departures are at least as large as the common change.
 const AGREE: f64 = 0.75;
+/// Time without a known common change after which the alarm of a site ends \[days\]: the machines of a site in use make
+/// throws on most days, and weather changes within a week.
+const UNKNOWN_DAYS: f64 = 7.0;
 /// Part of a common change that counts as chance, in standard deviations of the mean of the other machines.
 const BEYOND_CHANCE: f64 = 2.0;
 
@@ -101,15 +105,24 @@ pub(crate) fn shared_part(departure: &Vector3<f64>, common: &Common) -> Vector3<
     )
 }
 
-/// Raises and clears the alarm about all machines of a site; it stays while the common change is unknown.
-pub(crate) fn judge(common: &Common, step: &mut Step) {
-    for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
-        let size = step.settings.relevance(cause, *log);
-        if size > 1.0 {
-            let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
-            step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });
-        } else if common.is_known && size < OVER_BELOW {
-            step.clear(cause, text::site_over(step.name, cause));
+impl Operation {
+    /// Raises and clears the alarm about all machines of a site. It stays while the common change is unknown, as at
+    /// night and on days without traffic, for at most [`UNKNOWN_DAYS`].
+    pub(crate) fn on_common(&mut self, common: &Common, step: &mut Step) {
+        if common.is_known {
+            self.silence_s = 0.0;
+        }
+        let is_forgotten = self.silence_s >= 86_400.0 * UNKNOWN_DAYS;
+        for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
+            let size = step.settings.relevance(cause, *log);
+            if size > 1.0 {
+                let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
+                step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });
+            } else if common.is_known && size < OVER_BELOW {
+                step.clear(cause, |name| text::site_over(name, cause));
+            } else if is_forgotten {
+                step.clear(cause, |name| text::site_unknown(name, cause, UNKNOWN_DAYS));
+            }
         }
     }
 }

@@ -45,9 +45,9 @@ impl Series {
         Self(phis.map(|phi| Whitened::new(&noise(phi), values, levels)).collect())
     }
 
-    /// [`Self::new`] without a lag-1 correlation. The correlation lets chance look like a regressor, so the Bayes factor
-    /// of a regressor is largest without one: if it is small here, it is small for [`Self::new`], which takes 16 times as
-    /// long.
+    /// [`Self::new`] without a lag-1 correlation. The correlation lets chance look like a regressor, so the Bayes
+    /// factor of a regressor is largest without one: if it is small here, it is small for [`Self::new`], which takes 16
+    /// times as long.
     pub(crate) fn uncorrelated(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let noise = Autoregression { phi: 0.0, natural: 1.0 - error_part, error: error_part };
         Self(vec![Whitened::new(&noise, values, levels)])

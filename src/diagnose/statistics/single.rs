@@ -1,5 +1,5 @@
-//! Single precision, in which snapshots store values, as it halves them. 1e-7 of a logarithm, a variance, a temperature or
-//! a position is far below any scatter.
+//! Single precision, in which snapshots store values, as it halves them. 1e-7 of a logarithm, a variance, a temperature
+//! or a position is far below any scatter.
 
 #[expect(clippy::cast_possible_truncation, reason = "rounding is the purpose")]
 pub(crate) fn to_f32(value: f64) -> f32 {

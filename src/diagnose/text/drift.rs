@@ -189,6 +189,13 @@ pub(crate) fn site_over(name: &str, cause: Cause) -> String {
     format!("{name}: {cause} is no longer changed on most of them together.")
 }
 
+pub(crate) fn site_unknown(name: &str, cause: Cause, days: f64) -> String {
+    format!(
+        "{name}: whether {cause} is still changed on most of them together is not known: for {days} days too few of the \
+         machines made throws. This alarm ends."
+    )
+}
+
 fn change_of(name: &str, e: &Explanation) -> String {
     let pct = e.level().pct();
     let way = if pct < 0.0 { "down" } else { "up" };

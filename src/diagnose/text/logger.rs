@@ -35,6 +35,8 @@ pub(crate) fn two_loggers(name: &str, [first, second]: &[String; 2], hours: i64)
     )
 }
 
+pub(crate) const ONE_LOGGER: &str = "only one logger publishes as this machine now, so its throws are evaluated again.";
+
 pub(crate) const RIGHT_CLOCK: &str = "the clock of the logger is right again.";
 
 /// Text for a logger that sends fields with impossible values.
@@ -47,12 +49,17 @@ pub(crate) const CONTRADICTED: &str = "\
     the logger names another direction than the position shows. The position must rise from normal to reverse. \
     pointsd uses the position: correct its sign, or the directions of the logger.";
 
-pub(crate) fn silent(name: &str, hours: f64) -> String {
-    let length = if hours < 0.95 {
-        counted(format_args!("{:.0}", 60.0 * hours), "minute")
+/// A length of time: `value` in the `large` unit, or below 1 in the `small` one, a sixtieth of it.
+fn length(value: f64, large: &str, small: &str) -> String {
+    if value < 0.95 {
+        counted(format_args!("{:.0}", 60.0 * value), small)
     } else {
-        counted(format_args!("{hours:.0}"), "hour")
-    };
+        counted(format_args!("{value:.0}"), large)
+    }
+}
+
+pub(crate) fn silent(name: &str, hours: f64) -> String {
+    let length = length(hours, "hour", "minute");
     format!(
         "Machine {name}: no throw arrived for {length}, so the machine is not monitored. Check the logger and the \
          network; if the machine was not used, acknowledge."
@@ -60,11 +67,7 @@ pub(crate) fn silent(name: &str, hours: f64) -> String {
 }
 
 pub(crate) fn logger_gone(name: &str, minutes: f64) -> String {
-    let length = if minutes < 0.95 {
-        counted(format_args!("{:.0}", 60.0 * minutes), "second")
-    } else {
-        counted(format_args!("{minutes:.0}"), "minute")
-    };
+    let length = length(minutes, "minute", "second");
     format!(
         "Machine {name}: its logger has been gone for {length}, so the machine is not monitored. Check the \
          logger's supply and the network."

@@ -169,8 +169,9 @@ pub(crate) fn sensor_implausible(name: &str, implausible: Implausible) -> String
     format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")
 }
 
-pub(crate) fn sensor_plausible(name: &str, channel: SensorChannel) -> String {
-    format!("Machine {name}: the values of the {channel} are plausible again.")
+/// Text for the end of an alarm about a sensor; `word`: plausible or usable.
+pub(crate) fn sensor_again(name: &str, channel: SensorChannel, word: &str) -> String {
+    format!("Machine {name}: the values of the {channel} are {word} again.")
 }
 
 pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
@@ -215,10 +216,6 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
         ),
     };
     format!("Machine {name}: {what}, so the throws cannot be evaluated. Check {check}.")
-}
-
-pub(crate) fn sensor_usable(name: &str, channel: SensorChannel) -> String {
-    format!("Machine {name}: the values of the {channel} are usable again.")
 }
 
 pub(super) fn look_at_sensor(channel: SensorChannel) -> &'static str {

@@ -169,55 +169,54 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
     )
 }
 
-/// Text for a current at the end of the stroke that has risen, or else fallen, over `throws` throws of a direction;
-/// `changes`: a part by [`end_change`] for each direction in which it has.
-pub(crate) fn end(name: &str, changes: &[String], has_risen: bool, throws: usize) -> String {
-    let (way, reason) = if has_risen {
-        (
-            "risen",
-            "a force that closes or locks the points has grown. If it grows further, the points will not lock. Check \
-             the adjustment of lock, stretcher bar and detector, the lock for dirt and lubrication, and the gap between \
-             switch rail and stock rail",
-        )
-    } else {
-        (
-            "fallen",
-            "a force that closes or locks the points is lost. Check whether the points lock, then the lock and its \
-             springs for damage, and the adjustment of the rods",
-        )
+/// Text for a current at the end of the stroke that has changed, over `throws` throws of a direction; `changes`: a part
+/// by [`end_change`] for each direction with a change; whether it has `risen`, and `fallen`, in one of them.
+pub(crate) fn end(name: &str, changes: &str, [risen, fallen]: [bool; 2], throws: usize) -> String {
+    let grown = "a force that closes or locks the points has grown. If it grows further, the points will not lock. Check \
+                 the adjustment of lock, stretcher bar and detector, the lock for dirt and lubrication, and the gap \
+                 between switch rail and stock rail";
+    let lost = "a force that closes or locks the points is lost. Check whether the points lock, then the lock and its \
+                springs for damage, and the adjustment of the rods";
+    let (way, reason) = match (risen, fallen) {
+        (true, true) => {
+            ("risen in one direction and fallen in the other", &*format!("{grown}. In the other direction {lost}"))
+        }
+        (true, false) => ("risen", grown),
+        _ => ("fallen", lost),
     };
     format!(
         "Machine {name}: the current over the last millimetres of the stroke has {way}, over {throws} throws of a \
-         direction: {}. The running current does not explain this: {reason}.",
-        changes.join("; ")
+         direction: {changes}. The running current does not explain this: {reason}."
     )
 }
 
-/// Text for a changed travel of the toe, over `throws` throws of a direction; `travels`: the normal travel and the present
-/// one \[mm\] of each direction with a change.
-pub(crate) fn travel(name: &str, travels: &[(Direction, [f64; 2])], throws: usize) -> String {
-    let changes: Vec<String> = travels
-        .iter()
-        .map(|(direction, [from_mm, to_mm])| format!("{direction} from {from_mm:.1} to {to_mm:.1} mm"))
-        .collect();
-    let is_shorter = travels.iter().any(|(_, [from_mm, to_mm])| to_mm < from_mm);
-    let (what, check) = if is_shorter {
-        (
-            "shorter",
-            "Check at once whether the points close and lock. Look for an obstruction between the rails, then for a",
-        )
+/// Text for a changed travel of the toe, over `throws` throws of a direction; `changes`: a part by [`travel_change`]
+/// for each direction with a change; whether it is `shorter`, and `longer`, in one of them.
+pub(crate) fn travel(name: &str, changes: &str, [shorter, longer]: [bool; 2], throws: usize) -> String {
+    let what = match (shorter, longer) {
+        (true, true) => "shorter in one direction and longer in the other",
+        (true, false) => "shorter",
+        _ => "longer",
+    };
+    let check = if shorter {
+        "Check at once whether the points close and lock. Look for an obstruction between the rails, then for a"
     } else {
-        ("longer", "Check whether the points lock, and look for a worn or missing stop, then for a")
+        "Check whether the points lock, and look for a worn or missing stop, then for a"
     };
     format!(
-        "Machine {name}: the travel of the toe is {what}, over {throws} throws of a direction: {}. The duration has \
-         changed too, so this is no fault of the position sensor: the toe stops at another place. {check} changed \
-         adjustment of drive, rods and lock. If the stroke was adjusted, take a new baseline (rebaseline).",
-        changes.join("; ")
+        "Machine {name}: the travel of the toe is {what}, over {throws} throws of a direction: {changes}. The duration \
+         has changed too, so this is no fault of the position sensor: the toe stops at another place. {check} changed \
+         adjustment of drive, rods and lock. If the stroke was adjusted, take a new baseline (rebaseline)."
     )
 }
 
-/// Text for a motor that ran on after the arrival of the toe in `count` of the last eight throws, for `longest_s` at most.
+/// The normal travel and the present one \[mm\].
+pub(crate) fn travel_change(direction: Direction, [from_mm, to_mm]: [f64; 2]) -> String {
+    format!("{direction} from {from_mm:.1} to {to_mm:.1} mm")
+}
+
+/// Text for a motor that ran on after the arrival of the toe in `count` of the last eight throws, for `longest_s` at
+/// most.
 pub(crate) fn runs_on(name: &str, count: u32, longest_s: f64, usual_s: f64) -> String {
     format!(
         "Machine {name}: in {count} of the last 8 throws the motor ran on after the toe had arrived where it always \

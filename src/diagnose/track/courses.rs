@@ -29,8 +29,8 @@ impl Tracks {
     /// Otherwise the course over both directions if they agree. If one direction has hardly a drift, the course of the
     /// other: just after a step, a direction has one throw with the drift, or none. If both have a drift of different
     /// sizes, the size is between the two: friction that grows along the stroke seems larger in the direction in which
-    /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift. `now`:
-    /// number of the latest throw.
+    /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift.
+    /// `now`: number of the latest throw.
     pub(crate) fn course(
         &self,
         weights: &Vector3<f64>,
@@ -50,8 +50,7 @@ impl Tracks {
         let ((a, a_sd), (b, b_sd)) = (first.now(), second.now());
         let agree = (a - b).abs() <= AGREE_SD * a_sd.hypot(b_sd);
         let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
-            let ((larger, size), (other, smaller)) =
-                if a.abs() > b.abs() { ((first, a), (second, b)) } else { ((second, b), (first, a)) };
+            let [(larger, size), (other, smaller)] = larger_first([(first, a), (second, b)], |(_, size)| *size);
             return Some(if smaller / size < ONE_SIDED && !differ { larger } else { larger.or_as(other) });
         };
         let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
@@ -85,22 +84,26 @@ impl Tracks {
         temperature_sd: &Vector3<f64>,
         now: u64,
     ) -> Option<Direction> {
-        let [normal, reverse] = match self.baselines() {
-            [Some(_), None] => return Some(Direction::NormalToReverse),
-            [None, Some(_)] => return Some(Direction::ReverseToNormal),
-            _ => [self.course_of(0, weights, temperature_sd, now)?, self.course_of(1, weights, temperature_sd, now)?],
+        let of =
+            |direction: Direction| Some((direction, self.course_of(direction.side(), weights, temperature_sd, now)?));
+        let [normal, reverse] = Direction::BOTH;
+        let courses = match self.baselines() {
+            [Some(_), None] => return Some(normal),
+            [None, Some(_)] => return Some(reverse),
+            _ => [of(normal)?, of(reverse)?],
         };
-        let [(normal_size, normal_sd), (reverse_size, reverse_sd)] = [normal.now(), reverse.now()];
-        let (larger, smaller, course, direction) = if normal_size.abs() > reverse_size.abs() {
-            (normal_size, reverse_size, normal, Direction::NormalToReverse)
-        } else {
-            (reverse_size, normal_size, reverse, Direction::ReverseToNormal)
-        };
+        let [(direction, course), (_, other)] = larger_first(courses, |(_, course)| course.now().0);
+        let [(larger, larger_sd), (smaller, smaller_sd)] = [course.now(), other.now()];
         let difference = larger.abs() - smaller.abs();
-        let is_one_sided = smaller / larger < ONE_SIDED && difference > ONE_SIDED_SD * normal_sd.hypot(reverse_sd);
+        let is_one_sided = smaller / larger < ONE_SIDED && difference > ONE_SIDED_SD * larger_sd.hypot(smaller_sd);
         let has_lasted = course.at(ONE_SIDED_AGE) / larger > LASTED;
         (is_one_sided && has_lasted).then_some(direction)
     }
+}
+
+/// The two values, that with the larger `size` first; with equal sizes in the other order.
+fn larger_first<T>([first, second]: [T; 2], size: impl Fn(&T) -> f64) -> [T; 2] {
+    if size(&first).abs() > size(&second).abs() { [first, second] } else { [second, first] }
 }
 
 /// Noise along `weights` of throws compared with the centre of a baseline, which is a mean of `centre_throws` throws.

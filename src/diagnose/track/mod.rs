@@ -372,15 +372,16 @@ impl Tracks {
         let own = (&baseline.scatter, track.thresholds.as_ref()?, baseline.centre_throws());
         let all: f64 = self.sides.iter().flat_map(|track| &track.baseline).map(Baseline::centre_throws).sum();
         let mixed = self.mixed.as_ref().map(|mixed| (&mixed.scatter, &mixed.thresholds, all));
+        let streams = [mixed, Some(own)].into_iter().flatten();
+        let means: Vec<(Matrix3<f64>, f64)> = streams
+            .flat_map(|(scatter, thresholds, centre_throws)| {
+                let of_mean = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws);
+                WINDOWS.into_iter().enumerate().map(move |(at, throws)| (of_mean(throws), thresholds.of(at)))
+            })
+            .collect();
         let over_limit = |cause: Cause| {
             let critical_pct = settings.critical_factor * settings.limit_pct(cause)?;
-            let streams = [mixed, Some(own)].into_iter().flatten();
-            let visible = streams.flat_map(|(scatter, thresholds, centre_throws)| {
-                WINDOWS.into_iter().enumerate().filter_map(move |(at, throws)| {
-                    let covariance = scatter.of_mean(throws, &scatter.sensor(), centre_throws);
-                    visible_pct(cause, covariance, thresholds.of(at))
-                })
-            });
+            let visible = means.iter().filter_map(|(covariance, limit)| visible_pct(cause, *covariance, *limit));
             let least = visible.min_by(f64::total_cmp).filter(|least| *least > critical_pct)?;
             Some((cause, least, least / critical_pct))
         };
