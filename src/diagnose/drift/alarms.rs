@@ -203,7 +203,7 @@ impl DriftAlarms {
             }
             (Transition::Withdraw, _) => {
                 let other = match latest.drift.origin {
-                    Origin::Sensor(_) => Cause::Sensor,
+                    Origin::Sensor(fault) => fault.cause,
                     Origin::Supply => Cause::Supply,
                     _ => latest.drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
                 };

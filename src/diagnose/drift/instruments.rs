@@ -42,6 +42,8 @@ use crate::{
 const LEAD_OF_SENSOR: f64 = 10.0;
 /// Lead of the machine over a sensor that excludes the sensor: odds of 20 to 1, as twice the logarithm.
 const LEAD_OF_MACHINE: f64 = 6.0;
+/// Loss of the stroke of a machine without toe sensor that is critical, as a logarithm.
+const SHORT_STROKE: f64 = 0.1;
 /// Largest misfit of one gauge, so that a gauge that changed for another reason cannot decide alone.
 const MAX_MISFIT: f64 = 40.0;
 /// Change of the supply voltage that raises an alarm \[%\]: more than a battery or the mains changes in service.
@@ -147,8 +149,11 @@ impl Instruments {
         });
         let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((lead, channel, true, size)) if lead >= LEAD_OF_SENSOR => {
-                Origin::Sensor(SensorFault { channel, size, runner_up: RunnerUp { cause: part, margin: lead } })
+            Some((lead, channel, true, size))
+                if lead >= LEAD_OF_SENSOR || lead > -LEAD_OF_MACHINE && self.is_of_stroke(channel) =>
+            {
+                let cause = if self.is_of_stroke(channel) { Cause::Unattributed } else { Cause::Sensor };
+                Origin::Sensor(SensorFault { cause, channel, size, runner_up: RunnerUp { cause: part, margin: lead } })
             }
             Some((lead, channel, is_known, ..)) if lead > -LEAD_OF_MACHINE && !self.sensor.lingers => {
                 let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
@@ -168,14 +173,26 @@ impl Instruments {
         }
     }
 
+    /// Whether a gain of this channel is that of the stroke, which a machine without toe sensor assumes. A motor with
+    /// weaker magnets has the opposite sign, so this names the points also if it does not lead clearly.
+    fn is_of_stroke(&self, channel: SensorChannel) -> bool {
+        channel == SensorChannel::Position && self.gauges.normal_travel_mm().is_none()
+    }
+
     /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a
     /// wrong clock cannot be distinguished from friction. Friction changes the running current; a wrong clock does not.
+    /// A wrong clock changes the duration of both directions alike.
     fn may_be_clock(&self, size: f64, window: &Window) -> bool {
-        /// Change of the running current, less its standard deviation, that excludes the clock; as part of `size`.
+        /// Change of the running current, or difference between the changes of the durations of both directions, less
+        /// its standard deviation, that excludes the clock; as part of `size`.
         const PART: f64 = 0.5;
         let running = self.gauges.level(Gauge::Running, window.throws);
         let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
-        window.shows(Cause::Inertia) && !has_changed
+        let [one, other] = Direction::BOTH.map(|direction| self.gauges.longer(Some(direction)));
+        let differ = one
+            .zip(other)
+            .is_some_and(|(one, other)| (one.value - other.value).abs() - one.sd.hypot(other.sd) > PART * size.abs());
+        window.shows(Cause::Inertia) && !has_changed && !differ
     }
 
     /// Whether a gain error of the current sensor may explain a drift: then the inrush current has changed as well, by
@@ -300,7 +317,7 @@ impl Instruments {
         let of_voltage = || {
             let size = self.gauges.voltage_error()?;
             let runner_up = RunnerUp { cause: Cause::Supply, margin: (size.value / size.sd).powi(2).min(MAX_MISFIT) };
-            Some(SensorFault { channel: SensorChannel::Supply, size, runner_up })
+            Some(SensorFault { cause: Cause::Sensor, channel: SensorChannel::Supply, size, runner_up })
         };
         let fault = of_drift.or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
@@ -312,14 +329,19 @@ impl Instruments {
         }
         let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
-        let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
-        let open = step.alarms.faulty_sensor().filter(|_| is_own);
+        let own = step.alarms.owned_by(Rule::Gauges);
+        let open = step.alarms.faulty_sensor().filter(|_| own.is_some());
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
         let matters = fault.map(|_| of_drift.is_none() || drift.matters());
         self.sensor.follow(matters, is_alike, left, delay);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
-        if let Some(fault) = fault.filter(|_| self.sensor.named >= delay) {
+        let named = fault.filter(|_| self.sensor.named >= delay);
+        if let Some(SensorFault { cause: cause @ Cause::Unattributed, size, .. }) = named {
+            let severity = if size.value > SHORT_STROKE { Severity::Critical } else { Severity::Warning };
+            let event = step.event(cause, severity, text::stroke(step.name, &size));
+            RuleResult::Fault(Box::new(event)).apply(Rule::Gauges, step);
+        } else if let Some(fault) = named {
             let is_alone = !step.alarms.active().any(|event| event.cause.is_drift());
             let event = AlarmEvent {
                 runner_up: Some(fault.runner_up),
@@ -327,8 +349,8 @@ impl Instruments {
                 ..step.sensor(fault.channel, text::sensor(step.name, &fault, is_alone)).of_size(fault.size)
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
-        } else if self.sensor.over >= settings.off_delay_throws && is_own {
-            step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor));
+        } else if let Some(cause) = own.filter(|_| self.sensor.over >= settings.off_delay_throws) {
+            step.clear(cause, |name| text::cleared(name, cause));
         }
     }
 

@@ -1,6 +1,6 @@
 //! Origin of a drift, by the gauges: a part, a sensor or the clock, or the supply.
 
-use crate::diagnose::{RunnerUp, SensorChannel, statistics::Level};
+use crate::diagnose::{Cause, RunnerUp, SensorChannel, statistics::Level};
 
 /// Origin of a drift, by the gauges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -33,6 +33,9 @@ pub(crate) enum Awaited {
 /// A fault of a sensor or of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SensorFault {
+    /// [`Cause::Sensor`]. On a machine without toe sensor, the gain of the position is that of the assumed stroke: then
+    /// [`Cause::Unattributed`], as the points may stop at another place.
+    pub(crate) cause: Cause,
     pub(crate) channel: SensorChannel,
     /// Logarithm of the gain, or of the rate of the clock.
     pub(crate) size: Level,

@@ -44,6 +44,27 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault, is_alone: bool) -> String 
     )
 }
 
+/// Text about a machine without toe sensor whose motor turns less or more for a throw. `size`: logarithm of the assumed
+/// stroke over the present one.
+pub(crate) fn stroke(name: &str, size: &Level) -> String {
+    let (way, check) = if size.value > 0.0 {
+        (
+            "less",
+            "Check at once whether the points close and lock; then limit switches and the adjustment of the stroke",
+        )
+    } else {
+        ("more", "Check whether the points lock, a worn or missing stop, and limit switches; then the clutch")
+    };
+    format!(
+        "Machine {name}: for a throw its motor turns {:.0} % (±{:.0} %) {way} than in the baseline, as far as current \
+         and supply voltage show it without a toe sensor: the points stop at another place, or motor or supply_v have \
+         changed. {check}. If the stroke was adjusted or the motor was exchanged, set stroke_mm and take a new baseline \
+         (rebaseline).",
+        size.pct().abs(),
+        size.half_width_pct()
+    )
+}
+
 /// Text about an offset of a sensor.
 pub(crate) fn offset(name: &str, sensor: Channel, level: &Level) -> String {
     let Level { value, sd } = *level;
