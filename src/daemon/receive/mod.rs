@@ -188,17 +188,29 @@ impl Intake {
         self.machines.lock().contains_key(machine)
     }
 
+    /// Whether the throws of a machine are stored. Otherwise they go to quarantine.
+    fn may_store(&self, machine: &MachineId) -> bool {
+        self.shared.config.monitor.reserves(machine).is_none() && self.has_place(&self.machines.lock(), machine)
+    }
+
+    /// Whether a machine is known, or may become known.
+    fn has_place(&self, known: &HashMap<MachineId, LoggerSeen>, machine: &MachineId) -> bool {
+        known.len() < self.shared.config.subscribe.max_machines || known.contains_key(machine)
+    }
+
     /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
     /// quarantine.
     fn admit(&self, received: ReceivedThrow, origin: Origin) -> Result<ReceivedThrow, QuarantinedMessage> {
         let ReceivedThrow { machine, throw, received_at } = &received;
         let mut known = self.machines.lock();
-        let max_machines = self.shared.config.subscribe.max_machines;
         // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
         let reason = if let Some(reason) = self.shared.config.monitor.reserves(machine) {
             reason
-        } else if known.len() >= max_machines && !known.contains_key(machine) {
-            self.shared.status.machines_refused.add(1);
+        } else if !self.has_place(&known, machine) {
+            if origin == Origin::Live {
+                self.shared.status.machines_refused.add(1);
+            }
+            let max_machines = self.shared.config.subscribe.max_machines;
             format!("more than {max_machines} machines: raise subscribe.max_machines")
         } else {
             let seen = known.entry(machine.clone()).or_default();

@@ -146,7 +146,7 @@ pub struct StatusReport {
     pub quarantined: u64,
     /// Received messages that could not be stored, since the start.
     pub lost: u64,
-    /// Throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
+    /// Live throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
     #[serde(default)]
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
