@@ -33,7 +33,8 @@ macro_rules! matching {
 }
 
 statements! {
-    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first).
+    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first). The
+    // throws of a machine are in its own order, as throws from its backlog arrive after newer ones.
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -52,12 +53,15 @@ statements! {
            (SELECT group_concat(alarm.cause) FROM alarm
              WHERE alarm.machine_row = chosen.machine_row AND alarm.state = 'cleared_unacknowledged') AS causes_over,
            (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
-             (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
-               WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-               ORDER BY near.throw_row DESC LIMIT ?10)) AS spark
+             (SELECT b0_pct, a1_pct, a0_pct FROM
+               (SELECT throw_row, b0_pct, a1_pct, a0_pct FROM estimate AS near
+                 WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+                 ORDER BY near.throw_row DESC LIMIT ?10) CROSS JOIN throw AS own USING (throw_row)
+               ORDER BY own.boot_position DESC, own.throw_no DESC)) AS spark
     FROM chosen
-    LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
-                                           ORDER BY throw_row DESC LIMIT 1)
+    LEFT JOIN throw ON throw.throw_row = (SELECT own.throw_row FROM latest CROSS JOIN throw AS own USING (throw_row)
+                                           WHERE latest.machine_row = chosen.machine_row
+                                           ORDER BY own.boot_position DESC, own.throw_no DESC LIMIT 1)
     LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
     LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
     LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
