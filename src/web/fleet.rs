@@ -69,7 +69,7 @@ struct Page {
     grouped: Option<(String, String)>,
     before: Option<String>,
     after: Option<String>,
-    /// Names of configured machines without a throw.
+    /// Names of configured machines without a throw, or without one since they were retired.
     silent: String,
     /// Names of machines whose loggers are connected and have sent no throw.
     without_throw: String,
@@ -371,7 +371,7 @@ fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, Stri
     ]
 }
 
-/// Names of configured machines without a throw.
+/// Names of configured machines without a throw, or without one since they were retired.
 async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let config = view.config();
     let configured: Vec<&MachineId> = config.machines.named().collect();
