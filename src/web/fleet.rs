@@ -73,8 +73,6 @@ struct Page {
     silent: String,
     /// Names of machines whose loggers are connected and have sent no throw.
     without_throw: String,
-    /// Machines of which every message went to quarantine, with the reason.
-    refused: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
@@ -209,7 +207,6 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         after: (last < matching).then(|| address(&query, page_no + 1)),
         silent: silent(&web.view, reader).await?,
         without_throw: report.without_throw.join(", "),
-        refused: report.refused.join("; "),
         daemon: daemon(&report, &overview),
         volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
         search: query.search.unwrap_or_default(),
