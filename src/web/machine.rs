@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity, is_possible_date},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, is_possible_date},
     estimate::Grade,
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
@@ -29,6 +29,8 @@ use crate::{
 
 /// Largest number of throws in the table.
 const THROWS: u32 = 20;
+/// Largest number of open alarms: a machine has one of each cause.
+const ALARMS: u32 = 100;
 /// Largest number of alarm events in the table.
 const EVENTS: u32 = 50;
 /// Largest number of operators' commands in the table.
@@ -185,7 +187,7 @@ async fn read(
 ) -> Result<Option<Page>, StoreError> {
     let throws = reader.newest_throws_of(machine, THROWS).await?;
     let events = reader.alarm_events_of(machine, EVENTS).await?;
-    let Present { state: now_state, drifts, caveats } = reader.state_of(machine).await?;
+    let Present { state: now_state, caveats, .. } = reader.state_of(machine).await?;
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Ok(None);
     }
@@ -203,19 +205,14 @@ async fn read(
     ];
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
-    let mut open = reader.open_alarms(&machine.into()).await?;
-    open.sort_by_key(|alarm| alarm.severity != Severity::Critical);
-    let raised = |alarm: &Alarm| {
-        let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;
-        first.change_pct.zip(first.change_pct_sd)
-    };
+    let open = reader.faults_of(machine, ALARMS).await?;
     let marks = marks(&both, &events, &baselines, &commands);
     Ok(Some(Page {
         trouble: Vec::new(),
         badge: Badge(now_state),
         caveats,
         maintenance: maintenance(now_state, &windows),
-        alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
+        alarms: AlarmLine::all(&open.alarms, &windows),
         spans: Span::CHOICES.into_iter().map(|(choice, word, text)| (word, text, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         features: trend::features(&both, &of_baseline, &marks),
