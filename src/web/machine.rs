@@ -10,6 +10,7 @@ use axum::{
     extract::{Path, RawQuery, State, rejection::PathRejection},
     response::Response,
 };
+use jiff::SignedDuration;
 
 use super::{
     alarm::AlarmLine,
@@ -37,6 +38,8 @@ const EVENTS: u32 = 50;
 const COMMANDS: u32 = 20;
 /// Largest number of baselines in the charts. A machine has one for each direction, and new ones after work on it.
 const BASELINES: u32 = 20;
+/// Within this time complete baselines have one mark: those of both directions, which alternate.
+const ONE_BASELINE: SignedDuration = SignedDuration::from_hours(24);
 
 /// Which throws the charts of a machine show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -453,7 +456,9 @@ fn marks(
     let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
     let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();
     marks.sort_by_key(|mark| mark.at);
-    // The baselines of both directions are usually complete at the same time: one mark is enough.
-    marks.dedup_by(|one, before| one.label == before.label && one.label == "baseline");
+    marks.dedup_by(|one, before| {
+        let is_near = one.at.duration_since(before.at) < ONE_BASELINE;
+        is_near && one.label == before.label && one.label == "baseline"
+    });
     marks
 }
