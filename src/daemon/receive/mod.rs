@@ -342,21 +342,12 @@ impl ReceiveLoop {
         }
     }
 
-    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
-    /// upper bound.
+    /// Logs the throws that are not stored, and ends the subscription.
     async fn log_lost(&mut self) {
         for ReceivedThrow { machine, throw, .. } in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.shared.status.edit().lost += self.undecoded + self.unstored.len() as u64;
         self.inbox.close().await;
-        let mut queued = Vec::new();
-        while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
-        self.shared.status.edit().lost += queued.len() as u64;
-        let messages = self.undecoded + queued.len() as u64;
-        if messages > 0 {
-            tracing::error!(messages, "received messages could not be stored: they are LOST");
-        }
     }
 
     /// After a refusal by SQLite (constraint, type), stores each throw alone. A throw that SQLite refuses again goes to
@@ -387,6 +378,18 @@ impl ReceiveLoop {
             } else {
                 at += 1;
             }
+        }
+    }
+}
+
+/// Counts the messages that are not stored when the loop gives up or panics. A write in progress may still be
+/// committed, so the count is an upper bound.
+impl Drop for ReceiveLoop {
+    fn drop(&mut self) {
+        let messages = self.undecoded + self.inbox.discard() as u64;
+        self.shared.status.edit().lost += messages + self.unstored.len() as u64;
+        if messages > 0 {
+            tracing::error!(messages, "received messages could not be stored: they are LOST");
         }
     }
 }
