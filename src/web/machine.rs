@@ -316,7 +316,7 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
     let last_throw = |direction: Direction| {
         let last = last_in(latest, direction);
         let scatter = trend::scatter_pct(baselines, direction);
-        let change = last.and_then(Health::present_change_pct);
+        let change = last.and_then(|last| last.change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
             (state::signed(change[at], 1), own)
@@ -341,8 +341,8 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
 
 /// Text for a throw without changes of the coefficients: the changes of the ratios, or the reason.
 fn without(row: &Health) -> String {
-    if let Some(changes) = row.present_ratio_changes_pct() {
-        let [friction, stiffness] = changes.map(|change| state::signed(change, 1));
+    if let Some((friction, stiffness)) = row.a1_per_b0_pct.zip(row.a0_per_b0_pct) {
+        let [friction, stiffness] = [friction, stiffness].map(|change| state::signed(change, 1));
         let ratios = format!("friction per motor {friction} %, stiffness per motor {stiffness} %");
         return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
     }
