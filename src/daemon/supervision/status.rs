@@ -13,7 +13,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{AlarmState, MachineState, Severity},
-    store::{DiskLevel, RecentCount, Store, StoreError, Window, seldom},
+    store::{DiskLevel, RecentCount, Store, StoreError, WORST_FIRST, Window, seldom},
     throw::{MachineId, counted},
     wire::Alarm,
 };
@@ -373,13 +373,13 @@ impl StatusReport {
     /// The parts of [`Self::line`]: each problem, then the counts.
     pub fn parts(&self) -> Vec<String> {
         let mut parts = self.problems();
-        let states: Vec<String> =
-            [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
-                .into_iter()
-                .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
-                .filter(|(count, _)| *count > 0)
-                .map(|(count, state)| format!("{count} {state}"))
-                .collect();
+        let states: Vec<String> = WORST_FIRST
+            .into_iter()
+            .filter(|state| !state.is_well())
+            .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, state)| format!("{count} {state}"))
+            .collect();
         let FleetCounts { own_alarms, shelved_alarms, .. } = self.fleet_counts;
         let mut add = |is_so: bool, part: String| parts.extend(is_so.then_some(part));
         add(!self.connected, "not connected".to_owned());
