@@ -321,10 +321,8 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
             %database,
             "the database was not closed cleanly, and its write-ahead log is missing: unless this is a backup, the last throws may be LOST"
         ),
-        Found::SetAside { to, why, salvaged } => {
-            let set_aside = to.display();
-            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it is set aside, and a new one is created");
-        }
+        // In the log already: the copy of its rows may take minutes.
+        Found::SetAside { .. } => {}
     }
     tracing::info!(version = env!("CARGO_PKG_VERSION"), "pointsd starts");
     if report.upgraded_by > 0 {
