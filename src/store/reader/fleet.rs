@@ -2,14 +2,9 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::{FromRow, Row, sqlite::SqliteRow};
 
-use sqlx::{
-    FromRow, Row, Sqlite,
-    query::QueryAs,
-    sqlite::{SqliteArguments, SqliteRow},
-};
-
-use super::{Reader, machine::CommandRow, machine_query};
+use super::{FromSql, Reader, Select, machine::CommandRow, machine_query};
 use crate::{
     diagnose::{AlarmState, Cause, Drifting, MachineState},
     store::{
@@ -42,14 +37,7 @@ pub(crate) struct FleetQuery {
 
 impl FleetQuery {
     /// Binds the five parameters of `matching!`, which are the first ones of `statement`. `itself`: the daemon.
-    fn matching<'q, Row>(
-        &'q self,
-        statement: &'static str,
-        itself: &'q MachineId,
-    ) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
-    where
-        Row: for<'r> FromRow<'r, SqliteRow>,
-    {
+    fn matching<'q, Row: FromSql>(&'q self, statement: &'static str, itself: &'q MachineId) -> Select<'q, Row> {
         sqlx::query_as(statement)
             .bind(self.site.as_ref().map(Name::as_str))
             .bind(self.cause.map(Cause::as_str))
