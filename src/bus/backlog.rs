@@ -65,7 +65,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max
             page.messages.push(message);
         } else {
             // All later replies are dropped too: the missing reply between them would look like a gap.
-            *bytes = PAGE_BYTES;
+            *bytes = PAGE_BYTES + 1;
         }
     };
     let (session, selector) = (session.clone(), format!("{key}?{}", query.parameters()));

@@ -100,6 +100,12 @@ impl Inbox {
         }
     }
 
+    /// Ends the subscription without waiting, removes the queued messages, and returns their number.
+    pub(crate) fn discard(&mut self) -> usize {
+        drop(self.subscriber.take());
+        std::iter::from_fn(|| self.counters.queue.pop()).count()
+    }
+
     /// Ends the subscription, and waits for the messages that are being queued. Queued messages can still be received.
     pub(crate) async fn close(&mut self) {
         let Some(subscriber) = self.subscriber.take() else { return };

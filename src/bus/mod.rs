@@ -29,7 +29,7 @@ pub(crate) use session::{declare_alive, declare_publisher, intersect, is_client,
 
 /// The configuration of a session of a test that finds nobody and listens nowhere.
 #[cfg(test)]
-fn config_without_links() -> zenoh::Config {
+pub(crate) fn config_without_links() -> zenoh::Config {
     let mut config = zenoh::Config::default();
     for (key, value) in [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")] {
         config.insert_json5(key, value).unwrap();

@@ -6,6 +6,7 @@ use std::{
     fmt::Display,
     fs,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use anyhow::{Context, anyhow, bail};
@@ -17,10 +18,10 @@ use serde_json::json;
 use super::{Exit, Failure, Outcome, ResultExt, argument, output, recording, run::located, runtime, terminal};
 use crate::{
     daemon::{
-        Judged, Offline, clock,
+        Offline, clock,
         config::{Config, Monitor},
     },
-    store::Spooled,
+    store::{Judgement, Spooled},
     throw::{Direction, MachineId, Throw, ThrowRef, counted, utc},
     wire::{self, Encoding, Health},
 };
@@ -369,20 +370,20 @@ fn print(line: impl Display) -> Outcome {
     output::after(output::line(line), Exit::Ok)
 }
 
-fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result<(), Failure> {
-    for throw in judged {
-        count.rejected += u64::from(throw.health.is_rejected());
-        count.alarms += throw.events.len() as u64;
+fn report(arguments: &Arguments, judged: &[Arc<[Judgement]>], count: &mut Count) -> Result<(), Failure> {
+    for Judgement { health, outcome, .. } in judged.iter().flat_map(|batch| &**batch) {
+        count.rejected += u64::from(health.is_rejected());
+        count.alarms += outcome.events.len() as u64;
         if arguments.json {
-            let Health { machine, throw: id, quality, direction, .. } = &throw.health;
+            let Health { machine, throw: id, quality, direction, .. } = health;
             let events: Vec<_> =
-                throw.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
+                outcome.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
             print(
                 json!({"site": machine.site, "machine": machine.machine, "boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
                        "alarms": events}),
             )?;
         } else {
-            for event in &throw.events {
+            for event in &outcome.events {
                 print(&event.text)?;
             }
         }

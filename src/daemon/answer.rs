@@ -35,7 +35,7 @@ impl Responder {
                 seldom!(
                     warn,
                     dropped,
-                    "queries refused: the queue is full, they waited too long, or their payload is too large"
+                    "queries refused: the queue is full, they waited too long, or they are too large"
                 );
             }
             let replies = self.replies(&question).await;
@@ -48,12 +48,17 @@ impl Responder {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, status, .. } => alarm_replies(question, reader, status).await,
+            Self::Commands { .. } if is_about_others(question) => Ok(Vec::new()),
             Self::Commands { sender, itself } => {
                 wire::check_parameters(question.parameters().as_str(), &["session"])?;
                 match question.parameters().get("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
                     _ => command_reply(question, sender, itself).await,
                 }
+            }
+            // As `points/v1/**?since=…`, a query for the history of health and alarms.
+            Self::Status { .. } if !question.parameters().is_empty() && !question.key_expr().ends_with("/status") => {
+                Ok(Vec::new())
             }
             Self::Status { key, shared } => {
                 wire::check_parameters(question.parameters().as_str(), &[])?;
@@ -66,6 +71,12 @@ impl Responder {
 /// Whether the key expression of a query includes `key`.
 fn asks_about(question: &Query, key: &str) -> bool {
     bus::intersect(question.key_expr(), key)
+}
+
+/// Whether a query on a wildcard as `points/v1/north/21B/*` is no command, as it has no payload. Health and alarms
+/// answer it.
+fn is_about_others(question: &Query) -> bool {
+    question.payload().is_none_or(ZBytes::is_empty) && wire::parse_key(question.key_expr()).is_err()
 }
 
 async fn health_replies(question: &Query, reader: &Reader) -> Replies {
@@ -100,12 +111,8 @@ fn messages<T>(
 
 async fn command_reply(question: &Query, sender: &CommandSender, itself: &CommandTarget) -> Replies {
     let payload = question.payload().map(ZBytes::to_bytes).unwrap_or_default();
-    let machine = match wire::parse_key(question.key_expr()) {
-        Ok((machine, _)) => machine,
-        // A query without payload is no command. On a wildcard as `points/v1/north/21B/*` health and alarms answer it.
-        Err(_) if payload.is_empty() => return Ok(Vec::new()),
-        Err(error) => return Err(format!("a command goes to one machine, so its key has no wildcard: {error}")),
-    };
+    let (machine, _) = wire::parse_key(question.key_expr())
+        .map_err(|error| format!("a command goes to one machine, so its key has no wildcard: {error}"))?;
     let key = wire::machine_key(&machine, Kind::Command);
     if payload.is_empty() {
         return Ok(vec![(key, wire::json_bytes(itself))]);

@@ -33,7 +33,6 @@ mod supervision;
 mod webhook;
 
 pub use error::{StartError, StopError};
-pub use judge::Judged;
 pub use offline::Offline;
 pub use start::{DATABASE, Daemon, View};
 pub(crate) use supervision::heartbeat::TaskName;

@@ -9,11 +9,11 @@ use super::{
     clock,
     config::Config,
     error::StartError,
-    judge::{Batch, Judge, Judged},
+    judge::{Batch, Judge},
     supervision::lock::DatabaseLock,
 };
 use crate::{
-    store::{Spooled, Store, StoreError},
+    store::{Judgement, Spooled, Store, StoreError},
     throw::{MachineId, Throw, ThrowRef},
 };
 
@@ -49,7 +49,7 @@ impl Offline {
         machine: &MachineId,
         throw: &Throw,
         received_at: Timestamp,
-    ) -> Result<(Spooled, Vec<Judged>), StoreError> {
+    ) -> Result<(Spooled, Vec<Arc<[Judgement]>>), StoreError> {
         let spooled = self.store.spool(machine, throw, received_at).await?;
         self.waiting += 1;
         let judged = if self.waiting >= GROUP { self.judge().await? } else { Vec::new() };
@@ -68,7 +68,7 @@ impl Offline {
     }
 
     /// Judges all pending throws.
-    pub async fn judge(&mut self) -> Result<Vec<Judged>, StoreError> {
+    pub async fn judge(&mut self) -> Result<Vec<Arc<[Judgement]>>, StoreError> {
         self.waiting = 0;
         let mut all = Vec::new();
         loop {
@@ -78,7 +78,7 @@ impl Offline {
             }
             let judgements = self.judge.judge(&throws).await;
             self.store.judge_all(Arc::clone(&judgements)).await?;
-            all.extend(judgements.iter().map(Judged::from));
+            all.push(judgements);
         }
     }
 

@@ -15,7 +15,7 @@ use super::{
     config::Config,
     error::StartError,
     judge::{
-        Judge, Judged,
+        Judge,
         commands::{CommandSender, PendingCommand},
         judge_loop::{JudgeLoop, Links},
     },
@@ -38,11 +38,12 @@ use super::{
 };
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
-    store::{self, Found, Opened, Store},
+    store::{self, Found, Judgement, Opened, Store},
     wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
-/// Capacity of the channel of judged throws to observers. A slow observer misses the oldest throws.
+/// Capacity of the channel of judged throws to observers \[batches\]: more than the throws of a demo. A slow observer
+/// misses the oldest batches.
 const JUDGED_CAPACITY: usize = 4_096;
 
 /// Name that [`Daemon::ended`] returns for the writer of the database.
@@ -56,7 +57,7 @@ pub(super) const PUBLISH: &str = "publish";
 pub struct Daemon {
     pub(super) shared: Arc<Shared>,
     config: watch::Sender<Arc<Config>>,
-    watchers: broadcast::Sender<Judged>,
+    watchers: broadcast::Sender<Arc<[Judgement]>>,
     commands: CommandSender,
     pub(super) tasks: Tasks,
     pub(super) publishing: [JoinHandle<()>; 2],
@@ -160,8 +161,8 @@ impl Daemon {
         watchdog::notify(&[NotifyState::Ready, NotifyState::Status(&self.report().line())]);
     }
 
-    /// Receiver of the throws judged from now on.
-    pub fn watch(&self) -> broadcast::Receiver<Judged> {
+    /// Receiver of the throws judged from now on, in batches.
+    pub fn watch(&self) -> broadcast::Receiver<Arc<[Judgement]>> {
         self.watchers.subscribe()
     }
 
@@ -246,7 +247,7 @@ impl Starting {
         &mut self,
         outlet: Outlet,
         config: watch::Receiver<Arc<Config>>,
-        watchers: broadcast::Sender<Judged>,
+        watchers: broadcast::Sender<Arc<[Judgement]>>,
         commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
         let shared = Arc::clone(&self.shared);
@@ -320,10 +321,8 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
             %database,
             "the database was not closed cleanly, and its write-ahead log is missing: unless this is a backup, the last throws may be LOST"
         ),
-        Found::SetAside { to, why, salvaged } => {
-            let set_aside = to.display();
-            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it is set aside, and a new one is created");
-        }
+        // In the log already: the copy of its rows may take minutes.
+        Found::SetAside { .. } => {}
     }
     tracing::info!(version = env!("CARGO_PKG_VERSION"), "pointsd starts");
     if report.upgraded_by > 0 {

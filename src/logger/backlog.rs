@@ -54,7 +54,8 @@ impl AnswerThread {
         Ok(Self(sender))
     }
 
-    /// Declares the backlog of a machine on its throw key, with its limits.
+    /// Declares the backlog of a machine on its throw key, with its limits. A query on a wildcard is for other data, and
+    /// gets no throws.
     pub(super) fn declare(
         &self,
         session: &Session,
@@ -63,10 +64,13 @@ impl AnswerThread {
         max_bytes: usize,
     ) -> Result<Backlog, LoggerError> {
         let kept = Arc::new(Mutex::new(Kept { throws: VecDeque::new(), bytes: 0, max_throws, max_bytes }));
-        let (requests, answered) = (self.0.clone(), Arc::clone(&kept));
+        let (requests, answered, own_key) = (self.0.clone(), Arc::clone(&kept), key.to_owned());
         let queryable = session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
+                if query.key_expr().as_str() != own_key {
+                    return;
+                }
                 // If the queue is full, the query ends without a reply, as if there were no newer throws. A daemon
                 // sends at most eight queries at a time, so the queue does not fill.
                 let _ = requests.try_send((query, Arc::clone(&answered)));
@@ -101,6 +105,29 @@ fn answer(query: &Query, kept: &Mutex<Kept>) {
         if let Err(error) = query.reply(query.key_expr().clone(), message).encoding(Encoding::APPLICATION_CBOR).wait() {
             tracing::debug!(%error, "sending a page of the backlog failed");
             return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::config_without_links;
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn only_a_query_on_the_throw_key_gets_throws() {
+        const KEY: &str = "points/v1/north/21B/throw";
+        let session = zenoh::open(config_without_links()).await.unwrap();
+        let backlog = AnswerThread::start().unwrap().declare(&session, KEY, 10, 1_000).unwrap();
+        backlog.keep(ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 }, ZBytes::from("throw"));
+        for (selector, expected) in [(KEY, 1), ("points/v1/north/21B/*", 0), ("points/v1/**?limit=10", 0)] {
+            let replies = session.get(selector).await.unwrap();
+            let mut found = 0;
+            while let Ok(reply) = replies.recv_async().await {
+                assert_eq!(reply.result().unwrap().key_expr().as_str(), KEY);
+                found += 1;
+            }
+            assert_eq!(found, expected, "{selector}");
         }
     }
 }

@@ -96,8 +96,7 @@ impl StoreError {
     /// Turns an error of SQLite into that of an operator's statement.
     pub(super) fn statement(source: sqlx::Error) -> Self {
         match (primary_code(&source), source.as_database_error().map(sqlx::error::DatabaseError::message)) {
-            // `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` and `RANGE`.
-            (Some(1 | 18 | 19 | 20 | 25), Some(message)) => Self::Statement(message.to_owned()),
+            (Some(code), Some(message)) if REFUSALS.contains(&code) => Self::Statement(message.to_owned()),
             // `SQLITE_READONLY`.
             (Some(8), Some(_)) => Self::writes(),
             // `SQLITE_CANTOPEN`, with this message of the statement ATTACH.
@@ -113,6 +112,9 @@ impl StoreError {
         Self::Statement("it writes to the database, which only the daemon may do".to_owned())
     }
 }
+
+/// `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` and `RANGE`: the statement is refused, independent of the disk.
+const REFUSALS: [i32; 5] = [1, 18, 19, 20, 25];
 
 /// The primary result code of an SQLite error.
 fn primary_code(error: &sqlx::Error) -> Option<i32> {
@@ -141,10 +143,10 @@ pub(super) fn is_interrupted(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(9)
 }
 
-/// `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` or `RANGE`: the statement was refused, independent of the disk.
+/// Whether the statement was refused, independent of the disk.
 pub(super) fn is_refused(error: &sqlx::Error) -> bool {
     match primary_code(error) {
-        Some(code) => matches!(code, 1 | 18 | 19 | 20 | 25),
+        Some(code) => REFUSALS.contains(&code),
         None => !matches!(error, sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed),
     }
 }

@@ -39,7 +39,9 @@ pub(crate) use rate_limit::{LogRateLimit, RecentCount, seldom};
 pub use reader::Reader;
 pub(crate) use reader::export::{Export, Exported};
 pub use reader::fleet::Window;
-pub(crate) use reader::fleet::{AlarmCount, CommonAlarm, Fault, FleetQuery, FleetRow, StateCounts, WORST_FIRST};
+pub(crate) use reader::fleet::{
+    AlarmCount, CommonAlarm, Fault, Faults, FleetQuery, FleetRow, StateCounts, WORST_FIRST,
+};
 pub(crate) use reader::machine::{CommandRow, ThrowSelection};
 pub use reader::read_only::Value;
 pub(crate) use reader::read_only::{Backup, ResultWriter, run_query};

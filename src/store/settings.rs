@@ -39,9 +39,5 @@ settings! {
         pub max_wal_mib: u64 = 256, Within(32.0, 65_536.0, "MiB");
         /// Largest number of messages in quarantine, 0 to 100,000.
         pub max_quarantined: u32 = 1000, Within(0.0, 100_000.0, "messages");
-        /// Whether a commit waits until its data are on the disk. Not a key of the configuration: if it is false, a
-        /// power cut loses acknowledged rows. It exists to show that the power-cut test can fail.
-        #[serde(skip)]
-        pub durable: bool = true;
     }
 }

@@ -2,8 +2,8 @@
 
 use super::{page, state};
 use crate::{
-    diagnose::{AlarmState, Drifting},
-    store::Window,
+    diagnose::AlarmState,
+    store::{Fault, Window},
     throw::utc,
     wire::Alarm,
 };
@@ -24,9 +24,12 @@ pub(super) struct AlarmLine {
 }
 
 impl AlarmLine {
-    /// `raised` is the size with its standard deviation when the alarm was raised; `drifts` are the present drifts of
-    /// the machine; `windows` are open shelvings and maintenance.
-    pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
+    /// The lines of open alarms. `windows` are open shelvings and maintenance.
+    pub(super) fn all(faults: &[Fault], windows: &[Window]) -> Vec<Self> {
+        faults.iter().map(|fault| Self::new(fault, windows)).collect()
+    }
+
+    fn new(Fault { alarm, raised, drifts }: &Fault, windows: &[Window]) -> Self {
         let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
         // Events of earlier versions do not have `acknowledged_by`, only the operator of the last command.
         let by = alarm.acknowledged_by.as_ref().or(alarm.by.as_ref());

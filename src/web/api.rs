@@ -88,9 +88,9 @@ pub(super) async fn machine(
 pub(super) async fn alarms(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     takes_none(query.as_deref())?;
     let overview = web.overview().await?;
-    let faults: Vec<_> = overview.faults.iter().map(with_sizes).collect();
+    let faults: Vec<_> = overview.faults.alarms.iter().map(with_sizes).collect();
     Ok(page::json(&json!({
-        "faults": faults, "fault_count": overview.fault_count, "common": overview.common.iter().map(with_list).collect::<Vec<_>>(),
+        "faults": faults, "fault_count": overview.faults.total, "common": overview.common.iter().map(with_list).collect::<Vec<_>>(),
     })))
 }
 

@@ -6,8 +6,8 @@ use axum::{
     Extension,
     body::Bytes,
     extract::{Path, State, rejection::PathRejection},
-    http::{HeaderValue, StatusCode, header},
-    response::{IntoResponse, Response},
+    http::StatusCode,
+    response::{IntoResponse, Redirect, Response},
 };
 use jiff::{SignedDuration, Timestamp};
 use tokio::time;
@@ -32,9 +32,7 @@ pub(super) async fn post(
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
     let Err(refused) = apply(&web, &machine, &fields).await else {
         let place = format!("/machines/{}/{}#commands", machine.site, machine.machine);
-        let place = HeaderValue::from_str(&place)
-            .map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
-        return Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response());
+        return Ok(Redirect::to(&place).into_response());
     };
     // The response is the page again, with the typed values in the form. If it cannot be made, the response is the
     // refusal.

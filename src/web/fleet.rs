@@ -69,12 +69,10 @@ struct Page {
     grouped: Option<(String, String)>,
     before: Option<String>,
     after: Option<String>,
-    /// Names of configured machines without a throw.
+    /// Names of configured machines without a throw, or without one since they were retired.
     silent: String,
     /// Names of machines whose loggers are connected and have sent no throw.
     without_throw: String,
-    /// Machines of which every message went to quarantine, with the reason.
-    refused: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
@@ -180,16 +178,17 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
     // The faults are sorted, the worst first.
     let is_urgent = |Fault { alarm, .. }: &Fault| alarm.severity == Severity::Critical && alarm.state.is_active();
-    let urgent = overview.faults.partition_point(is_urgent);
-    let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
+    let faults = &overview.faults.alarms;
+    let urgent = faults.partition_point(is_urgent);
+    let more_alarms = overview.faults.total.saturating_sub(faults.len() as u64);
     let page_no = page_number(&query);
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &query),
         machines: counted(page::count(tally.total()), "machine"),
-        urgent: lines(&overview.faults[..urgent], &windows),
+        urgent: AlarmLine::all(&faults[..urgent], &windows),
         common: common(&overview.common),
-        alarms: lines(&overview.faults[urgent..], &windows),
+        alarms: AlarmLine::all(&faults[urgent..], &windows),
         more_alarms: if more_alarms > 0 { counted(page::count(more_alarms), "more alarm") } else { String::new() },
         sites: overview
             .sites
@@ -209,7 +208,6 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         after: (last < matching).then(|| address(&query, page_no + 1)),
         silent: silent(&web.view, reader).await?,
         without_throw: report.without_throw.join(", "),
-        refused: report.refused.join("; "),
         daemon: daemon(&report, &overview),
         volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
         search: query.search.unwrap_or_default(),
@@ -235,10 +233,6 @@ fn tally_links(tally: &StateCounts, filters: &FleetQuery) -> Vec<(Badge, String,
     };
     let link = |state: MachineState| (Badge(state), number(state), address_of_state(filters, state));
     WORST_FIRST.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
-}
-
-fn lines(faults: &[Fault], windows: &[Window]) -> Vec<AlarmLine> {
-    faults.iter().map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, windows)).collect()
 }
 
 /// Groups the alarms about machines not monitored and lost data into entries, those about lost data by their kind.
@@ -371,7 +365,7 @@ fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, Stri
     ]
 }
 
-/// Names of configured machines without a throw.
+/// Names of configured machines without a throw, or without one since they were retired.
 async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let config = view.config();
     let configured: Vec<&MachineId> = config.machines.named().collect();

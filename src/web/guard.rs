@@ -72,6 +72,7 @@ pub(super) async fn guard(
     if response.body().size_hint().lower() > SMALL {
         match web.large_permit() {
             Some(permit) => progress.hold(permit),
+            None if is_api => response = Failure::busy().json(),
             None => response = Failure::busy().page(trouble::of_daemon(&web.view)),
         }
     }

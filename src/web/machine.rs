@@ -10,6 +10,7 @@ use axum::{
     extract::{Path, RawQuery, State, rejection::PathRejection},
     response::Response,
 };
+use jiff::SignedDuration;
 
 use super::{
     alarm::AlarmLine,
@@ -20,7 +21,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity, is_possible_date},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, is_possible_date},
     estimate::Grade,
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
     throw::{Direction, MachineId, counted, utc, without_digits},
@@ -29,12 +30,16 @@ use crate::{
 
 /// Largest number of throws in the table.
 const THROWS: u32 = 20;
+/// Largest number of open alarms: a machine has one of each cause.
+const ALARMS: u32 = 100;
 /// Largest number of alarm events in the table.
 const EVENTS: u32 = 50;
 /// Largest number of operators' commands in the table.
 const COMMANDS: u32 = 20;
 /// Largest number of baselines in the charts. A machine has one for each direction, and new ones after work on it.
 const BASELINES: u32 = 20;
+/// Within this time complete baselines have one mark: those of both directions, which alternate.
+const ONE_BASELINE: SignedDuration = SignedDuration::from_hours(24);
 
 /// Which throws the charts of a machine show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -185,7 +190,7 @@ async fn read(
 ) -> Result<Option<Page>, StoreError> {
     let throws = reader.newest_throws_of(machine, THROWS).await?;
     let events = reader.alarm_events_of(machine, EVENTS).await?;
-    let Present { state: now_state, drifts, caveats } = reader.state_of(machine).await?;
+    let Present { state: now_state, caveats, .. } = reader.state_of(machine).await?;
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Ok(None);
     }
@@ -203,19 +208,14 @@ async fn read(
     ];
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
-    let mut open = reader.open_alarms(&machine.into()).await?;
-    open.sort_by_key(|alarm| alarm.severity != Severity::Critical);
-    let raised = |alarm: &Alarm| {
-        let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;
-        first.change_pct.zip(first.change_pct_sd)
-    };
+    let open = reader.faults_of(machine, ALARMS).await?;
     let marks = marks(&both, &events, &baselines, &commands);
     Ok(Some(Page {
         trouble: Vec::new(),
         badge: Badge(now_state),
         caveats,
         maintenance: maintenance(now_state, &windows),
-        alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
+        alarms: AlarmLine::all(&open.alarms, &windows),
         spans: Span::CHOICES.into_iter().map(|(choice, word, text)| (word, text, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         features: trend::features(&both, &of_baseline, &marks),
@@ -316,7 +316,7 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
     let last_throw = |direction: Direction| {
         let last = last_in(latest, direction);
         let scatter = trend::scatter_pct(baselines, direction);
-        let change = last.and_then(Health::present_change_pct);
+        let change = last.and_then(|last| last.change_pct);
         let text = |at: usize, change: [f64; 3]| {
             let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
             (state::signed(change[at], 1), own)
@@ -341,8 +341,8 @@ fn last_throws(latest: &[Health], baselines: &[BaselineRecord]) -> Vec<LastThrow
 
 /// Text for a throw without changes of the coefficients: the changes of the ratios, or the reason.
 fn without(row: &Health) -> String {
-    if let Some(changes) = row.present_ratio_changes_pct() {
-        let [friction, stiffness] = changes.map(|change| state::signed(change, 1));
+    if let Some((friction, stiffness)) = row.a1_per_b0_pct.zip(row.a0_per_b0_pct) {
+        let [friction, stiffness] = [friction, stiffness].map(|change| state::signed(change, 1));
         let ratios = format!("friction per motor {friction} %, stiffness per motor {stiffness} %");
         return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
     }
@@ -456,7 +456,9 @@ fn marks(
     let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
     let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();
     marks.sort_by_key(|mark| mark.at);
-    // The baselines of both directions are usually complete at the same time: one mark is enough.
-    marks.dedup_by(|one, before| one.label == before.label && one.label == "baseline");
+    marks.dedup_by(|one, before| {
+        let is_near = one.at.duration_since(before.at) < ONE_BASELINE;
+        is_near && one.label == before.label && one.label == "baseline"
+    });
     marks
 }

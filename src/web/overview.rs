@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Reader, StateCounts, Statistics, StoreError},
+    store::{AlarmCount, CommonAlarm, Faults, FleetQuery, Reader, StateCounts, Statistics, StoreError},
     wire::Alarm,
 };
 
@@ -30,17 +30,13 @@ const SITES: u32 = 200;
 pub(super) struct Overview {
     /// Number of machines in each state; states without machines are left out.
     pub(super) tally: StateCounts,
-    /// Open alarms about the condition of machines, the worst first, up to [`FAULTS`].
-    pub(super) faults: Vec<Fault>,
-    /// Number of all such alarms.
-    pub(super) fault_count: u64,
+    /// Open alarms about the condition of machines, up to [`FAULTS`].
+    pub(super) faults: Faults,
     /// Numbers of open alarms about machines not monitored and lost data, by cause and site.
     pub(super) common: Vec<CommonAlarm>,
     pub(super) sites: Vec<String>,
     /// Open alarms about the daemon itself.
     pub(super) own_alarms: Vec<Alarm>,
-    /// Number of open alarms that another version stored and this version cannot read.
-    pub(super) unreadable: usize,
     pub(super) alarms_by_kind: Vec<AlarmCount>,
     pub(super) statistics: Statistics,
 }
@@ -86,15 +82,12 @@ impl Web {
         let reader = self.reader();
         let itself = self.view.config().monitor.as_machine();
         let tally = reader.tally(&FleetQuery::default(), &itself).await?;
-        let (faults, unreadable) = reader.faults(FAULTS, &itself).await?;
         let overview = Arc::new(Overview {
             tally,
-            faults,
-            fault_count: reader.fault_count(&itself).await?,
+            faults: reader.faults(FAULTS, &itself).await?,
             common: reader.common_alarms(&itself).await?,
             sites: reader.sites(SITES).await?,
             own_alarms: reader.open_alarms(&(&itself).into()).await?,
-            unreadable,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
             statistics: self.view.store.statistics().await?,
         });

@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::{
     extract::{path::ErrorKind, rejection::PathRejection},
-    http::{HeaderValue, StatusCode, header},
+    http::{StatusCode, header},
     response::{Html, IntoResponse, Response},
 };
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
@@ -101,13 +101,12 @@ pub(super) fn rendered(page: &impl Template) -> String {
 }
 
 pub(super) fn json(value: &serde_json::Value) -> Response {
-    ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], wire::json(value)).into_response()
+    ([(header::CONTENT_TYPE, "application/json")], wire::json(value)).into_response()
 }
 
 /// A file of the program. The header `cache` tells browsers how long to keep it.
 pub(super) fn asset(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
-    let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)];
-    (headers.map(|(name, value)| (name, HeaderValue::from_static(value))), content).into_response()
+    ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)], content).into_response()
 }
 
 /// JSON for a `<script>` block of a page. A text in the JSON cannot end the block, as `<` is escaped.

@@ -6,7 +6,7 @@ use std::{iter, sync::Arc};
 use askama::Template;
 use axum::{
     extract::{Path, State, rejection::PathRejection},
-    http::{HeaderValue, StatusCode, header},
+    http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
 
@@ -163,8 +163,7 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
         );
         Failure::new(StatusCode::PAYLOAD_TOO_LARGE, message)
     })?;
-    let kind = HeaderValue::from_static("text/csv; charset=utf-8");
-    Ok(([(header::CONTENT_TYPE, kind)], text).into_response())
+    Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], text).into_response())
 }
 
 /// The lines as one text; `None` if they have more than `largest` bytes. The lines after this size are not made.

@@ -6,7 +6,7 @@ use super::page;
 use crate::{
     diagnose::{BaselineRecord, Settings},
     report::{Panel, Sheet},
-    throw::{Direction, Trace},
+    throw::{Direction, Trace, rounded},
     wire::Health,
 };
 
@@ -79,7 +79,7 @@ pub(super) fn coefficients(
         let band = scatter.zip(at).map(|(scatter, at)| scatter[at]);
         let scatter = band.map(|band| format!("The band of ± {band:.1} % is the scatter of this machine. "));
         let scatter = scatter.unwrap_or_default();
-        let caption = format!("{about}. {scatter}Warning at {limit} %, critical at {} %.", limits.1);
+        let caption = format!("{about}. {scatter}Warning at {limit} %, critical at {} %.", rounded(limits.1));
         let of_row = |row: &Health| row.change_pct.map(|pct| at.map_or_else(|| inertia_pct(pct), |at| pct[at]));
         Picture::new(change(title, limits, band, directions, marks, of_row), caption)
     };
@@ -297,22 +297,32 @@ mod tests {
         assert_eq!(drawn(10.0, &[1.0, 2.0, 3.0]), [(0.0, 1.0), (0.1, 2.0), (0.2, 3.0)]);
     }
 
-    /// The throws since the baseline of each throw, and whether the last one before a new baseline is among them.
-    #[test]
-    fn a_new_baseline_interrupts_the_curve() {
-        let machine = MachineId::new("north", "21B").unwrap();
-        let row = |at: i64, throws_since_baseline, so_far| Health {
+    fn row(at: i64, throws_since_baseline: u64, so_far: u64) -> Health {
+        Health {
             baseline: Some(BaselineProgress { so_far, needed: 50 }),
             throws_since_baseline,
             change_pct: Some([1.0; 3]),
             ..Health::rejected(
-                machine.clone(),
+                MachineId::new("north", "21B").unwrap(),
                 ThrowRef { boot_id: "b".to_owned(), throw_no: at.unsigned_abs() },
                 Timestamp::from_second(at).unwrap(),
                 "good",
                 None,
             )
-        };
+        }
+    }
+
+    #[test]
+    fn the_limits_in_a_caption_are_short() {
+        let both = [(Direction::NormalToReverse, vec![row(1, 8, 50)]), (Direction::ReverseToNormal, Vec::new())];
+        let settings = Settings { kt_limit_pct: 5.1, ..Settings::default() };
+        let caption = &coefficients(&both, &[], &[], &settings)[0].caption;
+        assert!(caption.ends_with("Warning at 5.1 %, critical at 15.3 %."), "{caption}");
+    }
+
+    /// The throws since the baseline of each throw, and whether the last one before a new baseline is among them.
+    #[test]
+    fn a_new_baseline_interrupts_the_curve() {
         let times = |rows: &[Health]| {
             let points = since_baseline(rows, |row| Some(row.change_pct?[0]));
             points.iter().map(|(at, value)| if value.is_nan() { f64::NAN } else { *at }).collect::<Vec<_>>()

@@ -52,8 +52,8 @@ fn of_data(overview: &Overview) -> Vec<String> {
     // Not the shelved and cleared alarms, which are in the list of alarms.
     let own = overview.own_alarms.iter().filter(|alarm| alarm.state.is_active());
     let mut trouble: Vec<String> = own.map(|alarm| format!("Alarm of the daemon itself: {}", alarm.text)).collect();
-    if overview.unreadable > 0 {
-        let unknown = overview.unreadable;
+    let unknown = overview.faults.unreadable;
+    if unknown > 0 {
         trouble.push(format!(
             "{} of another version cannot be read by this version: pointsd sql shows all.",
             counted(unknown, "open alarm")

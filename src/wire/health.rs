@@ -149,18 +149,6 @@ impl Health {
         }
     }
 
-    /// Changes of the coefficients from the present baseline \[%\]; `None` if a new baseline began after the throw.
-    pub fn present_change_pct(&self) -> Option<[f64; 3]> {
-        self.change_pct.filter(|_| self.baseline.is_none_or(BaselineProgress::has_begun))
-    }
-
-    /// Changes of `a1_per_b0` and `a0_per_b0` from the present baseline \[%\], for a throw without `change_pct`; `None`
-    /// if a new baseline began after the throw.
-    pub fn present_ratio_changes_pct(&self) -> Option<[f64; 2]> {
-        let changes = self.a1_per_b0_pct.zip(self.a0_per_b0_pct).map(|(friction, stiffness)| [friction, stiffness]);
-        changes.filter(|_| self.baseline.is_none_or(BaselineProgress::has_begun))
-    }
-
     /// Whether the throw has an estimate.
     pub fn is_evaluated(&self) -> bool {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
@@ -173,7 +161,7 @@ impl Health {
 
     /// Whether the estimate was rejected.
     pub fn is_rejected(&self) -> bool {
-        self.grade().is_none()
+        is_rejection(&self.quality)
     }
 }
 

@@ -31,8 +31,8 @@ pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
 
 /// The key of a daemon's liveliness token: `points/v1/{site}/monitor/{id}/alive`. The name of a daemon (`site` and `id`
 /// of its section `[monitor]`) has the form of a machine's name.
-pub fn monitor_alive_key(MachineId { site, machine }: &MachineId) -> String {
-    format!("{PREFIX}{site}/monitor/{machine}/alive")
+pub fn monitor_alive_key(monitor: &MachineId) -> String {
+    monitor_key(monitor, "alive")
 }
 
 /// Key expression of the liveliness tokens of all daemons.
@@ -46,8 +46,12 @@ pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
 }
 
 /// The key of a daemon's status: `points/v1/{site}/monitor/{id}/status`.
-pub fn monitor_status_key(MachineId { site, machine }: &MachineId) -> String {
-    format!("{PREFIX}{site}/monitor/{machine}/status")
+pub fn monitor_status_key(monitor: &MachineId) -> String {
+    monitor_key(monitor, "status")
+}
+
+fn monitor_key(MachineId { site, machine }: &MachineId, kind: &str) -> String {
+    format!("{PREFIX}{site}/monitor/{machine}/{kind}")
 }
 
 /// Parses a key into machine and kind.

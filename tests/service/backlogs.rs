@@ -163,6 +163,28 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
 }
 
+/// Its throws would go to quarantine, page by page, in each round.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_logger_of_a_refused_machine_is_not_queried() {
+    let (rig, daemon) = Rig::running_with("[subscribe]\nmax_machines = 1\n");
+    let session = daemon.client().await;
+    Sender::of(&session, KEY).await.send([stub("boot", 1)]).await;
+    rig.judged(1).await;
+    let queries = Arc::new(AtomicBool::new(false));
+    let mut tokens = Vec::new();
+    for machine in ["north/second", "fleet/pointsd"] {
+        let queried = Arc::clone(&queries);
+        let on_query = move |_query| queried.store(true, Relaxed);
+        let key = format!("points/v1/{machine}/throw");
+        session.declare_queryable(key.clone()).callback(on_query).background().await.unwrap();
+        tokens.push(session.liveliness().declare_token(format!("points/v1/{machine}/alive")).await.unwrap());
+        Sender::of(&session, &key).await.send([stub("boot", 1)]).await;
+    }
+    rig.until_number("SELECT count(*) FROM quarantine", 2).await;
+    daemon.until_status("both loggers", |status| status["loggers"] == 2 && status["machines_refused"] == 1).await;
+    assert!(!queries.load(Relaxed), "a logger of a refused machine was queried");
+}
+
 /// The backlog ends with a message that is no throw, and the reply to every query contains it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_message_that_is_no_throw_is_in_quarantine_once() {

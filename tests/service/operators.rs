@@ -369,6 +369,16 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
     // All keys of a machine: the queryable for commands does not answer a query without a command.
     let all = bus::ask(&session, "points/v1/north/21B/*", None, PATIENCE).await.unwrap();
     assert!(all.messages.len() == 1 && all.errors.is_empty(), "{all:?}");
+    // A query for the history is no wrong query for commands or for the status.
+    for (selector, is_wrong) in [
+        ("points/v1/north/21B/*?limit=10", false),
+        ("points/v1/**?limit=10", false),
+        ("points/v1/*/monitor/*/status?limit=10", true),
+        ("points/v1/north/21B/command?limit=10", true),
+    ] {
+        let all = bus::ask(&session, selector, None, PATIENCE).await.unwrap();
+        assert_eq!((all.messages.is_empty(), !all.errors.is_empty()), (is_wrong, is_wrong), "{selector}: {all:?}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

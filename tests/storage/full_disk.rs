@@ -5,7 +5,7 @@ use std::{fs, process::Command};
 use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
-    given::{at, judge, judgement, machine, open, settings, spooled, throw},
+    given::{at, fresh, judge, judgement, machine, open, settings, spooled, throw},
     small_disk::SmallDisk,
 };
 
@@ -88,5 +88,17 @@ async fn below_the_watermark_traces_go_and_estimates_stay() {
     assert_eq!(statistics.failed_writes, 0, "the watermark acts before the disk is full");
     let estimates: Vec<(i64,)> = crate::given::query(&store, "SELECT count(*) FROM health_history").await;
     assert_eq!(estimates, [(1500,)]);
+    store.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_ballast_that_is_switched_off_is_removed() {
+    let (folder, store) = fresh().await;
+    store.close().await.unwrap();
+    let ballast = folder.path().join("points.db-ballast");
+    assert!(ballast.exists());
+    let without = Settings { ballast_mib: 0, ..settings(folder.path()) };
+    let store = Store::open(&without, at(0)).await.unwrap().store;
+    assert!(!ballast.exists());
     store.close().await.unwrap();
 }

@@ -3,13 +3,15 @@
 use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
-    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor},
+    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, statements},
     throw::Direction,
     wire::{Alarm, alarm_id},
 };
+use sqlx::Row;
 
 use crate::given::{
-    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, pending, query, spooled,
+    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, pending, query,
+    spooled, throw,
 };
 
 #[tokio::test]
@@ -268,6 +270,40 @@ async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arriv
     judged(&store, "21B", "import", 3).await;
     judged(&store, "21B", "b1", 7).await;
     assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(7,)]);
+}
+
+/// Throw 6 is received live, and those before it come from the backlog.
+#[tokio::test]
+async fn the_pages_show_throws_in_the_order_of_their_machine() {
+    let (_folder, store) = fresh().await;
+    for throw_no in [1, 6, 2, 3, 4, 5] {
+        let row = spooled(&store, "21B", "b1", throw_no).await;
+        let mut judged = judgement(row, "21B");
+        let direction = if throw_no % 2 == 0 { Direction::NormalToReverse } else { Direction::ReverseToNormal };
+        judged.health.direction = Some(direction);
+        judged.health.change_pct = Some([throw_no as f64, 0.0, 0.0]);
+        judged.identification.as_mut().unwrap().direction = Some(direction);
+        judge(&store, judged).await.unwrap();
+    }
+    let mut connection = outsider(store.path()).await;
+    let (_, fleet) = statements::all().find(|(name, _)| *name == "FLEET").unwrap();
+    let none = None::<&str>;
+    let query = sqlx::query(fleet).bind(none).bind(none).bind(none).bind("fleet").bind("pointsd").bind(none);
+    let row = query.bind(false).bind(9).bind(0).bind(9).bind("").fetch_one(&mut connection).await.unwrap();
+    assert_eq!(row.get::<i64, _>("started_at_us"), throw("b1", 6).started_at.as_microsecond());
+    assert_eq!(row.get::<&str, _>("spark"), "[[6.0,0.0,0.0],[4.0,0.0,0.0],[2.0,0.0,0.0]]");
+    let (_, newest) = statements::all().find(|(name, _)| *name == "MACHINE_NEWEST").unwrap();
+    let query = sqlx::query(newest).bind("north").bind("21B").bind(4);
+    let rows = query.fetch_all(&mut connection).await.unwrap();
+    let numbers: Vec<i64> = rows.iter().map(|row| row.get("throw_no")).collect();
+    assert_eq!(numbers, [6, 5, 4, 3]);
+    // Recordings are imported, and the logger continues its boot.
+    judged(&store, "21B", "import", 9).await;
+    judged(&store, "21B", "b1", 7).await;
+    let query = sqlx::query(newest).bind("north").bind("21B").bind(9);
+    let rows = query.fetch_all(&mut connection).await.unwrap();
+    let numbers: Vec<i64> = rows.iter().map(|row| row.get("throw_no")).collect();
+    assert_eq!(numbers, [7, 6, 5, 4, 3, 2, 1, 9]);
 }
 
 /// A pending throw that waits for a missing one does not hide the judged throws.

@@ -7,6 +7,8 @@ use pointsd::{
     store::{DiskLevel, ReceivedThrow, Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use crate::given::{alarm, at, change, fresh, gaps, machine, open, pending, query, received, spooled, throw};
 
@@ -287,6 +289,48 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     let mut gaps = gaps(&store).await;
     gaps.sort_unstable();
     assert_eq!(gaps, [("b1".to_owned(), 3, 3), ("b3".to_owned(), 4, 5)]);
+}
+
+/// Live throws with gaps, starts of the logger, pages of its backlog, and gaps that are written off. A throw that is
+/// stored twice makes the writer place the cursor again: it stays.
+#[tokio::test]
+async fn the_cursor_is_at_its_place_after_every_throw() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for _ in 0..6 {
+        let (_folder, store) = fresh().await;
+        let cursors = async || -> Vec<(Option<i64>, i64, i64)> {
+            query(&store, "SELECT cursor_boot_row, cursor_position, cursor_no FROM backlog").await
+        };
+        // Of each boot of the logger the number of its throws.
+        let mut boots = vec![rng.random_range(0..3_u64)];
+        for _ in 0..60 {
+            let boot = rng.random_range(0..boots.len());
+            let last = boots.len() - 1;
+            match rng.random_range(0..10) {
+                0 if boots.len() < 5 => boots.push(0),
+                1 => {
+                    let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
+                    let page = (1..=boots[boot]).filter(|_| rng.random_bool(0.5));
+                    let page: Vec<_> = page.map(|no| throw(&format!("b{boot}"), no)).collect();
+                    store.spool_page(&machine("21B"), cursor.after.as_ref(), &page, at(0)).await.unwrap();
+                }
+                2 => {
+                    let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
+                    store.write_off(&machine("21B"), &cursor, at(0)).await.unwrap();
+                }
+                _ => {
+                    let boot = if rng.random_bool(0.8) { last } else { boot };
+                    boots[boot] += if rng.random_bool(0.6) { 1 } else { rng.random_range(1..4) };
+                    let late = rng.random_range(0..4).min(boots[boot] - 1);
+                    let both = [boots[boot], boots[boot] - late].map(|no| received("21B", &format!("b{boot}"), no, 0));
+                    store.spool_all(&both[..rng.random_range(1..=2)]).await.unwrap();
+                    let before = cursors().await;
+                    assert_eq!(store.spool_all(&both[..1]).await.unwrap(), [Spooled::Duplicate]);
+                    assert_eq!(cursors().await, before, "after {} of boot {boot} of {boots:?}", boots[boot]);
+                }
+            }
+        }
+    }
 }
 
 /// The pending throws of one machine do not fill a batch while other machines have pending throws.

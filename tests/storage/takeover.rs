@@ -105,9 +105,10 @@ async fn a_pending_throw_of_the_version_before_is_judged() {
     let config = Config::from_document(&Document::parse(Path::new("taken-over.toml"), text).unwrap()).unwrap();
     let mut pipeline = Offline::open(config).await.unwrap();
     let judged = pipeline.judge().await.unwrap();
-    let [judged] = &judged[..] else { panic!("{judged:?}") };
-    assert_eq!((&judged.health.machine, judged.health.throw.throw_no), (&name(4), 7));
-    assert_eq!(judged.health.state, Some(MachineState::Warning));
+    let health: Vec<_> = judged.iter().flat_map(|batch| &**batch).map(|judgement| &judgement.health).collect();
+    let [health] = health[..] else { panic!("{health:?}") };
+    assert_eq!((&health.machine, health.throw.throw_no), (&name(4), 7));
+    assert_eq!(health.state, Some(MachineState::Warning));
     pipeline.close().await.unwrap();
     let reader = Reader::open(&folder.path().join("points.db")).await.unwrap();
     let latest =

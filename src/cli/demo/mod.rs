@@ -11,7 +11,6 @@ use std::{
 
 use anyhow::anyhow;
 use tempfile::TempDir;
-use tokio::sync::broadcast::error::RecvError;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, output,
@@ -91,14 +90,12 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let mut seen = 0;
     while seen < expected {
         tokio::select! {
-            throw = judged.recv() => match throw {
-                Ok(throw) => {
-                    seen += 1;
-                    screen.throw(&machines, &throw);
-                }
-                Err(RecvError::Lagged(missed)) => seen += missed,
-                Err(RecvError::Closed) => break,
-            },
+            batch = judged.recv() => {
+                // The channel has place for all throws of the demo.
+                let Ok(batch) = batch else { break };
+                seen += batch.len() as u64;
+                batch.iter().for_each(|judgement| screen.throw(&machines, judgement));
+            }
             ended = daemon.ended() => return Err(died(ended)),
             () = signals.stop() => {
                 output::line("stopped")?;

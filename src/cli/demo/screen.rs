@@ -7,8 +7,8 @@ use indicatif::{MultiProgress, ProgressBar};
 
 use super::output;
 use crate::{
-    daemon::Judged,
     diagnose::{AlarmEvent, AlarmState, Severity},
+    store::Judgement,
     throw::MachineId,
     wire::BaselineProgress,
 };
@@ -47,13 +47,13 @@ impl Screen {
         Self { bars, machines, terminal }
     }
 
-    pub(super) fn throw(&mut self, machines: &[MachineId], judged: &Judged) {
-        let Some(number) = machines.iter().position(|machine| *machine == judged.health.machine) else { return };
+    pub(super) fn throw(&mut self, machines: &[MachineId], Judgement { health, outcome, .. }: &Judgement) {
+        let Some(number) = machines.iter().position(|machine| *machine == health.machine) else { return };
         let line = &mut self.machines[number];
         line.throws += 1;
-        line.bar.set_prefix(judged.health.machine.machine.to_string());
+        line.bar.set_prefix(health.machine.machine.to_string());
         line.bar.set_position(line.throws);
-        if let (Some(direction), Some(baseline)) = (judged.health.direction, judged.health.baseline) {
+        if let (Some(direction), Some(baseline)) = (health.direction, health.baseline) {
             line.baselines[direction.side()] = baseline;
         }
         let so_far: u64 = line.baselines.iter().map(|baseline| baseline.so_far).sum();
@@ -64,9 +64,9 @@ impl Screen {
         if !line.learned && needed > 2 && so_far >= needed {
             line.learned = true;
             line.bar.set_message("monitored");
-            self.print(&format!("{}: baseline complete, {so_far} throws", judged.health.machine));
+            self.print(&format!("{}: baseline complete, {so_far} throws", health.machine));
         }
-        for event in &judged.events {
+        for event in &outcome.events {
             self.alarm(number, event);
         }
     }

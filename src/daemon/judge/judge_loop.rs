@@ -14,7 +14,7 @@ use tokio::{
     time,
 };
 
-use super::{Batch, Judge, Judged, budget::Budget, commands::PendingCommand, monitors::TICK};
+use super::{Batch, Judge, budget::Budget, commands::PendingCommand, monitors::TICK};
 use crate::{
     bus::Outlet,
     daemon::{
@@ -98,7 +98,7 @@ impl Changes {
 /// Channels and handles to the other tasks of the daemon.
 pub(crate) struct Links {
     pub(crate) outlet: Outlet,
-    pub(crate) watchers: broadcast::Sender<Judged>,
+    pub(crate) watchers: broadcast::Sender<Arc<[Judgement]>>,
     pub(crate) commands: mpsc::Receiver<PendingCommand>,
     pub(crate) peers: Arc<Peers>,
 }
@@ -184,7 +184,7 @@ impl JudgeLoop {
         let judgements = self.judge.judge(&throws).await;
         self.shared.status.heartbeats.beat(TaskName::Identify);
         match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
-            Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
+            Ok(true) => self.publish(judgements),
             Ok(false) => {}
             Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
             Err(error) => return Err(error),
@@ -216,7 +216,7 @@ impl JudgeLoop {
     async fn refusal(&mut self, judgement: Judgement) -> Result<Option<String>, StoreError> {
         let alone: Arc<[Judgement]> = Arc::new([judgement]);
         match self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await {
-            Ok(true) => self.publish(&alone[0]),
+            Ok(true) => self.publish(alone),
             Ok(false) => {}
             Err(StoreError::Refused(problem)) => return Ok(Some(problem)),
             Err(error) => return Err(error),
@@ -271,16 +271,18 @@ impl JudgeLoop {
         }
     }
 
-    fn publish(&self, judgement: &Judgement) {
-        let (status, health) = (&self.shared.status, &judgement.health);
-        status.edit().judged += 1;
-        if health.is_rejected() {
-            status.count_rejected(&health.quality);
+    fn publish(&self, judgements: Arc<[Judgement]>) {
+        let status = &self.shared.status;
+        for Judgement { health, outcome, .. } in &*judgements {
+            status.edit().judged += 1;
+            if health.is_rejected() {
+                status.count_rejected(&health.quality);
+            }
+            self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
+            self.announce(outcome);
         }
-        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
-        self.announce(&judgement.outcome);
         // Fails without observers.
-        let _ = self.links.watchers.send(Judged::from(judgement));
+        let _ = self.links.watchers.send(judgements);
     }
 
     fn announce(&self, Outcome { machine, events, .. }: &Outcome) {

@@ -15,10 +15,9 @@ use tokio::sync::watch;
 use self::monitors::{JudgementContext, Monitors};
 use super::{clock, config::Config};
 use crate::{
-    diagnose::{AlarmEvent, Parameters},
+    diagnose::Parameters,
     store::{Judgement, Outcome, Selector, Store, StoreError, StoredThrow, ThrowRow},
     throw::MachineId,
-    wire::Health,
 };
 
 /// Largest number of throws that are identified and committed together. The store returns fewer if their traces are
@@ -27,21 +26,6 @@ use crate::{
 const BATCH: u32 = 256;
 /// Number of monitors read in one query at the start; each has up to 20 kB of text.
 const PAGE: u32 = 256;
-
-/// A judged throw, for observers in the same process.
-#[derive(Debug, Clone)]
-pub struct Judged {
-    /// Health of the throw, as published.
-    pub health: Health,
-    /// Alarm events caused by the throw.
-    pub events: Vec<AlarmEvent>,
-}
-
-impl From<&Judgement> for Judged {
-    fn from(judgement: &Judgement) -> Self {
-        Self { health: judgement.health.clone(), events: judgement.outcome.events.clone() }
-    }
-}
 
 /// The judge with database, monitors, estimators and settings.
 pub(super) struct Judge {

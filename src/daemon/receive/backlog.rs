@@ -117,7 +117,7 @@ impl Backlog {
                 }
                 Some(key) = self.dropped.recv() => {
                     seldom!(warn, key, "the queue of received messages is full: messages DROPPED");
-                    // Only known machines, as a flood may have any number of keys.
+                    // Not any machine, as a flood may have any number of keys.
                     if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
                         && (self.seen.contains(&machine) || self.intake.knows(&machine))
                     {
@@ -157,8 +157,12 @@ impl Backlog {
         }
     }
 
-    /// Requests a query of a logger as soon as possible.
+    /// Requests a query of a logger as soon as possible. Throws that would go to quarantine are not requested: their
+    /// logger would send its whole backlog in each round.
     fn request(&mut self, machine: &MachineId) {
+        if !self.intake.may_store(machine) {
+            return;
+        }
         let turns = match self.turns.entry(machine.clone()) {
             Entry::Occupied(turns) => return turns.get().requests.send_replace(()),
             Entry::Vacant(new) => Arc::clone(new.insert(Arc::default())),

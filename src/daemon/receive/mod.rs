@@ -188,17 +188,29 @@ impl Intake {
         self.machines.lock().contains_key(machine)
     }
 
+    /// Whether the throws of a machine are stored. Otherwise they go to quarantine.
+    fn may_store(&self, machine: &MachineId) -> bool {
+        self.shared.config.monitor.reserves(machine).is_none() && self.has_place(&self.machines.lock(), machine)
+    }
+
+    /// Whether a machine is known, or may become known.
+    fn has_place(&self, known: &HashMap<MachineId, LoggerSeen>, machine: &MachineId) -> bool {
+        known.len() < self.shared.config.subscribe.max_machines || known.contains_key(machine)
+    }
+
     /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
     /// quarantine.
     fn admit(&self, received: ReceivedThrow, origin: Origin) -> Result<ReceivedThrow, QuarantinedMessage> {
         let ReceivedThrow { machine, throw, received_at } = &received;
         let mut known = self.machines.lock();
-        let max_machines = self.shared.config.subscribe.max_machines;
         // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
         let reason = if let Some(reason) = self.shared.config.monitor.reserves(machine) {
             reason
-        } else if known.len() >= max_machines && !known.contains_key(machine) {
-            self.shared.status.machines_refused.add(1);
+        } else if !self.has_place(&known, machine) {
+            if origin == Origin::Live {
+                self.shared.status.machines_refused.add(1);
+            }
+            let max_machines = self.shared.config.subscribe.max_machines;
             format!("more than {max_machines} machines: raise subscribe.max_machines")
         } else {
             let seen = known.entry(machine.clone()).or_default();
@@ -330,21 +342,12 @@ impl ReceiveLoop {
         }
     }
 
-    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so the count is an
-    /// upper bound.
+    /// Logs the throws that are not stored, and ends the subscription.
     async fn log_lost(&mut self) {
         for ReceivedThrow { machine, throw, .. } in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.shared.status.edit().lost += self.undecoded + self.unstored.len() as u64;
         self.inbox.close().await;
-        let mut queued = Vec::new();
-        while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
-        self.shared.status.edit().lost += queued.len() as u64;
-        let messages = self.undecoded + queued.len() as u64;
-        if messages > 0 {
-            tracing::error!(messages, "received messages could not be stored: they are LOST");
-        }
     }
 
     /// After a refusal by SQLite (constraint, type), stores each throw alone. A throw that SQLite refuses again goes to
@@ -375,6 +378,18 @@ impl ReceiveLoop {
             } else {
                 at += 1;
             }
+        }
+    }
+}
+
+/// Counts the messages that are not stored when the loop gives up or panics. A write in progress may still be
+/// committed, so the count is an upper bound.
+impl Drop for ReceiveLoop {
+    fn drop(&mut self) {
+        let messages = self.undecoded + self.inbox.discard() as u64;
+        self.shared.status.edit().lost += messages + self.unstored.len() as u64;
+        if messages > 0 {
+            tracing::error!(messages, "received messages could not be stored: they are LOST");
         }
     }
 }

@@ -1,10 +1,8 @@
 //! Heartbeats of the essential loops: receive, identify, write, publish, and the webhook if there is one.
 
-use std::{
-    sync::atomic::{AtomicU64, Ordering::Relaxed},
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use strum::VariantArray;
 
 use crate::daemon::clock;
@@ -33,43 +31,37 @@ pub(crate) enum TaskName {
 #[derive(Debug)]
 pub(crate) struct Heartbeats {
     start: Instant,
-    last_ms: [AtomicU64; TaskName::VARIANTS.len()],
+    /// `None` for a loop that is not observed yet.
+    last: Mutex<[Option<Instant>; TaskName::VARIANTS.len()]>,
 }
 
 /// All loops count as fresh at the start.
 impl Default for Heartbeats {
     fn default() -> Self {
-        let beats = Self { start: clock::monotonic(), last_ms: Default::default() };
-        // A time in the future never becomes too old: without a webhook its loop gives no heartbeat.
-        beats.last_ms[TaskName::Webhook as usize].store(u64::MAX, Relaxed);
-        beats
+        let start = clock::monotonic();
+        let mut last = [Some(start); TaskName::VARIANTS.len()];
+        last[TaskName::Webhook as usize] = None;
+        Self { start, last: Mutex::new(last) }
     }
 }
 
 impl Heartbeats {
     /// Records a heartbeat of a loop.
     pub(crate) fn beat(&self, task: TaskName) {
-        self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
+        self.last.lock()[task as usize] = Some(clock::monotonic());
     }
 
     /// Loops without a fresh heartbeat. Empty while a copy of the database makes progress: the loops then wait for the
     /// writer.
     pub(crate) fn silent(&self, is_copying: bool) -> Vec<TaskName> {
-        let now = self.elapsed_ms();
-        let silent = |task: &TaskName| {
-            let age = now.saturating_sub(self.last_ms[*task as usize].load(Relaxed));
-            Duration::from_millis(age) > FRESH
-        };
-        TaskName::VARIANTS.iter().copied().filter(|task| !is_copying && silent(task)).collect()
+        let last = *self.last.lock();
+        let is_silent = |task: &TaskName| last[*task as usize].is_some_and(|last| last.elapsed() > FRESH);
+        TaskName::VARIANTS.iter().copied().filter(|task| !is_copying && is_silent(task)).collect()
     }
 
     /// Time since the start.
     pub(super) fn uptime(&self) -> Duration {
         self.start.elapsed()
-    }
-
-    fn elapsed_ms(&self) -> u64 {
-        u64::try_from(self.uptime().as_millis()).unwrap_or(u64::MAX)
     }
 }
 
@@ -79,14 +71,15 @@ mod tests {
 
     #[test]
     fn a_loop_hangs_without_beats_and_the_webhook_only_after_its_first() {
-        let mut beats = Heartbeats::default();
-        beats.start -= 2 * FRESH;
+        let beats = Heartbeats::default();
+        let wait = || beats.last.lock().iter_mut().flatten().for_each(|last| *last -= 2 * FRESH);
+        wait();
         assert_eq!(beats.silent(false), [TaskName::Receive, TaskName::Identify, TaskName::Write, TaskName::Publish]);
         for task in TaskName::VARIANTS {
             beats.beat(*task);
         }
         assert_eq!(beats.silent(false), []);
-        beats.start -= 2 * FRESH;
+        wait();
         assert_eq!(beats.silent(false), TaskName::VARIANTS);
         assert_eq!(beats.silent(true), []);
     }

@@ -13,7 +13,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{AlarmState, MachineState, Severity},
-    store::{DiskLevel, RecentCount, Store, StoreError, Window, seldom},
+    store::{DiskLevel, RecentCount, Store, StoreError, WORST_FIRST, Window, seldom},
     throw::{MachineId, counted},
     wire::Alarm,
 };
@@ -146,7 +146,7 @@ pub struct StatusReport {
     pub quarantined: u64,
     /// Received messages that could not be stored, since the start.
     pub lost: u64,
-    /// Throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
+    /// Live throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
     #[serde(default)]
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
@@ -373,13 +373,13 @@ impl StatusReport {
     /// The parts of [`Self::line`]: each problem, then the counts.
     pub fn parts(&self) -> Vec<String> {
         let mut parts = self.problems();
-        let states: Vec<String> =
-            [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
-                .into_iter()
-                .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
-                .filter(|(count, _)| *count > 0)
-                .map(|(count, state)| format!("{count} {state}"))
-                .collect();
+        let states: Vec<String> = WORST_FIRST
+            .into_iter()
+            .filter(|state| !state.is_well())
+            .map(|state| (self.fleet_counts.count(state), state.as_str().replace('_', " ")))
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, state)| format!("{count} {state}"))
+            .collect();
         let FleetCounts { own_alarms, shelved_alarms, .. } = self.fleet_counts;
         let mut add = |is_so: bool, part: String| parts.extend(is_so.then_some(part));
         add(!self.connected, "not connected".to_owned());

@@ -137,7 +137,7 @@ impl Notifier {
     /// The alarms about the daemon itself that are published and that the database cannot store yet.
     fn uncommitted(&self) -> Vec<Pending> {
         let alarms = self.shared.status.with_uncommitted(Vec::new()).into_iter();
-        alarms.filter(|alarm| self.is_wanted(alarm)).map(|alarm| (None, alarm)).collect()
+        alarms.filter(|alarm| self.is_wanted(alarm)).map(|alarm| (None, alarm.published())).collect()
     }
 
     /// Whether an event passes the filters, and was not sent before it was committed.

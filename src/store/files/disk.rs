@@ -161,8 +161,11 @@ impl Disk {
         }
     }
 
-    /// Creates the ballast if there is enough space.
+    /// Creates the ballast if there is enough space. Removes that of an earlier start if the ballast is switched off.
     pub(crate) fn restore_ballast(&self) -> Result<(), StoreError> {
+        if self.ballast_bytes == 0 {
+            return super::remove_one(&self.ballast);
+        }
         let Some((free, whole)) = self.space() else { return Ok(()) };
         // A small disk gets a small ballast: without any ballast the alarm about the full disk could not be committed.
         let bytes = self.ballast_bytes.min(whole / 8);

@@ -84,14 +84,13 @@ pub struct Report {
 /// Options of the writing connection. Only a `fresh` database gets the auto-vacuum mode: SQLite writes it to the header
 /// at each opening, and a broken or too new file must not be changed.
 fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
-    let synchronous = if settings.durable { SqliteSynchronous::Full } else { SqliteSynchronous::Normal };
     let options = SqliteConnectOptions::new();
     let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
     options
         .filename(&settings.path)
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
-        .synchronous(synchronous)
+        .synchronous(SqliteSynchronous::Full)
         .busy_timeout(BUSY)
         .pragma("journal_size_limit", LOG_KEPT.to_string())
         .disable_statement_logging()

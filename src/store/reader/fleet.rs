@@ -2,14 +2,9 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::{FromRow, Row, sqlite::SqliteRow};
 
-use sqlx::{
-    FromRow, Row, Sqlite,
-    query::QueryAs,
-    sqlite::{SqliteArguments, SqliteRow},
-};
-
-use super::{Reader, machine::CommandRow, machine_query};
+use super::{FromSql, Reader, Select, machine::CommandRow, machine_query};
 use crate::{
     diagnose::{AlarmState, Cause, Drifting, MachineState},
     store::{
@@ -42,14 +37,7 @@ pub(crate) struct FleetQuery {
 
 impl FleetQuery {
     /// Binds the five parameters of `matching!`, which are the first ones of `statement`. `itself`: the daemon.
-    fn matching<'q, Row>(
-        &'q self,
-        statement: &'static str,
-        itself: &'q MachineId,
-    ) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
-    where
-        Row: for<'r> FromRow<'r, SqliteRow>,
-    {
+    fn matching<'q, Row: FromSql>(&'q self, statement: &'static str, itself: &'q MachineId) -> Select<'q, Row> {
         sqlx::query_as(statement)
             .bind(self.site.as_ref().map(Name::as_str))
             .bind(self.cause.map(Cause::as_str))
@@ -100,7 +88,7 @@ pub(crate) struct FleetRow {
     pub spark: Vec<[f64; 3]>,
 }
 
-/// An open alarm about the condition of a machine, with the change when the alarm was raised, and the present drifts.
+/// An open alarm with the change when the alarm was raised, and the present drifts of the machine.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
     /// Last event of the alarm.
@@ -111,6 +99,16 @@ pub(crate) struct Fault {
     pub raised: Option<(f64, f64)>,
     /// Active drifts of the machine now.
     pub drifts: Vec<Drifting>,
+}
+
+/// Open alarms: active and critical alarms first.
+#[derive(Debug)]
+pub(crate) struct Faults {
+    pub alarms: Vec<Fault>,
+    /// Number of alarms that this version cannot read; they are not in `alarms`.
+    pub unreadable: usize,
+    /// Number of all alarms, also beyond the limit of the query.
+    pub total: u64,
 }
 
 /// Number of open alarms of one cause and severity.
@@ -217,14 +215,26 @@ impl FromRow<'_, SqliteRow> for FleetRow {
     }
 }
 
-/// A fault; `None` if this version cannot read it.
-struct FaultRow(Option<Fault>);
+struct FaultRow {
+    /// `None` if this version cannot read it.
+    fault: Option<Fault>,
+    total: i64,
+}
 
 impl FromRow<'_, SqliteRow> for FaultRow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         let size: Option<f64> = row.try_get("raised_pct")?;
         let (raised, drifts) = (size.zip(row.try_get("raised_pct_sd")?), json(row, "drifts")?.unwrap_or_default());
-        Ok(Self(json(row, "payload")?.map(|alarm| Fault { alarm, raised, drifts })))
+        let fault = json(row, "payload")?.map(|alarm| Fault { alarm, raised, drifts });
+        Ok(Self { fault, total: row.try_get("total")? })
+    }
+}
+
+impl From<Vec<FaultRow>> for Faults {
+    fn from(rows: Vec<FaultRow>) -> Self {
+        let (read, total) = (rows.len(), rows.first().map_or(0, |row| row.total.cast_unsigned()));
+        let alarms: Vec<Fault> = rows.into_iter().filter_map(|row| row.fault).collect();
+        Self { unreadable: read - alarms.len(), alarms, total }
     }
 }
 
@@ -284,20 +294,16 @@ impl Reader {
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
-    /// Up to `limit` open alarms about the condition of machines, active and critical alarms first; and the number of
-    /// alarms among them that this version cannot read.
-    pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
+    /// Up to `limit` open alarms about the condition of machines.
+    pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<Faults, StoreError> {
         let rows: Vec<FaultRow> = self.external(machine_query(sql::FAULTS, itself).bind(limit)).await?;
-        let found = rows.len();
-        let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
-        let unreadable = found - faults.len();
-        Ok((faults, unreadable))
+        Ok(rows.into())
     }
 
-    /// Number of open alarms about the condition of machines.
-    pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let count: Option<(i64,)> = self.external_row(machine_query(sql::FAULT_COUNT, itself)).await?;
-        Ok(count.map_or(0, |(count,)| count.cast_unsigned()))
+    /// Up to `limit` open alarms of a machine, of any cause.
+    pub(crate) async fn faults_of(&self, machine: &MachineId, limit: u32) -> Result<Faults, StoreError> {
+        let rows: Vec<FaultRow> = self.external(machine_query(sql::MACHINE_FAULTS, machine).bind(limit)).await?;
+        Ok(rows.into())
     }
 
     /// The open alarms with the causes `not_monitored` and `data_loss`, without those of the daemon `itself`. They are

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use super::Reader;
 use crate::{
     store::{error::StoreError, rows::Selector, statements as sql},
-    wire::{Alarm, Health},
+    wire::{Alarm, BaselineProgress, Health},
 };
 
 #[expect(clippy::missing_errors_doc, reason = "the documentation of `Reader` says when its methods fail")]
@@ -16,7 +16,8 @@ impl Reader {
         let query = sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine);
         let mut rows: Vec<Health> = self.external(query).await?;
         for health in &mut rows {
-            health.change_pct = health.present_change_pct();
+            // A new baseline without a throw began after this throw.
+            health.change_pct = health.change_pct.filter(|_| health.baseline.is_none_or(BaselineProgress::has_begun));
         }
         Ok(rows)
     }

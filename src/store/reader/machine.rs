@@ -86,7 +86,7 @@ impl Reader {
         Ok(rows)
     }
 
-    /// The newest `limit` throws of a machine, those of unknown direction too, newest first.
+    /// The newest `limit` judged throws of a machine, those of unknown direction too, newest first.
     pub(crate) async fn newest_throws_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Health>, StoreError> {
         self.external(machine_query(sql::MACHINE_NEWEST, machine).bind(limit)).await
     }

@@ -128,22 +128,13 @@ impl Reader {
     }
 
     /// Runs a query of the daemon.
-    async fn rows<Row>(&self, query: QueryAs<'_, Sqlite, Row, SqliteArguments>) -> Result<Vec<Row>, StoreError>
-    where
-        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
-    {
+    async fn rows<Row: FromSql>(&self, query: Select<'_, Row>) -> Result<Vec<Row>, StoreError> {
         self.limited(query.fetch_all(&self.pool())).await
     }
 
     /// Runs an external query. SQLite itself aborts a slow query, as it would otherwise continue without its caller and
     /// occupy the connection.
-    pub(super) async fn external<Row>(
-        &self,
-        query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
-    ) -> Result<Vec<Row>, StoreError>
-    where
-        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
-    {
+    pub(super) async fn external<Row: FromSql>(&self, query: Select<'_, Row>) -> Result<Vec<Row>, StoreError> {
         let answer = async {
             let mut connection = self.pools().external.acquire().await?;
             let end = Instant::now() + Self::TIME_LIMIT;
@@ -156,21 +147,12 @@ impl Reader {
     }
 
     /// Runs an external query, and returns its first row; `None` if it has no row.
-    pub(super) async fn external_row<Row>(
-        &self,
-        query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
-    ) -> Result<Option<Row>, StoreError>
-    where
-        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
-    {
+    pub(super) async fn external_row<Row: FromSql>(&self, query: Select<'_, Row>) -> Result<Option<Row>, StoreError> {
         Ok(self.external(query).await?.into_iter().next())
     }
 
     /// Runs an external query for alarms. Alarms of a newer version that cannot be read are left out.
-    pub(super) async fn external_alarms(
-        &self,
-        query: QueryAs<'_, Sqlite, (String,), SqliteArguments>,
-    ) -> Result<Vec<Alarm>, StoreError> {
+    pub(super) async fn external_alarms(&self, query: Select<'_, (String,)>) -> Result<Vec<Alarm>, StoreError> {
         let payloads = self.external(query).await?;
         let alarms: Vec<Alarm> = payloads.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect();
         let unreadable = payloads.len() - alarms.len();
@@ -181,14 +163,16 @@ impl Reader {
     }
 }
 
+/// A query of rows.
+pub(super) type Select<'q, Row> = QueryAs<'q, Sqlite, Row, SqliteArguments>;
+
+/// A row that a query can return.
+pub(super) trait FromSql: Send + Unpin + for<'r> FromRow<'r, SqliteRow> {}
+
+impl<Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>> FromSql for Row {}
+
 /// A query about one machine, whose site and name are the first two parameters.
-pub(super) fn machine_query<'q, Row>(
-    statement: &'static str,
-    machine: &'q MachineId,
-) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
-where
-    Row: for<'r> FromRow<'r, SqliteRow>,
-{
+pub(super) fn machine_query<'q, Row: FromSql>(statement: &'static str, machine: &'q MachineId) -> Select<'q, Row> {
     sqlx::query_as(statement).bind(machine.site.as_str()).bind(machine.machine.as_str())
 }
 

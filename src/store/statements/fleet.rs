@@ -32,8 +32,27 @@ macro_rules! matching {
     };
 }
 
+/// Open alarms with the size in their first event, the worst first, and the number of all that match `$condition`.
+macro_rules! faults {
+    ($condition:literal) => {
+        concat!(
+            "SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
+                 monitor.drifts, count(*) OVER () AS total
+             FROM alarm JOIN machine USING (machine_row)
+             JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no
+             LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
+             LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
+             WHERE alarm.state <> 'normal' AND ",
+            $condition,
+            " ORDER BY alarm.state NOT IN ('active_unacknowledged', 'active_acknowledged'), last.severity = 'critical' DESC,
+                 raised_at_us DESC, alarm.alarm_row LIMIT ?3"
+        )
+    };
+}
+
 statements! {
-    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first).
+    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first). The
+    // throws of a machine are in its own order, as throws from its backlog arrive after newer ones.
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -52,12 +71,15 @@ statements! {
            (SELECT group_concat(alarm.cause) FROM alarm
              WHERE alarm.machine_row = chosen.machine_row AND alarm.state = 'cleared_unacknowledged') AS causes_over,
            (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
-             (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
-               WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-               ORDER BY near.throw_row DESC LIMIT ?10)) AS spark
+             (SELECT b0_pct, a1_pct, a0_pct FROM
+               (SELECT throw_row, b0_pct, a1_pct, a0_pct FROM estimate AS near
+                 WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+                 ORDER BY near.throw_row DESC LIMIT ?10) CROSS JOIN throw AS own USING (throw_row)
+               ORDER BY own.boot_position DESC, own.throw_no DESC)) AS spark
     FROM chosen
-    LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
-                                           ORDER BY throw_row DESC LIMIT 1)
+    LEFT JOIN throw ON throw.throw_row = (SELECT own.throw_row FROM latest CROSS JOIN throw AS own USING (throw_row)
+                                           WHERE latest.machine_row = chosen.machine_row
+                                           ORDER BY own.boot_position DESC, own.throw_no DESC LIMIT 1)
     LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
     LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
     LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
@@ -65,20 +87,9 @@ statements! {
     // Number of matching machines in each state, and of the silent machines among them.
     STATE_COUNTS = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
     SITES = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
-    // Open alarms about the condition of machines, the worst first.
-    FAULTS = "
-    SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
-           monitor.drifts
-    FROM alarm JOIN machine USING (machine_row)
-    JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no
-    LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
-    LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
-    WHERE alarm.state <> 'normal' AND alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    ORDER BY alarm.state NOT IN ('active_unacknowledged', 'active_acknowledged'), last.severity = 'critical' DESC,
-             raised_at_us DESC, alarm.alarm_row LIMIT ?3";
-    FAULT_COUNT = "
-    SELECT count(*) FROM alarm JOIN machine USING (machine_row)
-    WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
+    // Open alarms about the condition of machines.
+    FAULTS = faults!("alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)");
+    MACHINE_FAULTS = faults!("site = ?1 AND machine = ?2");
     // The text distinguishes the kinds of data loss. Few machines lose data; a lost link makes thousands not monitored.
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,

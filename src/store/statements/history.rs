@@ -87,14 +87,15 @@ statements! {
         AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         ORDER BY estimate.throw_row DESC");
+    // The newest throws, chosen among four times as many. Throws from a backlog arrive after newer ones of their boot, so
+    // the throws of a boot are in the order of their numbers. The boots are in the order in which their last throws
+    // arrived: a logger continues its boot after an import of recordings, which are another boot.
     MACHINE_NEWEST = concat!("SELECT ", history!(), " \
-        WHERE estimate.throw_row IN (SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = ", one_machine!(), " AND direction = 'normal_to_reverse' ORDER BY throw_row DESC LIMIT ?3) \
-        UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = ", one_machine!(), " AND direction = 'reverse_to_normal' ORDER BY throw_row DESC LIMIT ?3) \
-        UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = ", one_machine!(), " AND direction IS NULL ORDER BY throw_row DESC LIMIT ?3)) \
-        ORDER BY estimate.throw_row DESC LIMIT ?3");
+        WHERE estimate.throw_row IN (SELECT throw_row FROM (SELECT throw_row, boot_row, throw_no \
+        FROM throw INDEXED BY throw_of_machine CROSS JOIN estimate USING (throw_row) \
+        WHERE throw.machine_row = ", one_machine!(), " ORDER BY throw_row DESC LIMIT 4 * ?3) \
+        ORDER BY max(throw_row) OVER (PARTITION BY boot_row) DESC, throw_no DESC LIMIT ?3) \
+        ORDER BY max(estimate.throw_row) OVER (PARTITION BY throw.boot_row) DESC, throw_no DESC");
     MACHINE_ALARM_EVENTS = concat!("SELECT payload FROM alarm_event WHERE alarm_row IN (SELECT alarm_row FROM alarm \
         WHERE machine_row = ", one_machine!(), " ORDER BY raised_at_us DESC LIMIT ?3) \
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");

@@ -32,12 +32,16 @@ statements! {
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
     // Statements with one row of `?`: see the module `batch`.
-    // The throws that are the next one of a known boot, of machines without missing throws.
-    NEXT_THROWS = "WITH new (at, site, machine, boot_id, throw_no) AS (VALUES (?, ?, ?, ?, ?)) \
-        SELECT json_group_array(json_array(at, machine_row, boot_row, position)) \
+    // Throws that are later than all stored ones of their boot and do not move the cursor of their machine. The next number
+    // moves a cursor at the end of its boot. A gap before the throw keeps the cursor there. A boot whose highest number is 0
+    // may be new, and then has no throw before the gap.
+    NEXT_THROWS = concat!("WITH new (at, site, machine, boot_id, throw_no) AS (VALUES (?, ?, ?, ?, ?)) \
+        SELECT json_group_array(json_array(at, machine_row, boot_row, position, highest_no)) \
         FROM new CROSS JOIN machine USING (site, machine) CROSS JOIN boot USING (machine_row, boot_id) \
-        WHERE highest_no = throw_no - 1 \
-        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
+        WHERE highest_no BETWEEN 1 AND throw_no - 2 OR highest_no = throw_no - 1 \
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row \
+        AND cursor_boot_row = boot.boot_row \
+        AND NOT EXISTS (SELECT 1 FROM gap WHERE gap.boot_row = boot.boot_row AND ", awaited!(), "))");
     ADD_NEW_MACHINES = "INSERT OR IGNORE INTO machine (site, machine) \
         SELECT * FROM (VALUES (?, ?)) WHERE column1 IS NOT NULL";
     // The first boots of machines without a boot. Their first throw has the number 1, so no throw is missing.
@@ -65,15 +69,18 @@ statements! {
     // Gaps.
     GAP_AT = "SELECT gap_row, first_no, last_no FROM gap \
         WHERE boot_row = ?1 AND first_no <= ?2 AND filled_at_us IS NULL ORDER BY first_no DESC LIMIT 1";
-    ADD_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) VALUES (?1, ?2, ?3, ?4, ?5)";
+    // With one row of `?`: see the module `batch`.
+    ADD_GAPS = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) \
+        SELECT * FROM (VALUES (?, ?, ?, ?, ?)) WHERE column1 IS NOT NULL";
     SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, told_at_us, written_off_at_us) \
         SELECT boot_row, ?2, last_no, kind, detected_at_us, told_at_us, written_off_at_us FROM gap WHERE gap_row = ?1";
     SHRINK_GAP = "UPDATE gap SET first_no = ?2, last_no = ?3, recovered = recovered + 1 WHERE gap_row = ?1";
     FILL_GAP = "UPDATE gap SET filled_at_us = ?2, recovered = recovered + 1 WHERE gap_row = ?1";
 
     // The backlog.
-    OPEN_BACKLOG = "INSERT INTO backlog (machine_row, cursor_boot_row, cursor_position, cursor_no, since_us) \
-        VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
+    // With one row of `?`: see the module `batch`.
+    OPEN_BACKLOGS = "INSERT INTO backlog (machine_row, cursor_boot_row, cursor_position, cursor_no, since_us) \
+        SELECT * FROM (VALUES (?, ?, ?, ?, ?)) WHERE column1 IS NOT NULL ON CONFLICT DO NOTHING";
     BACKLOG = "SELECT cursor_boot_row AS boot_row, cursor_position AS position, cursor_no AS throw_no FROM backlog \
         WHERE machine_row = ?1";
     MOVE_CURSOR = "UPDATE backlog SET cursor_boot_row = ?2, cursor_position = ?3, cursor_no = ?4, since_us = ?5 WHERE machine_row = ?1";

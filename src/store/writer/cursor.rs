@@ -6,6 +6,7 @@
 
 use sqlx::SqliteConnection;
 
+use super::batch;
 use crate::{
     store::statements as sql,
     throw::{MachineId, ThrowRef},
@@ -82,16 +83,15 @@ pub(crate) async fn stored(connection: &mut SqliteConnection, machine_row: i64) 
     sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(connection).await
 }
 
-/// Opens the backlog of a machine with its cursor at `after`, unless the backlog is open already.
+/// Opens the backlogs of machines, each with its cursor and the time, unless they are open already.
 pub(crate) async fn open(
     connection: &mut SqliteConnection,
-    machine_row: i64,
-    after: ThrowPosition,
-    at_us: i64,
+    backlogs: &[(i64, ThrowPosition, i64)],
 ) -> sqlx::Result<()> {
-    let ThrowPosition { boot_row, position, throw_no } = after;
-    let open =
-        sqlx::query(sql::OPEN_BACKLOG).bind(machine_row).bind(boot_row).bind(position).bind(throw_no).bind(at_us);
+    let mut open = batch::query(sql::OPEN_BACKLOGS, backlogs.len());
+    for &(machine_row, ThrowPosition { boot_row, position, throw_no }, at_us) in backlogs {
+        open = open.bind(machine_row).bind(boot_row).bind(position).bind(throw_no).bind(at_us);
+    }
     open.execute(connection).await.map(drop)
 }
 

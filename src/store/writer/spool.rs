@@ -72,8 +72,8 @@ impl Spool {
     }
 
     async fn insert(&self, connection: &mut SqliteConnection, boot: Boot, throw_no: i64) -> sqlx::Result<ThrowRow> {
-        let Boot { machine_row, boot_row, position, .. } = boot;
-        let place = Placed { throw: self, machine_row, boot_row, position, throw_no };
+        let Boot { machine_row, boot_row, position, highest_no, .. } = boot;
+        let place = Placed { throw: self, machine_row, boot_row, position, highest_no, throw_no };
         insert(connection, &[place]).await
     }
 
@@ -146,14 +146,30 @@ struct Placed<'a> {
     machine_row: i64,
     boot_row: i64,
     position: i64,
+    /// Highest number of the boot so far.
+    highest_no: i64,
     throw_no: i64,
 }
 
-/// Adds throws of different machines, with their traces and the highest numbers of their boots. Returns the row of the
-/// first throw. The rows of the others follow without gaps: there is one writer, and no row number is used again.
+/// Adds throws of different machines, with gaps for the missing numbers before them, their traces and the highest
+/// numbers of their boots. Returns the row of the first throw. The rows of the others follow without gaps: there is one
+/// writer, and no row number is used again.
 async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sqlx::Result<ThrowRow> {
+    let (mut gaps, mut backlogs) = (Vec::new(), Vec::new());
+    for &Placed { throw, machine_row, boot_row, position, highest_no, throw_no } in places {
+        if highest_no < throw_no - 1 {
+            let missing = (highest_no + 1, throw_no - 1);
+            gaps.push(NewGap { boot_row, missing, kind: GapKind::Missed, at_us: throw.received_at_us });
+            let last = ThrowPosition { boot_row: Some(boot_row), position, throw_no: highest_no };
+            backlogs.push((machine_row, last, throw.received_at_us));
+        }
+    }
+    if !gaps.is_empty() {
+        add_gaps(connection, &gaps).await?;
+        cursor::open(connection, &backlogs).await?;
+    }
     let mut add = batch::query(sql::ADD_THROWS, places.len());
-    for &Placed { throw: spool, machine_row, boot_row, position, throw_no } in places {
+    for &Placed { throw: spool, machine_row, boot_row, position, throw_no, .. } in places {
         let throw = &spool.throw;
         add = add
             .bind(machine_row)
@@ -219,8 +235,8 @@ impl Write for Spools {
     }
 }
 
-/// The throws that are inserted together: of each machine its first throw here, if that is the next one of a known boot
-/// and no throw of the machine is missing, or if the machine is new and the number is 1.
+/// The throws that are inserted together: of each machine its first throw here that is later than all stored ones of its
+/// boot and leaves the cursor where it is, or that has the number 1 if the machine is new.
 async fn in_sequence<'a>(connection: &mut SqliteConnection, throws: &'a [Spool]) -> sqlx::Result<Vec<Placed<'a>>> {
     let found = next_of_known_boots(connection, throws).await?;
     let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
@@ -231,7 +247,7 @@ async fn in_sequence<'a>(connection: &mut SqliteConnection, throws: &'a [Spool])
     Ok(found)
 }
 
-/// A throw that is the next one of its boot. The statement makes an array, so the order of the fields counts.
+/// A throw that is later than the stored ones of its boot. The statement makes an array, so the order of the fields counts.
 #[derive(serde::Deserialize)]
 struct NextThrow {
     /// Position among the throws of the query.
@@ -239,6 +255,7 @@ struct NextThrow {
     machine_row: i64,
     boot_row: i64,
     position: i64,
+    highest_no: i64,
 }
 
 /// The throws of [`in_sequence`] whose boots are known.
@@ -255,11 +272,12 @@ async fn next_of_known_boots<'a>(
     let found: Vec<NextThrow> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
     let mut machines = HashSet::new();
     let first = found.into_iter().filter(|next| machines.insert(next.machine_row));
-    let place = |NextThrow { at, machine_row, boot_row, position }| Placed {
+    let place = |NextThrow { at, machine_row, boot_row, position, highest_no }| Placed {
         throw: &throws[at],
         machine_row,
         boot_row,
         position,
+        highest_no,
         throw_no: throws[at].throw_no(),
     };
     Ok(first.map(place).collect())
@@ -319,12 +337,8 @@ impl Spool {
         if let Some(stored) = stored.fetch_optional(&mut *connection).await? {
             return self.store_again(connection, stored, boot, repeated).await;
         }
-        if throw_no > boot.highest_no {
-            let missing = (boot.highest_no + 1, throw_no - 1);
-            if add_gap(connection, boot.boot_row, missing, GapKind::Missed, self.received_at_us).await? {
-                cursor::open(connection, boot.machine_row, boot.last(), self.received_at_us).await?;
-            }
-        } else if !fill_gap(connection, boot.boot_row, throw_no, self.received_at_us).await?
+        if throw_no <= boot.highest_no
+            && !fill_gap(connection, boot.boot_row, throw_no, self.received_at_us).await?
             && throw_no <= boot.pruned_to_no
         {
             return Ok(Spooled::Duplicate);
@@ -353,13 +367,17 @@ impl Spool {
         let kind = if before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
         let goes_on = before.is_some_and(|before| before.highest_no >= GOES_ON && first_no - 1 == before.highest_no);
         let first_missing = if goes_on { first_no } else { i64::from(!from_zero) };
-        let begins_later = add_gap(connection, boot.boot_row, (first_missing, first_no - 1), kind, at_us).await?;
+        let begins_later = first_missing < first_no;
+        if begins_later {
+            let missing = (first_missing, first_no - 1);
+            add_gaps(connection, &[NewGap { boot_row: boot.boot_row, missing, kind, at_us }]).await?;
+        }
         if let Some(before) = before {
             // The backlog may have more throws of the previous boot, and boots in between.
             sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
-            cursor::open(connection, machine_row, before.last(), at_us).await?;
+            cursor::open(connection, &[(machine_row, before.last(), at_us)]).await?;
         } else if begins_later || !is_last {
-            cursor::open(connection, machine_row, ThrowPosition::default(), at_us).await?;
+            cursor::open(connection, &[(machine_row, ThrowPosition::default(), at_us)]).await?;
         }
         Ok(boot)
     }
@@ -441,19 +459,21 @@ async fn add_boot(
     Ok(Boot { machine_row, boot_row, position, highest_no, pruned_to_no: -1, tail_open })
 }
 
-/// Adds the gap from the first to the last number, inclusive; false if it is empty.
-async fn add_gap(
-    connection: &mut SqliteConnection,
+/// A gap to add.
+struct NewGap {
     boot_row: i64,
-    (first_no, last_no): (i64, i64),
+    /// The first and the last missing number.
+    missing: (i64, i64),
     kind: GapKind,
     at_us: i64,
-) -> sqlx::Result<bool> {
-    if first_no > last_no {
-        return Ok(false);
+}
+
+async fn add_gaps(connection: &mut SqliteConnection, new: &[NewGap]) -> sqlx::Result<()> {
+    let mut add = batch::query(sql::ADD_GAPS, new.len());
+    for NewGap { boot_row, missing: (first_no, last_no), kind, at_us } in new {
+        add = add.bind(boot_row).bind(first_no).bind(last_no).bind(kind.as_ref()).bind(at_us);
     }
-    let gap = sqlx::query(sql::ADD_GAP).bind(boot_row).bind(first_no).bind(last_no).bind(kind.as_ref()).bind(at_us);
-    gap.execute(connection).await.map(|_| true)
+    add.execute(connection).await.map(drop)
 }
 
 /// Removes the number of a late throw from its gap: shortens, splits or fills the gap. Returns whether there was a gap.

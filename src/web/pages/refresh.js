@@ -33,15 +33,13 @@ function localTimes() {
   }
 }
 
-// Replaces <main>, and keeps the scroll positions, open details and the focus.
+// Replaces <main>, and keeps the scroll positions and the focus.
 function replace(main, fresh) {
   const place = [scrollX, scrollY];
   const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
-  const open = [...main.querySelectorAll("details")].map((box) => box.open);
   const focused = [...main.querySelectorAll("a, button, [tabindex]")].indexOf(document.activeElement);
   main.replaceChildren(...fresh.childNodes);
   main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
-  main.querySelectorAll("details").forEach((box, at) => { box.open = open[at] || false; });
   document.dispatchEvent(new Event("replaced"));
   if (focused >= 0) main.querySelectorAll("a, button, [tabindex]")[focused]?.focus({ preventScroll: true });
   scrollTo(...place);
@@ -51,7 +49,7 @@ function replace(main, fresh) {
 // Whether the reader selects text, fills in a form or drags a chart: the page is then not replaced.
 function isBusy() {
   if (getSelection().type === "Range" || document.querySelector(".u-over:active")) return true;
-  const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
+  const fields = document.querySelectorAll("main input, main select");
   // A choice counts too: a command that falls back to the first one of the list would be another command.
   const first = ({ options }) => ([...options].find((option) => option.defaultSelected) ?? options[0])?.value;
   return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? first(field)));

@@ -19,8 +19,6 @@ use pointsd::{
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
 /// Environment variable: number of throws of each machine.
 pub(super) const THROWS: &str = "POINTSD_WORKER_THROWS";
-/// Environment variable: if it is set, commits use `synchronous = NORMAL`.
-pub(super) const NORMAL: &str = "POINTSD_WORKER_NORMAL";
 /// Environment variable: if it is set, a reader keeps an old state open during the second half of the throws.
 pub(super) const HOLDER: &str = "POINTSD_WORKER_HOLDER";
 
@@ -76,8 +74,7 @@ async fn run() {
 }
 
 async fn open(folder: &Path) -> Option<Store> {
-    let durable = std::env::var_os(NORMAL).is_none();
-    let settings = Settings { max_wal_mib: 1, durable, ..crate::given::settings(folder) };
+    let settings = Settings { max_wal_mib: 1, ..crate::given::settings(folder) };
     for _ in 0..TRIES {
         if let Ok(opened) = Store::open(&settings, at(0)).await {
             return Some(opened.store);
