@@ -46,6 +46,10 @@ const RATIO_SD: f64 = 0.003;
 /// of dry friction, or a filter, the armature's constants are wrong by some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
+/// Largest distance of the neutral position from the middle of the stroke at which the direction does not matter, as part
+/// of the stroke.
+const MIDDLE: f64 = 0.01;
+
 /// A motor that stalls at the end of the stroke until it is switched off has a peak of the current there. The peak of
 /// the second half of the throw is above this multiple of the median there.
 const STALL_FACTOR: f64 = 2.0;
@@ -110,7 +114,7 @@ pub(super) fn estimate(
     let from_start_mm = match throw.direction {
         Some(Direction::NormalToReverse) => settings.neutral_mm,
         Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
-        None if settings.neutral_mm == 0.5 * stroke_mm => settings.neutral_mm,
+        None if (settings.neutral_mm / stroke_mm - 0.5).abs() < MIDDLE => settings.neutral_mm,
         None => return Err("the coefficients need the direction of the throw".to_owned()),
     };
     let mut window = Window {

@@ -36,6 +36,24 @@ fn a_toe_that_stops_short_is_found_without_a_configured_stroke() {
     }
 }
 
+/// Without a toe sensor, the motor turns less for a throw. That is no fault of a position sensor or of the clock.
+#[test]
+fn a_toe_that_stops_short_is_found_without_a_toe_sensor() {
+    for (seed, stroke, sides) in [(0, 0.93, 2), (1, 0.87, 2), (2, 0.83, 1), (3, 0.83, 1)] {
+        let mut drive = Drive::new(78_300 + seed, Voltage::Published);
+        (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, 500.0, Some(115.0));
+        drive.stay_healthy(60, State::SOUND);
+        let mut events = Vec::new();
+        for _ in 0..40 {
+            let is_faulty = sides == 2 || drive.next() == Direction::NormalToReverse;
+            events.extend(drive.feed(State { stroke: if is_faulty { stroke } else { 1.0 }, ..State::SOUND }).events);
+        }
+        assert!(!events.is_empty(), "{stroke} in {sides} directions");
+        assert!(events.iter().all(|event| is_about(event, "its motor turns")), "{events:#?}");
+        assert!(events.iter().all(|event| event.text.contains("less than in the baseline")), "{events:#?}");
+    }
+}
+
 /// A rejected throw shows no travel that the other direction could speak for.
 #[test]
 fn an_alarm_about_the_travel_stays_while_only_the_sound_direction_is_seen() {

@@ -56,8 +56,8 @@ pub(crate) fn stroke(name: &str, size: &Level) -> String {
         ("more", "Check whether the points lock, a worn or missing stop, and limit switches; then the clutch")
     };
     format!(
-        "Machine {name}: for a throw its motor turns {:.0} % (±{:.0} %) {way} than in the baseline, as far as current \
-         and supply voltage show it without a toe sensor: the points stop at another place, or motor or supply_v have \
+        "Machine {name}: for a throw its motor turns {:.0} % (±{:.0} %) {way} than in the baseline, as a mean of both \
+         directions and as far as current and supply voltage show it without a toe sensor: the points stop at another place, or motor or supply_v have \
          changed. {check}. If the stroke was adjusted or the motor was exchanged, set stroke_mm and take a new baseline \
          (rebaseline).",
         size.pct().abs(),
