@@ -29,13 +29,13 @@ use super::{
 };
 use crate::{
     diagnose::{
-        AlarmEvent, Cause, RunnerUp, SensorChannel, Settings,
-        alarm::{Rule, Step, count_over},
+        AlarmEvent, Cause, RunnerUp, SensorChannel, Settings, Severity,
+        alarm::{Rule, RuleResult, Step, count_over},
         gauges::{Circuit, Gauge, Gauges, ShownBy},
         statistics::{LONGEST_WINDOW, Level, WINDOWS, percent, streak},
         text,
     },
-    throw::Channel,
+    throw::{Channel, Direction},
 };
 
 /// Lead of a sensor over the machine that names the sensor: odds of 150 to 1, as twice the logarithm.
