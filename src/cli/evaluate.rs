@@ -80,7 +80,7 @@ fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
             progress.inc(1);
         }
     };
-    thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(work))));
+    thread::scope(|scope| (0..threads.min(plan.lives())).for_each(|_| drop(scope.spawn(work))));
     progress.finish_and_clear();
     let mut outcomes = outcomes.into_inner();
     outcomes.sort_unstable_by_key(|(life, _)| *life);

@@ -16,7 +16,7 @@ use crate::throw::{
 
 use super::fault::{Condition, Fault, Part, Shape};
 use super::machine::Parameters;
-use super::motion::Conditions;
+use super::motion::{Conditions, TEMPERATURES_C};
 use super::sensors::{Sensors, Stuck, normal};
 
 settings! {
@@ -94,6 +94,13 @@ settings! {
 }
 
 impl FleetClimate {
+    fn check(&self) -> Result<(), OutOfRange> {
+        self.check_ranges()?;
+        let swing_k = self.daily_swing_k + self.yearly_swing_k;
+        let [coldest_c, hottest_c] = TEMPERATURES_C;
+        Within(coldest_c + swing_k, hottest_c - swing_k, "°C with these swings").check("mean_c", self.mean_c)
+    }
+
     /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
@@ -265,7 +272,7 @@ impl FleetSettings {
         self.sensors.check().map_err(|error| error.within("sensors"))?;
         self.spread.check_ranges().map_err(|error| error.within("spread"))?;
         self.scatter.check_ranges().map_err(|error| error.within("scatter"))?;
-        self.climate.check_ranges().map_err(|error| error.within("climate"))?;
+        self.climate.check().map_err(|error| error.within("climate"))?;
         for FleetFault { machine, fault } in &self.faults {
             self.check_machine("faults.machine", *machine)?;
             Within(-90.0, 2000.0, "%").check("faults.fault.size_pct", fault.size_pct)?;

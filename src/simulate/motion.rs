@@ -20,6 +20,8 @@ use super::rails::Modes;
 pub const STEP_S: f64 = 2e-4;
 /// Time constant with which the current decays in the arc of the opening contactor \[s\].
 const ARC_TIME_S: f64 = 1e-3;
+/// Coldest and hottest machine \[°C\].
+pub(super) const TEMPERATURES_C: [f64; 2] = [-60.0, 80.0];
 /// Time simulated after the motor was cut off \[s\].
 const SETTLE_S: f64 = 0.4;
 
@@ -28,7 +30,7 @@ settings! {
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Conditions {
         /// Temperature of the machine \[°C\].
-        pub temperature_c: f64 = 20.0, Within(-60.0, 80.0, "°C");
+        pub temperature_c: f64 = 20.0, Within(TEMPERATURES_C[0], TEMPERATURES_C[1], "°C");
         /// Ratio of the supply voltage to the nominal voltage.
         pub supply_ratio: f64 = 1.0, Within(0.0, 3.0, "");
         /// Position of an obstacle between rail and stock rail \[mm from normal\]; `None` for no obstacle.

@@ -236,4 +236,7 @@ fn settings_are_checked_and_read_from_toml_without_unknown_keys() {
     let settings: FleetSettings = toml::from_str(&text.replace("machine = 1\n", "machine = 5\n")).unwrap();
     let error = settings.build(1).expect_err("a machine outside the fleet");
     assert!(error.to_string().contains("must be"), "{error}");
+    let hot = FleetClimate { mean_c: 50.0, daily_swing_k: 40.0, ..FleetClimate::default() };
+    let error = FleetSettings { climate: hot, ..FleetSettings::default() }.check().unwrap_err();
+    assert_eq!(error.to_string(), "climate.mean_c is 50, must be -20 to 40 °C with these swings");
 }
