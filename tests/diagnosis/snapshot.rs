@@ -75,5 +75,11 @@ fn the_owner_of_an_alarm_is_read_from_the_flags_of_an_earlier_program() {
     assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "start".into())]);
     json["start"]["alarmed"] = false.into();
     json["drift"]["intermittent"]["alarmed"] = "unattributed".into();
-    assert_eq!(owners(&json), [("supply".into(), none), ("unattributed".into(), "intermittent".into())]);
+    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "intermittent".into())]);
+    // The reason why the machine is not monitored.
+    json["alarms"]["open"][1]["last"]["cause"] = "not_monitored".into();
+    for (reason, rule) in [("silent", "silence".into()), ("two_loggers", "two_loggers".into()), ("unevaluated", none)] {
+        json["operation"]["unmonitored"] = reason.into();
+        assert_eq!(owners(&json)[1], ("not_monitored".into(), rule), "{reason}");
+    }
 }
