@@ -40,6 +40,9 @@ pub(super) struct Arguments {
     /// position.
     #[arg(long, value_name = "V")]
     supply_v: Option<f64>,
+    /// Direction of the throw. Without a position the current may fit both; then it counts as normal-to-reverse.
+    #[arg(long, value_parser = argument::direction())]
+    direction: Option<Direction>,
     /// Kind of motor.
     #[arg(long, default_value = "permanent-magnet", value_parser = argument::motor())]
     motor: Motor,
@@ -62,6 +65,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     settings.check_ranges().map_err(|error| anyhow!(renamed(&error.to_string()))).or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
+        direction: arguments.direction,
         supply_v: arguments.supply_v,
         anti_alias_hz: arguments.anti_alias_hz,
         ..Throw::recorded(recording.trace)

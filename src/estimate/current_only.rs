@@ -46,10 +46,6 @@ const RATIO_SD: f64 = 0.003;
 /// of dry friction, or a filter, the armature's constants are wrong by some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
-/// Largest distance of the neutral position from the middle of the stroke at which the direction does not matter, as part
-/// of the stroke.
-const MIDDLE: f64 = 0.01;
-
 /// A motor that stalls at the end of the stroke until it is switched off has a peak of the current there. The peak of
 /// the second half of the throw is above this multiple of the median there.
 const STALL_FACTOR: f64 = 2.0;
@@ -95,7 +91,7 @@ fn solve(
 }
 
 /// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds
-/// resistance and back-EMF constant to the features.
+/// resistance and back-EMF constant to the features. A throw without a direction counts as normal to reverse if it fits.
 pub(super) fn estimate(
     movement: &Movement<'_>,
     throw: &Throw,
@@ -111,22 +107,27 @@ pub(super) fn estimate(
     let integrals = integrals(movement).ok_or(NOT_ENDED)?;
     // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
     let last = integrals[0].len().checked_sub(3).ok_or(NOT_ENDED)?;
-    let from_start_mm = match throw.direction {
-        Some(Direction::NormalToReverse) => settings.neutral_mm,
-        Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
-        None if (settings.neutral_mm / stroke_mm - 0.5).abs() < MIDDLE => settings.neutral_mm,
-        None => return Err("the coefficients need the direction of the throw".to_owned()),
+    let solve = |direction: Direction| {
+        let from_start_mm = match direction {
+            Direction::NormalToReverse => settings.neutral_mm,
+            Direction::ReverseToNormal => stroke_mm - settings.neutral_mm,
+        };
+        let mut window = Window {
+            equilibrium: from_start_mm * settings.radians_per_mm(),
+            from: movement.start(),
+            interval_s,
+            offsets: [window::current_offset_variance(movement), 0.0],
+            rest_a: window::rest(movement),
+            ..Window::default()
+        };
+        let angle = stroke_mm * settings.radians_per_mm();
+        solve_in_rounds(&integrals, last, (supply_v, angle), &mut window).map(|machine| (machine, window))
     };
-    let mut window = Window {
-        equilibrium: from_start_mm * settings.radians_per_mm(),
-        from: movement.start(),
-        interval_s,
-        offsets: [window::current_offset_variance(movement), 0.0],
-        rest_a: window::rest(movement),
-        ..Window::default()
+    let (machine, window) = match throw.direction {
+        Some(direction) => solve(direction)?,
+        // The current alone may fit both directions.
+        None => solve(Direction::NormalToReverse).or_else(|why| solve(Direction::ReverseToNormal).map_err(|_| why))?,
     };
-    let angle = stroke_mm * settings.radians_per_mm();
-    let machine = solve_in_rounds(&integrals, last, (supply_v, angle), &mut window)?;
     features.resistance_ohm = Some(machine.resistance);
     features.back_emf_v_s_per_rad = Some(machine.back_emf);
     Ok(machine.estimate(&window, last))

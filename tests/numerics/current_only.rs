@@ -185,17 +185,17 @@ fn a_charge_that_depends_on_the_moments_of_the_samples_is_unknown() {
     }
 }
 
+/// Without a direction, a throw against the spring of one direction may be one with it.
 #[test]
-fn without_a_direction_a_neutral_position_off_the_middle_leaves_no_coefficients() {
-    let machine = Parameters::default();
-    let quality = |neutral_mm: f64| {
-        let current = current(&machine, Direction::ReverseToNormal, 1000.0);
-        let trace = Trace::new(1000.0, current.clone(), vec![f64::NAN; current.len()]).unwrap();
-        let throw = Throw { supply_v: Some(110.0), ..Throw::recorded(trace) };
-        let settings = Settings { stroke_mm: Some(115.0), neutral_mm, ..Settings::default() };
-        Identifier::default().identify(&throw, &settings).detail()
-    };
-    assert_eq!(quality(57.5), None);
-    let detail = quality(40.0).unwrap();
-    assert!(detail.ends_with("the coefficients need the direction of the throw"), "{detail}");
+fn a_current_without_a_direction_counts_as_normal_to_reverse_only_if_it_fits() {
+    for truth in Direction::BOTH {
+        let current = current(&Parameters::default(), truth, 1000.0);
+        let identify = |direction: Option<Direction>| {
+            let trace = Trace::new(1000.0, current.clone(), vec![f64::NAN; current.len()]).unwrap();
+            let throw = Throw { direction, supply_v: Some(110.0), ..Throw::recorded(trace) };
+            let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
+            Identifier::default().identify(&throw, &settings).outcome.unwrap().coefficients()
+        };
+        assert_eq!(identify(None), identify(Some(truth)), "{truth}");
+    }
 }
