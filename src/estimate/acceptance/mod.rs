@@ -7,6 +7,8 @@ pub(super) mod start;
 
 use nalgebra::{Matrix3, Vector3};
 
+use errors::Errors;
+
 use super::{
     identification::{Estimate, Fit, Grade},
     load::Load,
@@ -118,8 +120,7 @@ pub(super) fn estimate(
     let solution = refined.transpose().map_err(|_| Rejection::Singular)?.flatten().unwrap_or(solution);
     accept(&solution, settings)?;
     let covariance = Matrix3::from(model.covariance(&problem, &solution, &noise, workspace));
-    let [dry, offset] = errors::systematic(window, &solution, workspace);
-    let load = load.and_then(|load| errors::of_load(load, window, &solution, workspace)).ok_or(Rejection::Singular)?;
+    let errors = load.and_then(|load| Errors::of(load, window, &solution, workspace)).ok_or(Rejection::Singular)?;
     let ends_moving = settings.stroke_mm.is_none() && movement.ends_moving();
     let parameters = solution.parameters;
     for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
@@ -133,7 +134,7 @@ pub(super) fn estimate(
         }
     }
     let [b0, a1, a0] = parameters;
-    let [dry, parameters] = [Vector3::from(dry), Vector3::from(parameters)];
+    let (Errors { load, dry, offset }, parameters) = (errors, Vector3::from(parameters));
     Ok(Estimate {
         grade: Grade::Good,
         b0,
@@ -142,7 +143,7 @@ pub(super) fn estimate(
         ratios_only: false,
         covariance: (covariance + covariance.transpose()) * 0.5,
         systematic: load + dry * dry.transpose() + parameters * (scale_sd * scale_sd) * parameters.transpose(),
-        offset,
+        offset: offset.into(),
         reason: None,
         running: None,
         fit: Some(Fit { pct: 100.0 * solution.fit, iterations: solution.iterations }),
