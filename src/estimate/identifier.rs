@@ -147,8 +147,8 @@ impl Identifier {
         if let Ok(estimate) = &outcome
             && !matches!(estimate.reason, Some(Rejection::StartMissing { .. }))
         {
-            (features.start_delay_s, features.start_gain) =
-                start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free).unzip();
+            let start = start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free);
+            (features.start_delay_s, features.start_gain) = start.map(|start| (start.delay_s, start.gain)).unzip();
         }
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
             outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)

@@ -33,7 +33,7 @@ const OFTEN_REJECTED: u32 = 8;
 const SHORT_IN_A_ROW: u32 = 5;
 /// Consecutive throws with the same named direction until a caveat says so. Between two throws to one side, there is one
 /// to the other side, but some throws may be lost.
-const SAME_DIRECTION_IN_A_ROW: u32 = 12;
+const SAME_DIRECTION_IN_A_ROW: u8 = 12;
 /// Consecutive throws without coefficients, on a machine without toe sensor that had them, until a caveat says so.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
@@ -124,7 +124,7 @@ pub(crate) struct Operation {
     unused_fields: Option<(String, u32)>,
     /// Travel and configured stroke \[mm\] of the last throw, if its travel was too short; number of such throws.
     #[serde(skip_serializing_if = "Option::is_none")]
-    short: Option<([f64; 2], u32)>,
+    short: Option<([f32; 2], u32)>,
     pub(crate) run_on: RunOn,
     /// Throws with features of the current only.
     without_coefficients: u32,
@@ -133,7 +133,7 @@ pub(crate) struct Operation {
     #[serde(skip_serializing_if = "Option::is_none")]
     named: Option<Direction>,
     #[serde(skip_serializing_if = "is_default")]
-    same_direction: u32,
+    same_direction: u8,
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
     pub(super) plausible: [i32; 2],
     /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
@@ -209,10 +209,11 @@ impl Operation {
             .features
             .travel_mm
             .zip(observation.short_of_stroke_mm)
-            .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
+            .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm].map(to_f32), before.saturating_add(1)));
         streak(&mut self.without_coefficients, observation.has_features_only());
         let named = direction.filter(|_| observation.is_without_position());
-        streak(&mut self.same_direction, named.is_some() && named == self.named);
+        let is_same = named.is_some() && named == self.named;
+        self.same_direction = if is_same { self.same_direction.saturating_add(1) } else { 0 };
         self.named = named;
         if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
             self.since_gap = self.since_gap.saturating_add(1);
@@ -371,11 +372,11 @@ impl Operation {
         let lost_coefficients = had_coefficients && self.without_coefficients >= WITHOUT_COEFFICIENTS_IN_A_ROW;
         let sentences = [
             unused.map(|(sentence, _)| text::unused_fields(name, sentence)),
-            short.map(|([travel_mm, stroke_mm], _)| text::short_of_stroke(name, travel_mm, stroke_mm)),
+            short.map(|(mm, _)| text::short_of_stroke(name, mm.map(f64::from))),
             lost_coefficients.then(|| text::lost_coefficients(name, self.without_coefficients)),
             self.named
                 .filter(|_| self.same_direction >= SAME_DIRECTION_IN_A_ROW)
-                .map(|direction| text::same_direction(name, direction, self.same_direction + 1)),
+                .map(|direction| text::same_direction(name, direction, u32::from(self.same_direction) + 1)),
         ];
         sentences.into_iter().flatten().chain(often).collect()
     }

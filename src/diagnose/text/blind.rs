@@ -61,7 +61,7 @@ pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of
 }
 
 /// Text for a machine whose throws end before the configured stroke.
-pub(crate) fn short_of_stroke(name: &str, travel_mm: f64, stroke_mm: f64) -> String {
+pub(crate) fn short_of_stroke(name: &str, [travel_mm, stroke_mm]: [f64; 2]) -> String {
     format!(
         "Machine {name}: its throws end at {travel_mm:.1} mm of a stroke of {stroke_mm:.1} mm, without an \
          obstruction. Correct stroke_mm if this is the whole stroke; else check the gain of the position sensor."

@@ -46,9 +46,18 @@ pub(crate) fn free_movement(free: &mut Vec<f64>, window: &Window, samples: usize
     }
 }
 
-/// The delay of a movement behind the current \[s\], and b0 from its start alone \[rad s⁻² A⁻¹\]. `None` if the samples
-/// do not show them.
-pub(crate) fn find(window: &Window, ratios: [f64; 2], free: &mut Vec<f64>) -> Option<(f64, f64)> {
+/// The start of a movement.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Start {
+    /// The delay of the movement behind the current, and its standard deviation from the noise \[s\].
+    pub(crate) delay_s: f64,
+    pub(crate) delay_sd_s: f64,
+    /// b0 from the start alone \[rad s⁻² A⁻¹\].
+    pub(crate) gain: f64,
+}
+
+/// Finds the start of a movement. `None` if the samples do not show it.
+pub(crate) fn find(window: &Window, ratios: [f64; 2], free: &mut Vec<f64>) -> Option<Start> {
     let (output, interval_s) = (&window.output[window.foot..], window.interval_s);
     let travel = *output.last()?;
     let last = output.iter().take(samples_in(LONGEST_S, interval_s)).position(|y| *y > START_SHARE * travel)?;
@@ -59,6 +68,7 @@ pub(crate) fn find(window: &Window, ratios: [f64; 2], free: &mut Vec<f64>) -> Op
     free_movement(free, window, end, ratios);
     // The delay in samples.
     let (mut delay, step) = (0.0_f64, STEP_S / interval_s);
+    let square: f64 = output[..=last].iter().map(|y| y * y).sum();
     for _ in 0..STEPS {
         let (mut own, mut both, mut slope, mut right, mut right_slope) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (k, y) in output[..=last].iter().enumerate() {
@@ -88,7 +98,9 @@ pub(crate) fn find(window: &Window, ratios: [f64; 2], free: &mut Vec<f64>) -> Op
         }
         delay += change.clamp(-step, step);
         if (change * interval_s).abs() < CONVERGED_S {
-            return Some((delay * interval_s, gain));
+            let variance = window.output_noise.max((square - gain * right) / last as f64);
+            let delay_sd_s = (variance * own / determinant).max(0.0).sqrt() / gain * interval_s;
+            return Some(Start { delay_s: delay * interval_s, delay_sd_s, gain });
         }
     }
     None
