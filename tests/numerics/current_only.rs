@@ -194,7 +194,7 @@ fn a_current_without_a_direction_counts_as_normal_to_reverse_only_if_it_fits() {
             let trace = Trace::new(1000.0, current.clone(), vec![f64::NAN; current.len()]).unwrap();
             let throw = Throw { direction, supply_v: Some(110.0), ..Throw::recorded(trace) };
             let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
-            Identifier::default().identify(&throw, &settings).outcome.unwrap().coefficients()
+            Identifier::default().identify(&throw, &settings).outcome.unwrap()
         };
         assert_eq!(identify(None), identify(Some(truth)), "{truth}");
     }

@@ -176,7 +176,7 @@ impl Instruments {
     /// Whether a gain of this channel is that of the stroke, which a machine without toe sensor assumes. A motor with
     /// weaker magnets has the opposite sign, so this names the points also if it does not lead clearly.
     fn is_of_stroke(&self, channel: SensorChannel) -> bool {
-        channel == SensorChannel::Position && self.gauges.normal_travel_mm().is_none()
+        channel == SensorChannel::Position && self.gauges.is_without_toe_sensor()
     }
 
     /// Whether a clock that is wrong by the factor exp(`size`) may explain a drift. With ratios of coefficients only, a

@@ -245,6 +245,11 @@ impl Gauges {
         self.normals(Gauge::Travel).map(f64::exp).next()
     }
 
+    /// Whether the throws give the constants of the motor without a toe position.
+    pub(crate) fn is_without_toe_sensor(&self) -> bool {
+        self.normals(Gauge::BackEmf).next().is_some() && self.normal_travel_mm().is_none()
+    }
+
     /// Deletes the last throws.
     pub(crate) fn forget_recent(&mut self) {
         self.recent.clear();

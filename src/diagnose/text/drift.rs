@@ -13,6 +13,10 @@ use crate::{
 /// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
 
+/// Addition to the text of a changed inertia of a machine without toe sensor.
+pub(crate) const OR_FILTER: &str = " Without a toe sensor, the inertia shows in the inrush only: a new low-pass filter in \
+                                    the logger looks the same. If it was changed, take a new baseline (rebaseline).";
+
 /// Name for the cause of a loss of torque without a change of the back-EMF.
 const MOTOR_OR_GEAR: &str = "motor or gear";
 
