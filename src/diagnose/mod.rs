@@ -9,13 +9,11 @@
 //! | `baseline` | level, scatter and temperature effect of a healthy machine; trend and rain while the baseline fills |
 //! | `drift` | from the last throws to a drift, its cause, its size at this throw, its forecast and its alarms |
 //! | `gauges` | further quantities of a throw; they distinguish a faulty sensor or supply from a faulty part |
-//! | `operation` | alarms that concern no part: incomplete, slow and lost throws, silence, clocks, weather of the site
-//! |
+//! | `operation` | alarms about no part: incomplete, slow and lost throws, silence, clocks, weather of the site |
 //! | `alarm` | the life cycle of an alarm, and the commands of operators |
 //! | `text` | the sentences that a person reads about an alarm |
 //! | `statistics` | statistics of short series |
-//! | `observation`, `verdict`, `event`, `settings`, `snapshot` | what enters and leaves a monitor, and how it is stored
-//! |
+//! | `observation`, `verdict`, `event`, `settings`, `snapshot` | what a monitor takes, gives and stores |
 
 mod alarm;
 mod baseline;
@@ -42,4 +40,5 @@ pub use operation::Common;
 pub(crate) use operation::{are_steady, is_possible_date};
 pub use settings::{LONGEST_SHELVING_DAYS, Settings, TemperatureCoefficients};
 pub use statistics::Correlation;
+pub(crate) use text::without_operator;
 pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

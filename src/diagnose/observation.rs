@@ -144,14 +144,16 @@ impl Observation {
         matches!(self.rejection(), Some(Rejection::Undersampled { .. }))
     }
 
-    /// Whether the throw has no position and no estimate: the machine has a current sensor only.
+    /// Whether the throw has features and no estimate: the machine has a current sensor only, or a three-phase motor.
     pub(super) fn has_features_only(&self) -> bool {
         matches!(self.rejection(), Some(Rejection::NoPosition { .. }))
     }
 
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
-        self.has_features_only() || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
+        let has_travel = self.features.travel_mm.is_some();
+        self.has_features_only() && !has_travel
+            || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
     }
 }
 

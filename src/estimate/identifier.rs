@@ -292,7 +292,8 @@ fn identify_current(
     values: Result<(), Rejection>,
     settings: &Settings,
 ) -> Identification {
-    let mut features = current_only::features(movement);
+    let is_impossible = matches!(values, Err(Rejection::ImplausibleValue { .. }));
+    let mut features = if is_impossible { Features::default() } else { current_only::features(movement) };
     let too_slow = features.duration_s.filter(|duration_s| *duration_s > LONGEST_RUN_S).map(|duration_s| {
         let (longest_s, rate_hz) = (completeness::LONGEST_MOVEMENT_S, 1.0 / movement.interval_s);
         Rejection::TooSlow { duration_s, longest_s, rate_hz }
@@ -329,6 +330,8 @@ fn features_of(
 ) -> Features {
     let mut features = movement.features();
     match outcome {
+        // The start of the motor, from which all else follows, is unknown.
+        Err(Rejection::ImplausibleValue { channel: Channel::Current, .. }) => features = Features::default(),
         Err(
             Rejection::Noisy { channel, .. }
             | Rejection::Stuck { channel, .. }

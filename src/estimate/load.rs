@@ -24,7 +24,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 use super::trace::{samples::samples_in, window::Window};
 
@@ -58,10 +58,8 @@ pub(crate) struct Load {
     count: usize,
     /// For each of [`CORRELATIONS`] ln L and σ².
     fits: [(f64, f64); CORRELATIONS.len()],
-    /// For each step the differences of y, ∫(y - `y_eq`) dt and y', which the three factors multiply.
-    rows: [Vector3<f64>; STEPS],
-    /// For each step the difference of ∫u dt.
-    charges: [f64; STEPS],
+    /// For each step the differences of y, ∫(y - `y_eq`) dt and y', which the three factors multiply, and of ∫u dt.
+    rows: [Vector4<f64>; STEPS],
 }
 
 impl Load {
@@ -75,16 +73,17 @@ impl Load {
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
         let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
         let fits = [(0.0, 0.0); CORRELATIONS.len()];
-        let mut load = Self { from, length, count, fits, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };
+        let mut load = Self { from, length, count, fits, rows: [Vector4::zeros(); STEPS] };
         // With parabolic weights 1 - x² the mean of y' is the slope of the regression line through y, which has the
         // least noise. The sums of x² and of the weights over a window:
         let per_window = length as f64;
         let squares = (per_window * per_window - 1.0) / (3.0 * per_window);
         let weights = per_window - squares;
-        let scale = Vector3::new(1.0 / weights, 1.0 / weights, 2.0 / (squares * per_window * interval_s));
+        let of_slope = 2.0 / (squares * per_window * interval_s);
+        let scale = Vector4::new(1.0 / weights, 1.0 / weights, of_slope, 1.0 / weights);
         let (mut charge, mut angle, mut before) = (0.0, 0.0, None);
         for (window, start) in (from..).step_by(length).take(count + 1).enumerate() {
-            let (mut row, mut mean) = (Vector3::zeros(), 0.0);
+            let mut row = Vector4::zeros();
             for (at, k) in (start..start + length).enumerate() {
                 if k > from {
                     charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
@@ -92,12 +91,11 @@ impl Load {
                 }
                 let x = (2 * at + 1) as f64 * per_window.recip() - 1.0;
                 let weight = 1.0 - x * x;
-                row += Vector3::new(weight * output[k], weight * angle, x * output[k]);
-                mean += weight * charge;
+                row += Vector4::new(weight * output[k], weight * angle, x * output[k], weight * charge);
             }
-            let here = (row.component_mul(&scale), mean / weights);
-            if let Some((row, mean)) = before.replace(here) {
-                (load.rows[window - 1], load.charges[window - 1]) = (here.0 - row, here.1 - mean);
+            let row = row.component_mul(&scale);
+            if let Some(before) = before.replace(row) {
+                load.rows[window - 1] = row - before;
             }
         }
         for (at, phi) in CORRELATIONS.into_iter().enumerate() {
@@ -158,17 +156,16 @@ impl Load {
     /// step before, the charges of the load are independent.
     fn fit(&self, phi: f64) -> Option<(f64, f64)> {
         let freedom = self.freedom();
-        let (mut normal, mut right, mut square) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
         let new = 1.0 - phi * phi;
-        let (mut row_before, mut charge_before) = (Vector3::zeros(), 0.0);
-        for (step, (row, charge)) in self.rows.iter().zip(self.charges).take(self.count).enumerate() {
+        let (mut sums, mut before) = (Matrix4::zeros(), Vector4::zeros());
+        for (step, row) in self.rows[..self.count].iter().enumerate() {
             let weight = if step == 0 { 1.0 } else { new.recip() };
-            let (own, rest) = (row - phi * row_before, charge - phi * charge_before);
-            normal += own * own.transpose() * weight;
-            right += own * (rest * weight);
-            square += rest * rest * weight;
-            (row_before, charge_before) = (*row, charge);
+            let own = row - phi * before;
+            sums += own * own.transpose() * weight;
+            before = *row;
         }
+        let (normal, right) = (sums.fixed_resize::<3, 3>(0.0), sums.column(3).xyz());
+        let square = sums[(3, 3)];
         let left = (square - right.dot(&(normal.try_inverse()? * right))).max(ROUNDING * square);
         let likelihood = -0.5 * ((self.count - 1) as f64 * new.ln() + normal.determinant().ln() + freedom * left.ln());
         Some((likelihood, left / freedom))

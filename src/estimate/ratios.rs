@@ -120,18 +120,20 @@ pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
     }
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let sums = Sums::over(window, from..to, load);
+    let [charge, time, offset] = [4, 5, 6].map(|signal| sums.with_factors(signal));
+    let normal = Matrix4::from_fn(|i, j| sums.products[i][j]);
     // The inverse by cofactors needs no scaling of the units.
-    let inverse = sums.normal.try_inverse()?;
-    let found = inverse * sums.charge;
-    let squares = (sums.charge_squares - found.dot(&sums.charge)).max(0.0);
+    let inverse = normal.try_inverse()?;
+    let found = inverse * charge;
+    let squares = (sums.products[4][4] - found.dot(&charge)).max(0.0);
     let load_charge = found[0].abs() * (output[to - 1] - output[from]) + found[1].abs() * sums.largest_angle;
     if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * sums.largest_charge.max(load_charge) {
         return None;
     }
-    let drift = inverse * sums.offset;
-    let dry = inverse * (sums.time - sums.normal.column(0) / running) * (DRY_SHARE * found[0] * running);
+    let drift = inverse * offset;
+    let dry = inverse * (time - normal.column(0) / running) * (DRY_SHARE * found[0] * running);
     // With play the rails are ahead of the sensor by a constant distance.
-    let hidden = inverse * sums.time * (HIDDEN_SHARE * travel * found[1]);
+    let hidden = inverse * time * (HIDDEN_SHARE * travel * found[1]);
     let covariance = load.covariance(|step| (inverse * sums.effects[step]).xyz())?;
     let values = [found[0], found[1]];
     if !(values.iter().all(|v| v.is_finite() && *v > 0.0)) {
@@ -148,17 +150,12 @@ pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
 /// Sums over the samples of a movement. The factors of a sample are those of the integrated equation, and 1 for its
 /// constant: y - `y_s`, ∫(y - `y_eq`) dt, y' - `y'_s` and 1.
 struct Sums {
-    /// Products of the factors.
-    normal: Matrix4<f64>,
-    /// Products of the factors with the charge ∫u dt, with the time since the first sample, and with the charge from
+    /// Products of each two of the four factors, the charge ∫u dt, the time since the first sample, and the charge from
     /// an offset of 1 A.
-    charge: Vector4<f64>,
-    time: Vector4<f64>,
-    offset: Vector4<f64>,
-    charge_squares: f64,
+    products: [[f64; 7]; 7],
     largest_charge: f64,
     largest_angle: f64,
-    /// For each step of the load: sum of `charge` over the step's samples, each with a charge of 1 from there on.
+    /// For each step of the load: sum of the factors' products with the charge over the step's samples, each with a charge of 1 from there on.
     effects: [Vector4<f64>; STEPS],
 }
 
@@ -197,20 +194,16 @@ impl Sums {
                 (moment - first_s * factor) / interval_s + factor - step.len() as f64 * sums[0]
             });
         }
-        let sums = products.sums();
-        let column = |j: usize| Vector4::from_fn(|i, _| sums[i][j]);
-        for (effect, step) in effects.iter_mut().zip(load.steps(samples)) {
-            *effect += column(3) * step.len() as f64;
+        let mut sums = Self { products: products.sums(), largest_charge, largest_angle, effects };
+        let constant = sums.with_factors(3);
+        for (effect, step) in sums.effects.iter_mut().zip(load.steps(samples)) {
+            *effect += constant * step.len() as f64;
         }
-        Self {
-            normal: Matrix4::from_fn(|i, j| sums[i][j]),
-            charge: column(4),
-            time: column(5),
-            offset: column(6),
-            charge_squares: sums[4][4],
-            largest_charge,
-            largest_angle,
-            effects,
-        }
+        sums
+    }
+
+    /// The products of the four factors with a signal.
+    fn with_factors(&self, signal: usize) -> Vector4<f64> {
+        Vector4::from_fn(|factor, _| self.products[factor][signal])
     }
 }

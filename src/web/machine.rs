@@ -239,7 +239,7 @@ async fn read(
 fn no_trends(both: &Directions, baselines: &[BaselineRecord]) -> &'static str {
     let mut rows = both.iter().flat_map(|(_, rows)| rows).peekable();
     if rows.peek().is_some() && rows.all(|row| row.grade() == Some(Grade::CurrentOnly) && row.coefficients.is_none()) {
-        "These throws have no toe position, and so no coefficients. Their duration and currents, below, are compared with \
+        "These throws have no toe position or a three-phase motor, and so no coefficients. Their duration and currents, below, are compared with \
          those of the first throws."
     } else if baselines.iter().any(|baseline| baseline.ratios_only) {
         "The throws of the baseline have only the ratios of the coefficients: changes of the ratios are below."
@@ -351,7 +351,7 @@ fn without(row: &Health) -> String {
         Some(Grade::Rough) => {
             format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row))
         }
-        Some(Grade::CurrentOnly) => "current only: there is no position".to_owned(),
+        Some(Grade::CurrentOnly) => "features only: there is no position, or the motor is three-phase".to_owned(),
         _ => quality(row),
     }
 }

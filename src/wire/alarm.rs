@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::json_bytes;
 use crate::{
-    diagnose::{AlarmEvent, Cause},
+    diagnose::{AlarmEvent, Cause, without_operator},
     throw::{MachineId, without_digits},
 };
 
@@ -53,9 +53,7 @@ impl Alarm {
     /// The message without the operators' names and reasons and without boots: these stay in the database.
     #[must_use]
     pub fn published(mut self) -> Self {
-        if let (Some(by), Some(why)) = (&self.event.by, &self.event.why) {
-            self.event.text = self.event.text.replace(&format!(" ({by}: {why})"), "");
-        }
+        self.event.text = without_operator(&self.event.text);
         (self.event.by, self.event.why, self.event.acknowledged_by) = (None, None, None);
         for throw in [&mut self.event.first_throw, &mut self.event.last_throw].into_iter().flatten() {
             throw.boot_id.clear();
@@ -113,12 +111,12 @@ mod tests {
             correlation: Some(Correlation { b0_a1: 0.1, b0_a0: 0.2, a1_a0: 0.3 }),
             first_throw: Some(ThrowRef { boot_id: "b".into(), throw_no: 7 }),
             last_throw: None,
-            text: "what (somebody: some reason).".into(),
+            text: "Machine north/21B: a new baseline is being taken (somebody: some reason).".into(),
             text_at: Some(at),
             acknowledged_by: Some("somebody".into()),
             limit_in_throws: Some(LimitForecast { low: 1.0, mid: 2.0, high: 3.0 }),
             by: Some("somebody".into()),
-            why: Some("some reason".into()),
+            why: None,
         };
         let alarm = Alarm::new(&MachineId::new("north", "21B").unwrap(), &event);
         assert_eq!(serde_json::from_str::<Alarm>(&json(&alarm)).unwrap(), alarm, "the database keeps all of it");
@@ -129,7 +127,7 @@ mod tests {
             "state": "active_unacknowledged", "raised_at": "2026-05-04T10:11:12Z", "event_at": "2026-05-04T10:11:12Z",
             "change_pct": 18.0, "change_pct_sd": null, "direction": "normal_to_reverse",
             "runner_up": {"cause": "kt", "margin": 3.5}, "correlation": {"b0_a1": 0.1, "b0_a0": 0.2, "a1_a0": 0.3},
-            "first_throw_no": 7, "last_throw_no": null, "text": "what.", "text_at": "2026-05-04T10:11:12Z",
+            "first_throw_no": 7, "last_throw_no": null, "text": "Machine north/21B: a new baseline is being taken.", "text_at": "2026-05-04T10:11:12Z",
             "limit_in_throws": {"low": 1.0, "mid": 2.0, "high": 3.0},
         });
         assert_eq!(serde_json::from_slice::<serde_json::Value>(&message).unwrap(), expected);

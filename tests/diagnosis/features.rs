@@ -329,6 +329,34 @@ fn a_motor_that_runs_unusually_long_or_short_raises_an_alarm_at_once() {
     }
 }
 
+/// With a toe sensor, the throws of a three-phase motor show whether the points closed, and the loss of the sensor.
+#[test]
+fn a_three_phase_motor_with_a_toe_sensor_has_a_position() {
+    let settings = Settings::default();
+    let mut rng = ChaCha8Rng::seed_from_u64(59_800);
+    let mut next = healthy_features(Scatter { sd: [0.008, 0.025, 0.025], phi: 0.5, tail: None }, &mut rng);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut observe = |throws: usize, longer: f64, travel_mm: Option<f64>| {
+        let mut events = Vec::new();
+        for _ in 0..throws {
+            let mut observation = next();
+            let features = &mut observation.features;
+            features.duration_s = features.duration_s.map(|duration_s| longer * duration_s);
+            features.travel_mm = travel_mm;
+            features.run_on_s = travel_mm.map(|_| 0.1);
+            events.extend(monitor.observe(&observation, &settings).events);
+        }
+        events
+    };
+    assert_eq!(observe(60, 1.0, Some(115.0)), []);
+    let slow = observe(10, 2.0, Some(115.0));
+    assert!(!slow.is_empty() && slow.iter().all(|event| event.cause == Cause::Unattributed), "{slow:#?}");
+    assert!(!slow[0].text.contains("runs on"), "{slow:#?}");
+    observe(60, 1.0, Some(115.0));
+    let lost = observe(10, 1.0, None);
+    assert_eq!(causes(&lost), [Cause::Sensor], "{lost:#?}");
+}
+
 #[test]
 fn a_logger_that_names_one_direction_for_all_throws_is_stated() {
     let mut rng = ChaCha8Rng::seed_from_u64(59_700);

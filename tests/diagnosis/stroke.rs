@@ -51,6 +51,13 @@ fn a_toe_that_stops_short_is_found_without_a_toe_sensor() {
         assert!(!events.is_empty(), "{stroke} in {sides} directions");
         assert!(events.iter().all(|event| is_about(event, "its motor turns")), "{events:#?}");
         assert!(events.iter().all(|event| event.text.contains("less than in the baseline")), "{events:#?}");
+        if sides == 2 {
+            let pct = format!("its motor turns {:.0} %", 100.0 * (1.0 - stroke));
+            assert!(events.iter().all(|event| event.text.contains(&pct)), "{pct}: {events:#?}");
+        }
+        assert_eq!(drive.monitor.drifts(), [], "no coefficient has drifted");
+        let mended: Vec<AlarmState> = drive.events(60, State::SOUND).iter().map(|event| event.state).collect();
+        assert_eq!(mended, [AlarmState::ClearedUnacknowledged]);
     }
 }
 

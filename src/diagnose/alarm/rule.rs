@@ -22,6 +22,8 @@ pub(crate) enum Rule {
     Travel,
     /// A motor that runs on after the arrival of the toe.
     RunOn,
+    /// A motor that turns less or more for a throw, without a toe position.
+    Stroke,
     /// Departures of single throws.
     Intermittent,
     /// Dates of throws that a correct clock cannot give.
@@ -42,7 +44,7 @@ pub(crate) enum Rule {
 impl Rule {
     /// Whether the rule cannot name the faulty part: its alarm ends when another rule names one.
     pub(crate) const fn knows_no_part(self) -> bool {
-        matches!(self, Self::Features | Self::Start | Self::End | Self::Travel | Self::RunOn)
+        matches!(self, Self::Features | Self::Start | Self::End | Self::Travel | Self::RunOn | Self::Stroke)
     }
 
     /// Whether a fault of this part, or a changed supply, explains the fault of a rule that cannot name the part. The
@@ -50,7 +52,7 @@ impl Rule {
     pub(crate) fn is_explained_by(self, cause: Cause) -> bool {
         match self {
             Self::End => matches!(cause, Cause::Stiffness),
-            Self::Travel | Self::RunOn => false,
+            Self::Travel | Self::RunOn | Self::Stroke => false,
             _ => cause.is_part() || matches!(cause, Cause::Supply),
         }
     }
@@ -58,7 +60,8 @@ impl Rule {
     /// Whether this rule and `other`, which both name no part, see different faults. The usual rule, that of the
     /// features and that of the start see a changed movement.
     pub(crate) fn sees_other_faults_than(self, other: Self) -> bool {
-        let is_own = |rule: Self| matches!(rule, Self::End | Self::Travel | Self::RunOn | Self::Intermittent);
+        let is_own =
+            |rule: Self| matches!(rule, Self::End | Self::Travel | Self::RunOn | Self::Stroke | Self::Intermittent);
         self != other && (is_own(self) || is_own(other))
     }
 

@@ -454,7 +454,9 @@ impl DriftAlarms {
         if tracks.may_have_learned_rain(at) && main.is_some_and(is_drying) {
             text += text::RAIN_IN_BASELINE;
         }
-        if latest.gauges.is_without_toe_sensor() && main.is_some_and(|main| main.cause == Cause::Inertia) {
+        if latest.gauges.is_without_toe_sensor()
+            && main.is_some_and(|main| main.cause == Cause::Inertia && main.size < 0.0)
+        {
             text += text::OR_FILTER;
         }
         Some(AlarmEvent {

@@ -329,8 +329,10 @@ impl Instruments {
         }
         let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
-        let own = step.alarms.owned_by(Rule::Gauges);
-        let open = step.alarms.faulty_sensor().filter(|_| own.is_some());
+        let is_of_stroke = step.alarms.owned_by(Rule::Stroke).is_some();
+        let is_of_sensor = step.alarms.owned_by(Rule::Gauges).is_some();
+        let open = if is_of_stroke { Some(SensorChannel::Position) } else { step.alarms.faulty_sensor() };
+        let open = open.filter(|_| is_of_stroke || is_of_sensor);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
         let matters = fault.map(|_| of_drift.is_none() || drift.matters());
         self.sensor.follow(matters, is_alike, left, delay);
@@ -340,7 +342,7 @@ impl Instruments {
         if let Some(SensorFault { cause: cause @ Cause::Unattributed, size, .. }) = named {
             let severity = if size.value > SHORT_STROKE { Severity::Critical } else { Severity::Warning };
             let event = step.event(cause, severity, text::stroke(step.name, &size));
-            RuleResult::Fault(Box::new(event)).apply(Rule::Gauges, step);
+            RuleResult::Fault(Box::new(event)).apply(Rule::Stroke, step);
         } else if let Some(fault) = named {
             let is_alone = !step.alarms.active().any(|event| event.cause.is_drift());
             let event = AlarmEvent {
@@ -349,8 +351,11 @@ impl Instruments {
                 ..step.sensor(fault.channel, text::sensor(step.name, &fault, is_alone)).of_size(fault.size)
             };
             step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == delay);
-        } else if let Some(cause) = own.filter(|_| self.sensor.over >= settings.off_delay_throws) {
-            step.clear(cause, |name| text::cleared(name, cause));
+        } else if self.sensor.over >= settings.off_delay_throws {
+            RuleResult::Nothing.apply(Rule::Stroke, step);
+            if is_of_sensor {
+                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor));
+            }
         }
     }
 

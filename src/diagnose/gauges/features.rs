@@ -145,7 +145,7 @@ impl FeatureWatch {
             levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         let waits = self.is_new_fall(&changes, step.at) && self.reported == 0.0;
         if let Some(largest) = largest.filter(|_| !changes.is_empty() && !waits) {
-            let text = text::features(step.name, &changes, LEVEL);
+            let text = text::features(step.name, &changes, LEVEL, features.run_on_s.is_some());
             let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
             if is_larger || self.reported == 0.0 {
                 self.reported = largest;

@@ -116,7 +116,7 @@ impl MachineMonitor {
         let at = to_micros(at);
         let Some(since) = self.boots.two().map(|two| two.since) else {
             if had_two {
-                self.end_two_loggers(at);
+                self.end_two_loggers(text::ONE_LOGGER, at);
             }
             return BootCheck::default();
         };
@@ -132,16 +132,16 @@ impl MachineMonitor {
     /// Forgets the boots before a new baseline.
     pub(super) fn forget_boots(&mut self, now: Timestamp) {
         if self.boots.two().is_some() {
-            self.end_two_loggers(now);
+            self.end_two_loggers(text::CHECKED_ANEW, now);
         }
         self.boots = Boots::default();
     }
 
-    /// Ends the alarm about two loggers: from now on the throws show whether the machine is monitored.
-    fn end_two_loggers(&mut self, now: Timestamp) {
+    /// Ends the alarm about two loggers with this text: from now on the throws show whether the machine is monitored.
+    fn end_two_loggers(&mut self, text: &str, now: Timestamp) {
         self.operation.reset();
         if self.alarms.owned_by(Rule::TwoLoggers).is_some() {
-            self.alarms.clear(Cause::NotMonitored, text::machine(&self.name, text::ONE_LOGGER), now);
+            self.alarms.clear(Cause::NotMonitored, text::machine(&self.name, text), now);
         }
     }
 

@@ -69,13 +69,13 @@ impl MachineMonitor {
                 *of_current = None;
             }
         }
+        if observation.temperature_c != temperature.celsius {
+            observation.to_mut().temperature_c = temperature.celsius;
+        }
         if let Some(unusual_run_s) = self.unusual_run_s(&observation) {
             let observation = observation.to_mut();
             observation.unusual_run_s = Some(unusual_run_s);
             observation.outcome.take_if(|outcome| outcome.is_ok());
-        }
-        if observation.temperature_c != temperature.celsius {
-            observation.to_mut().temperature_c = temperature.celsius;
         }
         let observation = &*observation;
         // Taken out of the monitor: the step borrows both while the rest of the monitor changes.
@@ -83,7 +83,8 @@ impl MachineMonitor {
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_lost_position(observation);
-        self.has_position |= observation.estimate().is_some() && !observation.is_without_position();
+        let has_result = observation.estimate().is_some() || observation.has_features_only();
+        self.has_position |= has_result && !observation.is_without_position();
         self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)
@@ -243,7 +244,7 @@ impl MachineMonitor {
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return false };
         let features = if self.has_lost_position(observation) {
             without_duration(all)
-        } else if without_position {
+        } else if without_position || observation.has_features_only() {
             all.clone()
         } else {
             Features {
@@ -291,7 +292,8 @@ impl MachineMonitor {
             found.apply(Rule::Features, step);
         }
         // A recording that is too slow may give an estimate by chance.
-        let is_of_features = observation.is_without_position() && !self.has_position
+        let is_of_features = observation.has_features_only() && !self.has_lost_position(observation)
+            || observation.is_without_position() && !self.has_position
             || observation.is_undersampled() && !self.tracks.any_baseline();
         let has_features = is_of_features && timed.running_current_a.is_some();
         let may_show_end = timed.running_current_a.is_some() || timed.duration_s.is_some();
@@ -362,7 +364,8 @@ fn may_lengthen(event: &AlarmEvent, alarms: &Alarms) -> bool {
         Cause::Kt => event.change_pct.is_none_or(|pct| pct < 0.0),
         Cause::Friction | Cause::Stiffness | Cause::Inertia => is_up,
         Cause::Unattributed => {
-            !matches!(alarms.rule(Cause::Unattributed), Some(Rule::Start | Rule::Travel | Rule::RunOn))
+            let rule = alarms.rule(Cause::Unattributed);
+            !matches!(rule, Some(Rule::Start | Rule::Travel | Rule::RunOn | Rule::Stroke))
         }
         cause => cause == Cause::Supply,
     }

@@ -211,7 +211,8 @@ impl Operation {
             .zip(observation.short_of_stroke_mm)
             .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm].map(to_f32), before.saturating_add(1)));
         streak(&mut self.without_coefficients, observation.has_features_only());
-        let named = direction.filter(|_| observation.is_without_position());
+        let is_named = observation.is_without_position() || observation.unusual_run_s.is_some();
+        let named = direction.filter(|_| is_named);
         let is_same = named.is_some() && named == self.named;
         self.same_direction = if is_same { self.same_direction.saturating_add(1) } else { 0 };
         self.named = named;

@@ -51,7 +51,7 @@ pub(crate) const MONITORED_AGAIN: &str = "it is monitored again.";
 /// Text for a machine that is monitored, with many rejected throws.
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
     let reason = match code.parse() {
-        Ok(RejectionCode::NoPosition) => "without a toe position".to_owned(),
+        Ok(RejectionCode::NoPosition) => "features only".to_owned(),
         _ => code.replace('_', " "),
     };
     format!(
@@ -91,7 +91,7 @@ pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
 pub(crate) fn same_direction(name: &str, direction: Direction, throws: u32) -> String {
     format!(
         "Machine {name}: the logger names the direction {direction} for all of the last {throws} throws, but points \
-         throw to both sides in turn. Both directions share one baseline so, in which faults are hard to see. Check \
+         throw to both sides in turn. So both directions share one baseline, in which faults are hard to see. Check \
          the direction in the logger, then take a new baseline (rebaseline)."
     )
 }

@@ -35,14 +35,23 @@ pub(crate) fn renamed(to: &MachineId) -> String {
     format!("The daemon has the name {to} now: it raises its alarms under that name.")
 }
 
+const REBASELINED: &str = "a new baseline is being taken";
+const RETIRED: &str = "is no longer monitored";
+
 /// Text of a new baseline.
 pub(crate) fn rebaselined(name: &str, by: &str, why: &str) -> String {
-    format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
+    format!("Machine {name}: {REBASELINED} ({by}: {why}).")
 }
 
 /// Text of the end of the alarms of a machine that is no longer monitored.
 pub(crate) fn retired(name: &str, by: &str, why: &str) -> String {
-    format!("Machine {name} is no longer monitored ({by}: {why}).")
+    format!("Machine {name} {RETIRED} ({by}: {why}).")
+}
+
+/// The text without the operator's name and reason.
+pub(crate) fn without_operator(text: &str) -> String {
+    let of = |phrase: &str| Some(format!("{}{phrase}.", text.split_once(&format!("{phrase} ("))?.0));
+    [REBASELINED, RETIRED].into_iter().find_map(of).unwrap_or_else(|| text.to_owned())
 }
 
 pub(crate) const DAEMON_CALM: &str = "pointsd stores all data again.";

@@ -13,7 +13,7 @@ use crate::{
 /// Addition to the text of a rise of friction soon after a baseline: rain may have lowered the baseline's friction.
 pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
 
-/// Addition to the text of a changed inertia of a machine without toe sensor.
+/// Addition to the text of a lower inertia of a machine without toe sensor.
 pub(crate) const OR_FILTER: &str = " Without a toe sensor, the inertia shows in the inrush only: a new low-pass filter in \
                                     the logger looks the same. If it was changed, take a new baseline (rebaseline).";
 
@@ -170,6 +170,9 @@ pub(crate) fn maybe_repaired(name: &str, cause: Cause, may_be_rain: bool) -> Str
 
 /// Text of a drift that another cause explains now.
 pub(crate) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
+    if other == cause {
+        return format!("Machine {name}: another alarm explains the drift.");
+    }
     format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
 }
 

@@ -8,6 +8,7 @@ mod sensor;
 mod throws;
 
 pub(super) use blind::*;
+pub(crate) use daemon::without_operator;
 pub(super) use daemon::*;
 pub(super) use drift::*;
 pub(super) use logger::*;

@@ -47,7 +47,8 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault, is_alone: bool) -> String 
 /// Text about a machine without toe sensor whose motor turns less or more for a throw. `size`: logarithm of the assumed
 /// stroke over the present one.
 pub(crate) fn stroke(name: &str, size: &Level) -> String {
-    let (way, check) = if size.value > 0.0 {
+    let change = Level { value: -size.value, ..*size };
+    let (way, check) = if change.value < 0.0 {
         (
             "less",
             "Check at once whether the points close and lock; then limit switches and the adjustment of the stroke",
@@ -60,8 +61,8 @@ pub(crate) fn stroke(name: &str, size: &Level) -> String {
          directions and as far as current and supply voltage show it without a toe sensor: the points stop at another place, or motor or supply_v have \
          changed. {check}. If the stroke was adjusted or the motor was exchanged, set stroke_mm and take a new baseline \
          (rebaseline).",
-        size.pct().abs(),
-        size.half_width_pct()
+        change.pct().abs(),
+        change.half_width_pct()
     )
 }
 

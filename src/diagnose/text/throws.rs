@@ -11,8 +11,8 @@ use crate::{
 };
 
 /// Text of `in_a_row` consecutive incomplete throws, of one direction or of the machine. `last`: why the last one is
-/// incomplete; `is_usual_current`: its current was that of a complete throw; `is_first`: the machine had no complete throw
-/// yet.
+/// incomplete; `is_usual_current`: its current was that of a complete throw; `is_first`: the travel of complete throws
+/// is not known yet.
 pub(crate) fn incomplete(
     name: &str,
     direction: Option<Direction>,
@@ -70,12 +70,13 @@ pub(crate) fn unusual_run(
         "look for an obstruction between the rails, and check detection, limit switches and clutch: the motor may have \
          run until its time-out"
     } else {
-        "check limit switches, overload protection, supply and control: the motor stopped early. If all throws seem as \
-         short, check the logger's sampling rate"
+        "check limit switches, overload protection, supply and control: the motor stopped early, or the recording was \
+         cut off. If all throws seem as short, check the logger's sampling rate"
     };
     format!(
         "{}: {what}: the motor ran for {run_s:.1} s, usually {usual_s:.1} s. Without a toe position it is not known \
-         whether the points closed. Check this at once, then {check}.",
+         whether the points closed. Check this at once, then {check}. If motor, supply or logger were changed, take a \
+         new baseline (rebaseline).",
         subject(name, direction)
     )
 }
@@ -108,8 +109,9 @@ const LONG_RUN: f64 = 0.26;
 /// Change of the running current, as a logarithm, from which a sensor is a likelier reason than the load: a factor 1.7.
 const LARGE_CHANGE: f64 = 0.53;
 
-/// Text for changed features of throws without coefficients, over `throws` throws of a direction.
-pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize) -> String {
+/// Text for changed features of throws without coefficients, over `throws` throws of a direction; `has_position`: the
+/// duration ends with the arrival of the toe.
+pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize, has_position: bool) -> String {
     let change = |change: &GaugeChange| {
         let what = match change.gauge {
             Gauge::Duration => "duration",
@@ -140,7 +142,8 @@ pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize) -> St
     } else {
         "Check slide chairs, lubrication, drive and supply."
     };
-    let runs_on = if duration.is_some_and(|duration| duration > LONG_RUN) { RUNS_ON_UNSEEN } else { "" };
+    let is_longer = duration.is_some_and(|duration| duration > LONG_RUN);
+    let runs_on = if is_longer && !has_position { RUNS_ON_UNSEEN } else { "" };
     let changes: Vec<String> = changes.iter().map(change).collect();
     format!(
         "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. These features alone name \
@@ -260,7 +263,7 @@ mod tests {
     fn a_fall_of_the_load_has_advice_of_its_own() {
         let text = |duration: f64, charge: f64| {
             let change = |gauge, value| GaugeChange { gauge, level: Level { value, sd: 0.01 } };
-            features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6)
+            features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6, false)
         };
         let easier = "if it was cleaned or lubricated";
         assert!(
@@ -276,7 +279,7 @@ mod tests {
     #[test]
     fn a_current_of_half_the_size_at_the_usual_speed_is_that_of_its_sensor() {
         let change = |gauge| GaugeChange { gauge, level: Level { value: -0.69, sd: 0.01 } };
-        let text = features("21B", &[change(Gauge::Running), change(Gauge::Charge)], 6);
+        let text = features("21B", &[change(Gauge::Running), change(Gauge::Charge)], 6, false);
         assert!(text.contains("rather from the current sensor"), "{text}");
     }
 }

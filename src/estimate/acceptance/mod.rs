@@ -95,8 +95,8 @@ fn misfit(
     Ok((slow - 2.0 * through).max(0.0).sqrt() / radians_per_mm)
 }
 
-/// The delay of the movement behind the current \[s\], negative if the toe starts early; 0 if the start has too few samples
-/// to show it. A brake, play, lost motion or a time shift between the channels causes one.
+/// The delay of the movement behind the current \[s\], negative if the toe starts early; 0 if the samples of the start do
+/// not show it. A brake, play, lost motion or a time shift between the channels causes one.
 ///
 /// The first 50 ms of a throw determine the common scale of b0, a1 and a0: later the machine runs at nearly constant
 /// speed, which determines only the ratios a1/b0 and a0/b0. A delay of 1 ms changes the scale by about 2 %.

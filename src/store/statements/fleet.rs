@@ -79,7 +79,7 @@ statements! {
     FROM chosen
     LEFT JOIN throw ON throw.throw_row = (SELECT own.throw_row FROM latest CROSS JOIN throw AS own USING (throw_row)
                                            WHERE latest.machine_row = chosen.machine_row
-                                           ORDER BY own.boot_position DESC, own.throw_no DESC LIMIT 1)
+                                           ORDER BY latest.start_us DESC, own.throw_row DESC LIMIT 1)
     LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
     LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
     LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
