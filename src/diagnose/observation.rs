@@ -149,11 +149,14 @@ impl Observation {
         matches!(self.rejection(), Some(Rejection::NoPosition { .. }))
     }
 
-    /// Whether the throw has no toe position.
+    /// Whether the coefficients of the throw, if it has any, are not from the toe position.
+    pub(super) fn is_current_only(&self) -> bool {
+        self.has_features_only() || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
+    }
+
+    /// Whether the throw has no toe position. That of a three-phase motor may have one.
     pub(super) fn is_without_position(&self) -> bool {
-        let has_travel = self.features.travel_mm.is_some();
-        self.has_features_only() && !has_travel
-            || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
+        self.is_current_only() && self.features.travel_mm.is_none()
     }
 }
 

@@ -219,9 +219,24 @@ impl Drive {
         state: State,
         change: impl Fn(&mut Observation),
     ) -> Vec<AlarmEvent> {
+        self.events_in(&Direction::BOTH, throws, state, change)
+    }
+
+    /// The events of the next throws. Those of these directions have the `state`, and are changed before the monitor gets
+    /// them; the others are sound.
+    pub(crate) fn events_in(
+        &mut self,
+        directions: &[Direction],
+        throws: usize,
+        state: State,
+        change: impl Fn(&mut Observation),
+    ) -> Vec<AlarmEvent> {
         let next = |_| {
-            let mut throw = self.throw(state);
-            change(&mut throw);
+            let is_own = directions.contains(&self.next());
+            let mut throw = self.throw(if is_own { state } else { State::SOUND });
+            if is_own {
+                change(&mut throw);
+            }
             self.observe(&throw).events
         };
         (0..throws).flat_map(next).collect()

@@ -2,7 +2,7 @@
 //! estimate.
 
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Command, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, Observation, Severity},
     estimate::Rejection,
     throw::Direction,
 };
@@ -66,13 +66,8 @@ fn a_growing_force_at_the_end_of_the_stroke_has_an_alarm_before_the_points_do_no
 #[test]
 fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mending() {
     let mut drive = Drive::after(60, 77_100, Voltage::Unknown);
-    let mut feed = |lock: f64, throws: u32| -> Vec<AlarmEvent> {
-        let mut events = Vec::new();
-        for _ in 0..throws {
-            let lock = if drive.next() == Direction::ReverseToNormal { lock } else { 0.0 };
-            events.extend(drive.feed(State { lock, ..State::SOUND }).events);
-        }
-        events
+    let mut feed = |lock: f64, throws: usize| {
+        drive.events_in(&[Direction::ReverseToNormal], throws, State { lock, ..State::SOUND }, |_| {})
     };
     let raised = feed(0.03, 40);
     assert!(!raised.is_empty() && raised.iter().all(is_about_the_end), "{raised:?}");
@@ -86,16 +81,13 @@ fn a_force_in_one_direction_is_named_with_its_direction_and_ends_with_its_mendin
 #[test]
 fn sound_throws_of_the_other_direction_do_not_end_an_alarm_about_the_end() {
     let mut drive = Drive::after(60, 77_100, Voltage::Unknown);
-    let mut feed = |lock: f64, throws: u32, are_incomplete: bool| {
-        let mut events = Vec::new();
-        for _ in 0..throws {
-            let is_faulty = drive.next() == Direction::ReverseToNormal;
-            let mut throw = drive.throw(State { lock: if is_faulty { lock } else { 0.0 }, ..State::SOUND });
-            if is_faulty && are_incomplete {
+    let mut feed = |lock: f64, throws: usize, are_incomplete: bool| {
+        let change = |throw: &mut Observation| {
+            if are_incomplete {
                 throw.outcome = Some(Err(Rejection::NoMovement));
             }
-            events.extend(drive.observe(&throw).events);
-        }
+        };
+        let mut events = drive.events_in(&[Direction::ReverseToNormal], throws, State { lock, ..State::SOUND }, change);
         events.retain(|event: &AlarmEvent| event.cause == Cause::Unattributed);
         events
     };

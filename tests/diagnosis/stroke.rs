@@ -1,7 +1,7 @@
 //! Points that stop at another place, and a motor that runs on where they stop. The coefficients stay as they were.
 
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Command, MachineState, Settings, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, MachineState, Observation, Settings, Severity},
     estimate::Rejection,
     throw::Direction,
 };
@@ -43,11 +43,8 @@ fn a_toe_that_stops_short_is_found_without_a_toe_sensor() {
         let mut drive = Drive::new(78_300 + seed, Voltage::Published);
         (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, 500.0, Some(115.0));
         drive.stay_healthy(60, State::SOUND);
-        let mut events = Vec::new();
-        for _ in 0..40 {
-            let is_faulty = sides == 2 || drive.next() == Direction::NormalToReverse;
-            events.extend(drive.feed(State { stroke: if is_faulty { stroke } else { 1.0 }, ..State::SOUND }).events);
-        }
+        let short = State { stroke, ..State::SOUND };
+        let events = drive.events_in(&Direction::BOTH[..sides], 40, short, |_| {});
         assert!(!events.is_empty(), "{stroke} in {sides} directions");
         assert!(events.iter().all(|event| is_about(event, "its motor turns")), "{events:#?}");
         assert!(events.iter().all(|event| event.text.contains("less than in the baseline")), "{events:#?}");
@@ -65,16 +62,14 @@ fn a_toe_that_stops_short_is_found_without_a_toe_sensor() {
 #[test]
 fn an_alarm_about_the_travel_stays_while_only_the_sound_direction_is_seen() {
     let mut drive = Drive::after(60, 78_400, Voltage::Unknown);
-    let mut feed = |stroke: f64, throws: u32, are_rejected: bool| {
-        let mut events = Vec::new();
-        for _ in 0..throws {
-            let is_faulty = drive.next() == Direction::NormalToReverse;
-            let mut throw = drive.throw(State { stroke: if is_faulty { stroke } else { 1.0 }, ..State::SOUND });
-            if is_faulty && are_rejected {
+    let mut feed = |stroke: f64, throws: usize, are_rejected: bool| {
+        let change = |throw: &mut Observation| {
+            if are_rejected {
                 throw.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 }));
             }
-            events.extend(drive.observe(&throw).events);
-        }
+        };
+        let mut events =
+            drive.events_in(&[Direction::NormalToReverse], throws, State { stroke, ..State::SOUND }, change);
         events.retain(|event: &AlarmEvent| event.cause == Cause::Unattributed);
         events
     };

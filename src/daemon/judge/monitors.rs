@@ -105,7 +105,7 @@ impl Monitors {
         self.of_machines.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
-    /// Takes care of the alarms that nothing else would ever clear, at the start. Adds the `open` alarms that no monitor
+    /// At the start, adopts or ends the alarms that nothing else would ever clear. Adds the `open` alarms that no monitor
     /// has, as after the loss of a snapshot, to the monitors of their machines. Clears the alarms of the daemon under a
     /// former name, after a change of `monitor.site` or `monitor.id`.
     pub(crate) fn adopt(&mut self, open: Vec<Alarm>, own_machine: &MachineId, now: Timestamp) -> Vec<Outcome> {

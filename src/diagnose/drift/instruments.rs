@@ -331,8 +331,8 @@ impl Instruments {
         let delay = settings.on_delay_throws;
         let is_of_stroke = step.alarms.owned_by(Rule::Stroke).is_some();
         let is_of_sensor = step.alarms.owned_by(Rule::Gauges).is_some();
-        let open = if is_of_stroke { Some(SensorChannel::Position) } else { step.alarms.faulty_sensor() };
-        let open = open.filter(|_| is_of_stroke || is_of_sensor);
+        let of_sensor = || step.alarms.faulty_sensor().filter(|_| is_of_sensor);
+        let open = if is_of_stroke { Some(SensorChannel::Position) } else { of_sensor() };
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
         let matters = fault.map(|_| of_drift.is_none() || drift.matters());
         self.sensor.follow(matters, is_alike, left, delay);

@@ -18,13 +18,13 @@ const MAGNETS: (f64, f64) = (-0.001, 0.0006);
 /// Largest change of running current and charge at which a current is usual, as logarithms: the weather changes them by
 /// this.
 const USUAL_CURRENT: f64 = 0.15;
-/// Running times of the motor, as parts of the normal time, below and above which a throw is unusual. A third less voltage
-/// lengthens a throw by two thirds. In a slow recording, the motor of a throw that the spring drives seems to be off after
-/// half of the time now and then. The change is also larger than this many standard deviations of one throw.
+/// Running times of the motor, as parts of the normal time, below and above which a throw is unusual. A third less
+/// voltage lengthens a throw by two thirds. In a slow recording, the motor of a throw that the spring drives seems to be
+/// off after half of the time now and then. The change is also larger than this many standard deviations of one throw.
 const UNUSUAL_RUN: [f64; 2] = [0.4, 1.8];
 const UNUSUAL_SD: f64 = 4.0;
-/// Running time and mean current above which a throw is unusual, too: a motor that stalls takes several times its running
-/// current, until a time-out that may be less than twice the normal time.
+/// Running time and mean current above which a throw is unusual, too: a motor that stalls takes several times its
+/// running current, until a time-out that may be less than twice the normal time.
 const STALLED: [f64; 2] = [1.35, 1.5];
 /// Largest change of the travel of a throw that stops where it always stops, as a logarithm.
 const USUAL_TRAVEL: f64 = 0.02;
@@ -129,23 +129,24 @@ impl Gauges {
         })
     }
 
-    /// Whether the motor ran much longer or shorter than in a normal throw, beyond what the supply explains.
-    pub(crate) fn is_unusual_run(&self, direction: Direction, features: &Features, celsius: Option<f64>) -> bool {
+    /// Running time of the motor in a throw and that in a normal throw \[s\], if it ran much longer or shorter, beyond
+    /// what the supply explains.
+    pub(crate) fn unusual_run_s(
+        &self,
+        direction: Direction,
+        features: &Features,
+        celsius: Option<f64>,
+    ) -> Option<[f64; 2]> {
         let [run, charge] = self.unexplained([Gauge::Duration, Gauge::Charge], direction, features, celsius);
-        run.is_some_and(|(longer, sd)| {
-            let longer = f64::from(longer);
-            let stalls = charge.is_some_and(|(charge, _)| {
-                let of_current = f64::from(charge) - longer;
-                [longer, of_current].iter().zip(STALLED).all(|(change, least)| *change > least.ln())
-            });
-            let [least, most] = UNUSUAL_RUN.map(f64::ln);
-            (stalls || !(least..most).contains(&longer)) && longer.abs() > UNUSUAL_SD * f64::from(sd)
-        })
-    }
-
-    /// The duration of a normal throw \[s\].
-    pub(crate) fn usual_duration_s(&self, direction: Direction) -> Option<f64> {
-        self.normal(direction, Gauge::Duration).map(|(centre, _)| centre.exp())
+        let (longer, sd) = run.map(|(longer, sd)| (f64::from(longer), f64::from(sd)))?;
+        let stalls = charge.is_some_and(|(charge, _)| {
+            let of_current = f64::from(charge) - longer;
+            [longer, of_current].iter().zip(STALLED).all(|(change, least)| *change > least.ln())
+        });
+        let [least, most] = UNUSUAL_RUN.map(f64::ln);
+        let is_unusual = (stalls || !(least..most).contains(&longer)) && longer.abs() > UNUSUAL_SD * sd;
+        let (usual, _) = self.normal(direction, Gauge::Duration).filter(|_| is_unusual)?;
+        Some([features.duration_s?, usual.exp()])
     }
 
     /// Whether a travel is that of a normal throw.

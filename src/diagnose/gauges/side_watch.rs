@@ -1,4 +1,4 @@
-//! What the rules about the end of the stroke and about the travel have in common: each compares the last throws of a
+//! The common part of the rules about the end of the stroke and about the travel: each compares the last throws of a
 //! direction with its normal values.
 
 use serde::{Deserialize, Serialize};

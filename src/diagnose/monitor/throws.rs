@@ -83,7 +83,7 @@ impl MachineMonitor {
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_lost_position(observation);
-        let has_result = observation.estimate().is_some() || observation.has_features_only();
+        let has_result = observation.estimate().is_some() || observation.is_current_only();
         self.has_position |= has_result && !observation.is_without_position();
         self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
@@ -137,12 +137,8 @@ impl MachineMonitor {
     /// overload trip stops it early. `None` if a toe position shows the movement.
     fn unusual_run_s(&self, observation: &Observation) -> Option<[f64; 2]> {
         let Observation { direction, ref features, temperature_c, .. } = *observation;
-        if self.has_position || !observation.is_without_position() {
-            return None;
-        }
-        let (run_s, gauges) = (features.duration_s?, &self.instruments.gauges);
-        gauges.is_unusual_run(direction?, features, temperature_c).then_some(())?;
-        Some([run_s, gauges.usual_duration_s(direction?)?])
+        let direction = direction.filter(|_| !self.has_position && observation.is_without_position())?;
+        self.instruments.gauges.unusual_run_s(direction, features, temperature_c)
     }
 
     /// Whether the throw has no toe position, and the machine had one before.
@@ -244,7 +240,7 @@ impl MachineMonitor {
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return false };
         let features = if self.has_lost_position(observation) {
             without_duration(all)
-        } else if without_position || observation.has_features_only() {
+        } else if observation.is_current_only() {
             all.clone()
         } else {
             Features {
@@ -292,8 +288,7 @@ impl MachineMonitor {
             found.apply(Rule::Features, step);
         }
         // A recording that is too slow may give an estimate by chance.
-        let is_of_features = observation.has_features_only() && !self.has_lost_position(observation)
-            || observation.is_without_position() && !self.has_position
+        let is_of_features = observation.is_current_only() && !self.has_lost_position(observation)
             || observation.is_undersampled() && !self.tracks.any_baseline();
         let has_features = is_of_features && timed.running_current_a.is_some();
         let may_show_end = timed.running_current_a.is_some() || timed.duration_s.is_some();

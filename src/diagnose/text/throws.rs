@@ -21,10 +21,8 @@ pub(crate) fn incomplete(
     is_usual_current: bool,
     is_first: bool,
 ) -> String {
-    let what = match in_a_row {
-        1 => "a throw was not completed".to_owned(),
-        _ => format!("{in_a_row} throws in a row were not completed"),
-    };
+    let (throws, were) = throws_in_a_row(in_a_row);
+    let what = format!("{throws} {were} not completed");
     let name = subject(name, direction);
     let check = "Check for an obstruction between the rails, and detection.";
     match last {
@@ -62,10 +60,7 @@ pub(crate) fn unusual_run(
     in_a_row: u32,
     [run_s, usual_s]: [f64; 2],
 ) -> String {
-    let what = match in_a_row {
-        1 => "a throw did not end as usual".to_owned(),
-        _ => format!("{in_a_row} throws in a row did not end as usual"),
-    };
+    let (throws, _) = throws_in_a_row(in_a_row);
     let check = if run_s > usual_s {
         "look for an obstruction between the rails, and check detection, limit switches and clutch: the motor may have \
          run until its time-out"
@@ -74,7 +69,7 @@ pub(crate) fn unusual_run(
          cut off. If all throws seem as short, check the logger's sampling rate"
     };
     format!(
-        "{}: {what}: the motor ran for {run_s:.1} s, usually {usual_s:.1} s. Without a toe position it is not known \
+        "{}: {throws} did not end as usual: the motor ran for {run_s:.1} s, usually {usual_s:.1} s. Without a toe position it is not known \
          whether the points closed. Check this at once, then {check}. If motor, supply or logger were changed, take a \
          new baseline (rebaseline).",
         subject(name, direction)
@@ -82,8 +77,13 @@ pub(crate) fn unusual_run(
 }
 
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
-    let what = if in_a_row == 1 { "a throw was".to_owned() } else { format!("{in_a_row} throws in a row were") };
-    format!("Machine {name}: {what} completed.")
+    let (throws, were) = throws_in_a_row(in_a_row);
+    format!("Machine {name}: {throws} {were} completed.")
+}
+
+/// Subject of a sentence about consecutive throws, with its verb.
+fn throws_in_a_row(count: u32) -> (String, &'static str) {
+    if count == 1 { ("a throw".to_owned(), "was") } else { (format!("{count} throws in a row"), "were") }
 }
 
 /// Text for throws that take longer; `has_position`: until the arrival of the toe, not until the end of the motor.
