@@ -21,7 +21,7 @@ use nalgebra::{Matrix4, Vector4};
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
 
-use crate::diagnose::statistics::{Noise, SLOW_LAG1, inflation, ln_sum, median};
+use crate::diagnose::statistics::{Noise, SLOW_LAG1, inflation, median};
 
 /// Forecast of the number of throws until a limit is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -54,8 +54,8 @@ const SHAPES: [Shape; 7] = [
 /// 600 throws), the 95 % intervals of 0.02 contain the size in 94 % of the throws, and those of 0.06 in 96 %, with
 /// fewer forecasts.
 const BEGINS_PER_POINT: f64 = 0.04;
-/// A stage is left out if the logarithm of its evidence is smaller by this than that of the best stage with a drift.
-const NEGLIGIBLE: f64 = 12.0;
+/// A stage is left out if its weight is smaller than this part of that of the best stage with a drift.
+const NEGLIGIBLE: f64 = 6e-6;
 /// Largest distance of a value from the medians of its neighbours, in standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.0;
 /// Number of neighbours on each side.
@@ -84,16 +84,17 @@ pub(crate) struct Point {
 }
 
 /// The course of a drift over the last throws.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Course {
-    /// The possible last stages, one for each beginning and shape, each with its weight; the weights sum to 1.
-    last: Vec<(f64, Stage)>,
+    /// The possible last stages, one for each beginning and shape.
+    last: Vec<Stage>,
     /// Variance of the baseline's centre, an error of every size.
     offset_variance: f64,
 }
 
 impl Course {
-    /// The course of the points, oldest first, where the last throws are single points. `None` for fewer than three.
+    /// The course of the points, oldest first, where the last throws are single points. `None` for fewer than three,
+    /// and if no course has them.
     pub(crate) fn of(points: &[Point], noise: Noise) -> Option<Self> {
         if points.len() < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
@@ -102,60 +103,54 @@ impl Course {
         let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
         let scale = series.values.iter().fold(1.0, |scale: f64, value| scale.max(value.abs() / STEP_SD));
         let mut stages = vec![Stage::undrifted(points[0].age, offset_variance, series.slow_variance)];
-        // Logarithm of the evidence of all series of stages up to the point before.
-        let mut before = 0.0;
         for at in 0..points.len() {
             // No stage begins at the last point: a single throw does not measure a drift.
             if at + 1 < points.len() {
-                let evidence = before + BEGINS_PER_POINT.ln();
-                let drifted = |shape| Stage::drifted(points[at].age, shape, scale, noise.slow_sd, evidence);
-                stages.extend(SHAPES.map(drifted));
+                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, scale, noise.slow_sd)));
             }
             let kept = series.kept_of_slow(at);
             for stage in &mut stages {
                 stage.add(&series, at, kept);
             }
-            let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.evidence).fold(f64::MIN, f64::max);
-            stages.retain(|stage| stage.evidence > best - NEGLIGIBLE);
-            before = total_evidence(&stages);
+            let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.weight).fold(0.0, f64::max);
+            stages.retain(|stage| stage.weight > NEGLIGIBLE * best);
+            normalize(&mut stages);
         }
         stages.retain(|stage| stage.drifted);
-        let total = total_evidence(&stages);
-        let last = stages.into_iter().map(|stage| ((stage.evidence - total).exp(), stage)).collect();
-        Some(Self { last, offset_variance })
+        normalize(&mut stages);
+        (!stages.is_empty()).then_some(Self { last: stages, offset_variance })
     }
 
     /// The course of a drift that has this course or the other one, both equally probable.
-    pub(crate) fn or_as(mut self, other: Self) -> Self {
-        self.last.extend(other.last);
-        self.last.iter_mut().for_each(|(weight, _)| *weight *= 0.5);
-        self.offset_variance = self.offset_variance.max(other.offset_variance);
-        self
+    pub(crate) fn or_as(&self, other: &Self) -> Self {
+        let mut last = [self.last.as_slice(), &other.last].concat();
+        normalize(&mut last);
+        Self { last, offset_variance: self.offset_variance.max(other.offset_variance) }
     }
 
     /// Present size of the drift as part of the normal value, and its standard deviation.
     pub(crate) fn now(&self) -> (f64, f64) {
-        let mean: f64 = self.last.iter().map(|(weight, stage)| weight * stage.level(0.0).0).sum();
-        let spread = |(weight, stage): &(f64, Stage)| {
+        let mean: f64 = self.last.iter().map(|stage| stage.weight * stage.level(0.0).0).sum();
+        let spread = |stage: &Stage| {
             let (level, variance) = stage.level(0.0);
-            weight * (variance + (level - mean).powi(2))
+            stage.weight * (variance + (level - mean).powi(2))
         };
         (mean, (self.offset_variance + self.last.iter().map(spread).sum::<f64>()).sqrt())
     }
 
     /// Size of the drift at an age, 0 before its last stage began.
     pub(crate) fn at(&self, age: f64) -> f64 {
-        let begun = self.last.iter().filter(|(_, stage)| stage.age >= age);
-        begun.map(|(weight, stage)| weight * stage.level(age).0).sum()
+        let begun = self.last.iter().filter(|stage| stage.age >= age);
+        begun.map(|stage| stage.weight * stage.level(age).0).sum()
     }
 
     /// Number of throws until the drift reaches `limit` if it goes on; `limit` is a part of the normal value, with the
     /// sign of the drift. `None` if it probably does not, or has reached the limit.
     pub(crate) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
         let above = |ahead: f64| -> f64 {
-            let part = |(weight, stage): &(f64, Stage)| {
+            let part = |stage: &Stage| {
                 let (mean, variance) = stage.level(-ahead);
-                weight * normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
+                stage.weight * normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
             };
             self.last.iter().map(part).sum()
         };
@@ -242,33 +237,48 @@ struct Stage {
     /// Mean of the state: a, b, c, and the slow noise at the last point.
     mean: Vector4<f64>,
     covariance: Matrix4<f64>,
-    /// Logarithm of the evidence of this stage and of all series of stages before it, without the terms that all stages
-    /// have in common.
-    evidence: f64,
+    /// Regressors at the last point.
+    regressors: Vector4<f64>,
+    /// Evidence of this stage and of all series of stages before it, as part of that of all stages.
+    weight: f64,
 }
 
 impl Stage {
     /// The first stage, without drift.
     fn undrifted(age: f64, offset_variance: f64, slow_variance: f64) -> Self {
         let covariance = Matrix4::from_diagonal(&Vector4::new(offset_variance, 0.0, 0.0, slow_variance));
-        Self { age, drifted: false, time_constant: f64::INFINITY, mean: Vector4::zeros(), covariance, evidence: 0.0 }
+        Self {
+            age,
+            drifted: false,
+            time_constant: f64::INFINITY,
+            mean: Vector4::zeros(),
+            covariance,
+            regressors: Vector4::zeros(),
+            weight: 1.0,
+        }
     }
 
-    /// A later stage with the prior of a shape, multiplied by `scale`; `evidence` is the logarithm of that of all
-    /// series of stages before it.
-    fn drifted(age: f64, shape: Shape, scale: f64, slow_sd: f64, evidence: f64) -> Self {
+    /// A later stage with the prior of a shape, multiplied by `scale`.
+    fn drifted(age: f64, shape: Shape, scale: f64, slow_sd: f64) -> Self {
         let Shape { slope_sd, curvature_sd, time_constant, probability } = shape;
-        let evidence = evidence + probability.ln();
         let prior_sd = Vector4::new(scale * STEP_SD, scale * slope_sd, scale * curvature_sd, slow_sd);
         let covariance = Matrix4::from_diagonal(&prior_sd.component_mul(&prior_sd));
-        Self { age, drifted: true, time_constant, mean: Vector4::zeros(), covariance, evidence }
+        Self {
+            drifted: true,
+            time_constant,
+            covariance,
+            weight: BEGINS_PER_POINT * probability,
+            ..Self::undrifted(age, 0.0, 0.0)
+        }
     }
 
     /// Adds a point, by a step of the Kalman filter on the whitened series; `kept` is the part of the slow noise that
     /// is left.
     fn add(&mut self, series: &CourseSeries, at: usize, kept: Option<f64>) {
         let age = series.points[at].age;
-        let mut x = self.regressors(age);
+        let now = self.regressors(age);
+        let before = std::mem::replace(&mut self.regressors, now);
+        let mut x = now;
         let mut value = series.values[at];
         let mut variance = series.variances[at];
         if let Some(kept) = kept.filter(|_| age < self.age) {
@@ -276,16 +286,17 @@ impl Stage {
         }
         if age < self.age && series.is_correlated(at) {
             // The slow noise counts as that of the point before, which it nearly is.
-            x -= series.lag1 * self.regressors(series.points[at - 1].age);
+            x -= series.lag1 * before;
             value -= series.lag1 * series.values[at - 1];
             variance *= 1.0 - series.lag1 * series.lag1;
         }
         let gain = self.covariance * x;
         let expected = x.dot(&gain) + variance;
         let off = value - x.dot(&self.mean);
-        self.evidence -= 0.5 * (off * off / expected + expected.ln());
-        self.mean += gain * (off / expected);
-        self.covariance -= gain * gain.transpose() / expected;
+        self.weight *= (-0.5 * off * off / expected).exp() / expected.sqrt();
+        let gained = gain / expected;
+        self.mean += gained * off;
+        self.covariance -= gain * gained.transpose();
     }
 
     /// Advances the slow noise to the next point, at which the part `kept` of it is left.
@@ -319,9 +330,10 @@ impl Stage {
     }
 }
 
-/// Logarithm of the sum of the evidences.
-fn total_evidence(stages: &[Stage]) -> f64 {
-    ln_sum(stages.iter().map(|stage| stage.evidence))
+/// Divides the weights by their sum.
+fn normalize(stages: &mut [Stage]) {
+    let total: f64 = stages.iter().map(|stage| stage.weight).sum();
+    stages.iter_mut().for_each(|stage| stage.weight /= total);
 }
 
 /// Least number of throws ahead at which `above` reaches `share`, by growing steps and bisection; `None` if it is

@@ -1,5 +1,7 @@
 //! The latest throw, and the size of the drift at this throw.
 
+use std::rc::Rc;
+
 use jiff::Timestamp;
 use nalgebra::Vector3;
 
@@ -9,7 +11,7 @@ use crate::{
         Cause, Settings,
         gauges::{Gauges, dry_rise},
         statistics::Level,
-        track::Tracks,
+        track::{Courses, Tracks},
     },
     throw::Direction,
 };
@@ -31,6 +33,7 @@ pub(crate) struct LatestThrow<'a> {
     pub(crate) order: u64,
     pub(crate) at: Timestamp,
     pub(crate) tracks: &'a Tracks,
+    pub(crate) courses: &'a Courses<'a>,
     pub(crate) gauges: &'a Gauges,
     pub(crate) settings: &'a Settings,
 }
@@ -42,7 +45,7 @@ impl LatestThrow<'_> {
         if self.grows_along_stroke(cause) || self.drift.is_opposite() {
             return None;
         }
-        self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
+        self.courses.one_sided(&weights)
     }
 
     /// Whether a change of `cause` is friction that grows along the stroke, as it stiffens both directions. Then a1
@@ -65,7 +68,7 @@ impl LatestThrow<'_> {
         self,
         direction: Option<Direction>,
         history: &History,
-    ) -> Option<(Explanation, Option<Course>)> {
+    ) -> Option<(Explanation, Option<Rc<Course>>)> {
         let attribution = self.drift.attribution.as_ref()?;
         let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
         let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
@@ -80,11 +83,9 @@ impl LatestThrow<'_> {
         part: &Explanation,
         direction: Option<Direction>,
         history: &History,
-    ) -> (Explanation, Option<Course>) {
-        let temperature_sd = self.drift.temperature_sd();
+    ) -> (Explanation, Option<Rc<Course>>) {
         let differ = self.grows_along_stroke(part.cause);
-        let course = self.tracks.course(&part.weights, &temperature_sd, (direction, differ), history, self.order);
-        let Some(course) = course else {
+        let Some(course) = self.courses.course(&part.weights, (direction, differ), history) else {
             return (self.without_dry_friction(*part, direction), None);
         };
         let (size, size_sd) = course.now();

@@ -17,7 +17,7 @@ use crate::{
         operation::{Implausible, site},
         statistics::percent,
         text,
-        track::Tracks,
+        track::{Courses, Tracks},
     },
     estimate::{Features, Motor, Rejection},
     throw::{Channel, POSSIBLE_SUPPLY_V},
@@ -301,24 +301,34 @@ impl MachineMonitor {
         let departure = self.tracks.departure(throw);
         let suspicion = self.drift.suspicion(None, step.alarms);
         let residual = self.tracks.push(throw, self.order, suspicion, settings);
-        let drift = residual.map(|residual| {
+        let judged = residual.map(|residual| {
             let is_series = self.parameters.is_some_and(|parameters| parameters.motor == Motor::Series);
             let known = Known { is_series, ..self.drift.known(step.alarms, &self.instruments.gauges) };
             let heavy_tails = self.drift.intermittent.has_heavy_tails();
             let mut drift = self.tracks.drift(throw.direction, heavy_tails, &known, settings);
             drift.origin = self.instruments.origin(&drift, settings);
             let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
-            let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks, gauges, settings };
+            let courses = Courses::new(tracks, drift.temperature_sd(), self.order);
+            let latest = LatestThrow {
+                drift: &drift,
+                order: self.order,
+                at: step.at,
+                tracks,
+                courses: &courses,
+                gauges,
+                settings,
+            };
             self.drift.judge(latest, &residual, step);
             self.instruments.judge(&drift, step);
-            drift
+            (drift, courses)
         });
-        let origin = drift.as_ref().map(|drift| drift.origin);
+        let drift = judged.as_ref().map(|(drift, _)| drift);
+        let origin = drift.map(|drift| drift.origin);
         let is_instrument = origin.is_some_and(Origin::is_instrument);
-        let explained = drift.as_ref().filter(|drift| drift.origin == Origin::Supply).map(Drift::matters);
+        let explained = drift.filter(|drift| drift.origin == Origin::Supply).map(Drift::matters);
         // A sensor explains a changed resistance only if the drift that it may explain is above its limit.
         let may_be_sensor = |drift: &&Drift| matches!(drift.origin, Origin::Either { .. }) && drift.matters();
-        let alike = drift.as_ref().filter(may_be_sensor).and_then(|drift| drift.strongest);
+        let alike = drift.filter(may_be_sensor).and_then(|drift| drift.strongest);
         let circuit = self.instruments.gauges.circuit();
         let circuit = circuit.map(|found| found.beside(alike.map_or(0.0, |alike| alike.window.mean.x)));
         self.instruments.judge_supply(explained, circuit, step);
@@ -329,14 +339,14 @@ impl MachineMonitor {
             Some(departure) => self.drift.judge_departure(&departure, is_instrument, step),
             None => self.drift.on_unknown_departure(step),
         }
-        if let Some(drift) = &drift {
+        if let Some((drift, courses)) = &judged {
             let (tracks, gauges) = (&self.tracks, &self.instruments.gauges);
-            let latest = LatestThrow { drift, order: self.order, at: step.at, tracks, gauges, settings };
+            let latest = LatestThrow { drift, order: self.order, at: step.at, tracks, courses, gauges, settings };
             self.drift.renew(latest, step.alarms);
         }
-        let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
+        let by_temperature = drift.and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
-        let suspicion = self.drift.suspicion(drift.as_ref(), step.alarms);
+        let suspicion = self.drift.suspicion(drift, step.alarms);
         let taken = self.tracks.learn(throw, self.order, step.at, suspicion, settings);
         if !taken.is_empty() {
             self.drift.forget_history();

@@ -1,5 +1,7 @@
 //! The courses of a drift over the last throws of each direction, and whether only one direction has the drift.
 
+use std::{cell::RefCell, rc::Rc};
+
 use nalgebra::Vector3;
 
 use super::Tracks;
@@ -24,22 +26,36 @@ const ONE_SIDED_AGE: f64 = 11.0;
 /// Least size at that age, as part of the present size.
 const LASTED: f64 = 0.5;
 
-impl Tracks {
+/// The courses of the drift at the latest throw. Each is computed when it is needed first: it takes longer than
+/// everything else about a throw, and its size, direction and forecast are needed several times.
+pub(crate) struct Courses<'a> {
+    tracks: &'a Tracks,
+    temperature_sd: Vector3<f64>,
+    /// Number of the latest throw.
+    now: u64,
+    /// Each course with its weights and the index of its direction; `None` for both directions.
+    known: RefCell<Vec<(Vector3<f64>, Option<usize>, Option<Rc<Course>>)>>,
+}
+
+impl<'a> Courses<'a> {
+    /// `temperature_sd`: standard deviation of the effect of the temperature on each coefficient; `now`: number of the
+    /// latest throw.
+    pub(crate) fn new(tracks: &'a Tracks, temperature_sd: Vector3<f64>, now: u64) -> Self {
+        Self { tracks, temperature_sd, now, known: RefCell::default() }
+    }
+
     /// The course of a drift along `weights` over the last throws. With `direction`, the course in this direction only.
     /// Otherwise the course over both directions if they agree. If one direction has hardly a drift, the course of the
     /// other: just after a step, a direction has one throw with the drift, or none. If both have a drift of different
     /// sizes, the size is between the two: friction that grows along the stroke seems larger in the direction in which
     /// the spring helps, and smaller in the other; `differ`: this is known, so neither counts as without a drift.
-    /// `now`: number of the latest throw.
     pub(crate) fn course(
         &self,
         weights: &Vector3<f64>,
-        temperature_sd: &Vector3<f64>,
         (direction, differ): (Option<Direction>, bool),
         history: &History,
-        now: u64,
-    ) -> Option<Course> {
-        let one = |at: usize| self.course_of(at, weights, temperature_sd, now);
+    ) -> Option<Rc<Course>> {
+        let one = |at: usize| self.known_or(weights, Some(at), || self.of_direction(at, weights));
         if let Some(direction) = direction {
             return one(direction.side());
         }
@@ -49,45 +65,23 @@ impl Tracks {
         };
         let ((a, a_sd), (b, b_sd)) = (first.now(), second.now());
         let agree = (a - b).abs() <= AGREE_SD * a_sd.hypot(b_sd);
-        let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
+        let Some(mixed) = self.tracks.mixed.as_ref().filter(|_| agree) else {
             let [(larger, size), (other, smaller)] = larger_first([(first, a), (second, b)], |(_, size)| *size);
-            return Some(if smaller / size < ONE_SIDED && !differ { larger } else { larger.or_as(other) });
+            let is_one_sided = smaller / size < ONE_SIDED && !differ;
+            return Some(if is_one_sided { larger } else { larger.or_as(&other).into() });
         };
-        let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
-        // The course ends with the last throw that shows the size.
-        let since = stream.since_counted(weights);
-        let baselines = self.baselines();
-        let recent = stream.points(weights, baselines, now - since);
-        // The history consists of blocks, each with throws of both directions.
-        let oldest = recent.first()?.age;
-        let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
-        let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
-        let points: Vec<_> = before.chain(recent).collect();
-        let centre_throws = baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum();
-        Course::of(&points, noise(&mixed.scatter, centre_throws, weights, temperature_sd))
-    }
-
-    /// The course of a drift along `weights` over the last throws of the direction with index `at`.
-    fn course_of(&self, at: usize, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>, now: u64) -> Option<Course> {
-        let baselines = self.baselines();
-        let baseline = baselines[at]?;
-        let stream = Stream::of(&self.sides[at].recent, at);
-        let points = stream.points(weights, baselines, now - stream.since_counted(weights));
-        Course::of(&points, noise(&baseline.scatter, baseline.centre_throws(), weights, temperature_sd))
+        self.known_or(weights, None, || self.of_both(&mixed.scatter, weights, history))
     }
 
     /// The only direction that has a drift along `weights`. `None` if both have it, and until it has lasted for enough
-    /// throws. `now`: number of the latest throw.
-    pub(crate) fn one_sided(
-        &self,
-        weights: &Vector3<f64>,
-        temperature_sd: &Vector3<f64>,
-        now: u64,
-    ) -> Option<Direction> {
-        let of =
-            |direction: Direction| Some((direction, self.course_of(direction.side(), weights, temperature_sd, now)?));
+    /// throws.
+    pub(crate) fn one_sided(&self, weights: &Vector3<f64>) -> Option<Direction> {
+        let of = |direction: Direction| {
+            let at = direction.side();
+            Some((direction, self.known_or(weights, Some(at), || self.of_direction(at, weights))?))
+        };
         let [normal, reverse] = Direction::BOTH;
-        let courses = match self.baselines() {
+        let courses = match self.tracks.baselines() {
             [Some(_), None] => return Some(normal),
             [None, Some(_)] => return Some(reverse),
             _ => [of(normal)?, of(reverse)?],
@@ -99,15 +93,57 @@ impl Tracks {
         let has_lasted = course.at(ONE_SIDED_AGE) / larger > LASTED;
         (is_one_sided && has_lasted).then_some(direction)
     }
+
+    /// The course with these weights and this side, from `compute` if it is not known yet.
+    fn known_or(
+        &self,
+        weights: &Vector3<f64>,
+        side: Option<usize>,
+        compute: impl FnOnce() -> Option<Course>,
+    ) -> Option<Rc<Course>> {
+        let found = self.known.borrow().iter().find(|known| known.0 == *weights && known.1 == side).cloned();
+        let (.., course) = found.unwrap_or_else(|| {
+            let new = (*weights, side, compute().map(Rc::new));
+            self.known.borrow_mut().push(new.clone());
+            new
+        });
+        course
+    }
+
+    /// The course over the last throws of both directions, and the means of earlier ones.
+    fn of_both(&self, scatter: &Scatter, weights: &Vector3<f64>, history: &History) -> Option<Course> {
+        let stream = Stream::all(self.tracks.sides.each_ref().map(|track| &track.recent));
+        // The course ends with the last throw that shows the size.
+        let since = stream.since_counted(weights);
+        let baselines = self.tracks.baselines();
+        let recent = stream.points(weights, baselines, self.now - since);
+        // The history consists of blocks, each with throws of both directions.
+        let oldest = recent.first()?.age;
+        let blocks = history.along(weights, self.now).map(|block| Point { age: block.age - since as f64, ..block });
+        let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
+        let points: Vec<_> = before.chain(recent).collect();
+        let centre_throws = baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum();
+        Course::of(&points, self.noise(scatter, centre_throws, weights))
+    }
+
+    /// The course over the last throws of the direction with index `at`.
+    fn of_direction(&self, at: usize, weights: &Vector3<f64>) -> Option<Course> {
+        let baselines = self.tracks.baselines();
+        let baseline = baselines[at]?;
+        let stream = Stream::of(&self.tracks.sides[at].recent, at);
+        let points = stream.points(weights, baselines, self.now - stream.since_counted(weights));
+        Course::of(&points, self.noise(&baseline.scatter, baseline.centre_throws(), weights))
+    }
+
+    /// Noise along `weights` of throws compared with the centre of a baseline, which is a mean of `centre_throws`
+    /// throws.
+    fn noise(&self, scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>) -> Noise {
+        let noise = scatter.along(weights, centre_throws);
+        Noise { offset_sd: noise.offset_sd.hypot(weights.dot(&self.temperature_sd)), ..noise }
+    }
 }
 
 /// The two values, that with the larger `size` first; with equal sizes in the other order.
 fn larger_first<T>([first, second]: [T; 2], size: impl Fn(&T) -> f64) -> [T; 2] {
     if size(&first).abs() > size(&second).abs() { [first, second] } else { [second, first] }
-}
-
-/// Noise along `weights` of throws compared with the centre of a baseline, which is a mean of `centre_throws` throws.
-fn noise(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> Noise {
-    let noise = scatter.along(weights, centre_throws);
-    Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }
 }

@@ -3,6 +3,8 @@
 mod courses;
 mod learning;
 
+pub(super) use courses::Courses;
+
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
