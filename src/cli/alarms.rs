@@ -80,7 +80,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
-        if is_history && found.len() >= MAX_HISTORY as usize {
+        if is_history && arguments.limit.is_none() && found.len() >= MAX_HISTORY as usize {
             terminal::complain(format_args!(
                 "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
                 found.len()

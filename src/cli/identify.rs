@@ -143,7 +143,8 @@ fn renamed(text: &str) -> String {
 fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
     let detail = renamed(&found.detail()?);
     let line = match &found.outcome {
-        Err(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
+        Err(Rejection::NotFinite { sample, .. })
+        | Ok(Estimate { reason: Some(Rejection::NotFinite { sample, .. }), .. }) => lines.get(*sample),
         _ => None,
     };
     Some(match line {

@@ -59,7 +59,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Time of the throw in the first CSV file: a date, or a time as 2026-05-04T06:00:00Z. Each further file is a
-    /// minute later [default: from `throws.csv`, else the times of the files].
+    /// minute later, and nothing is taken from `throws.csv`, so give --machine too [default: the times in `throws.csv`,
+    /// else those of the files].
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.

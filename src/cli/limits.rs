@@ -35,6 +35,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
+    output::create_folder(arguments.out.as_deref())?;
     let bar = output::progress(FINDINGS as u64, "{wide_bar} {human_pos} of {human_len} findings, {eta} left");
     let findings = run(arguments.throws.into(), arguments.seed, || bar.inc(1)).or_exit(Exit::Software)?;
     bar.finish_and_clear();

@@ -170,9 +170,13 @@ pub(super) fn writable<T>(path: &Path, result: io::Result<T>) -> Result<T, Failu
     result.with_context(|| format!("{} cannot be written", path.display())).or_exit(Exit::CannotCreate)
 }
 
-/// Writes figures as SVG files into a folder, which is created if needed.
+/// Creates the folder of the figures of a long run, before the run.
+pub(super) fn create_folder(folder: Option<&Path>) -> Result<(), Failure> {
+    folder.map_or(Ok(()), |folder| writable(folder, fs::create_dir_all(folder)))
+}
+
+/// Writes figures as SVG files into a folder, which exists.
 pub(super) fn figures(folder: &Path, figures: impl IntoIterator<Item = (String, Sheet)>) -> Result<(), Failure> {
-    writable(folder, fs::create_dir_all(folder))?;
     figures.into_iter().try_for_each(|(name, sheet)| file(&folder.join(format!("{name}.svg")), sheet.to_svg()))
 }
 

@@ -44,6 +44,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
+    output::create_folder(arguments.out.as_deref())?;
     let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
     let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed };
     let bar = output::progress(TESTS as u64, "{wide_bar} {human_pos} of {human_len} tests, {eta} left");

@@ -59,6 +59,7 @@ const FREEWHEEL_S: f64 = 0.3;
 const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Reasons why a throw without a toe position has no coefficients.
+pub(super) const NO_MOTOR: &str = "the current shows no motor: its channel is dead, or the motor did not start";
 const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
 const NO_ARMATURE: &str = "the inrush does not give resistance, inductance and back-EMF of the motor: it may be smoothed by a \
                            filter, or supply_v be wrong";
@@ -90,20 +91,31 @@ fn solve(
     Some(invert(&normal)?.0 * right)
 }
 
-/// The coefficients from current, supply voltage and stroke, or the reason why these do not determine them. Adds
-/// resistance and back-EMF constant to the features. A throw without a direction counts as normal to reverse if it fits.
+/// Supply voltage \[V\] and stroke \[mm\] of a throw whose current may give the coefficients, or the reason why it does
+/// not.
+pub(super) fn known(movement: &Movement<'_>, throw: &Throw, settings: &Settings) -> Result<(f64, f64), String> {
+    if movement.motor_off.is_none() {
+        return Err(NO_MOTOR.to_owned());
+    }
+    let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
+    let known = known.ok_or_else(|| unknown(throw, settings))?;
+    if !has_rate(movement.interval_s, LEAST_RATE_HZ) {
+        return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
+    }
+    Ok(known)
+}
+
+/// The coefficients from current, supply voltage and stroke, the values of [`known`], or the reason why these do not
+/// determine them. Adds resistance and back-EMF constant to the features. A throw without a direction counts as normal to
+/// reverse if it fits.
 pub(super) fn estimate(
     movement: &Movement<'_>,
-    throw: &Throw,
+    direction: Option<Direction>,
+    (supply_v, stroke_mm): (f64, f64),
     settings: &Settings,
     features: &mut Features,
 ) -> Result<Estimate, String> {
     let interval_s = movement.interval_s;
-    let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
-    let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
-    if !has_rate(interval_s, LEAST_RATE_HZ) {
-        return Err(format!("the coefficients need at least {LEAST_RATE_HZ} samples/s"));
-    }
     let integrals = integrals(movement).ok_or(NOT_ENDED)?;
     // The motor is cut off when the toe arrives, so the current of the last two samples may be falling already.
     let last = integrals[0].len().checked_sub(3).ok_or(NOT_ENDED)?;
@@ -123,7 +135,7 @@ pub(super) fn estimate(
         let angle = stroke_mm * settings.radians_per_mm();
         solve_in_rounds(&integrals, last, (supply_v, angle), &mut window).map(|machine| (machine, window))
     };
-    let (machine, window) = match throw.direction {
+    let (machine, window) = match direction {
         Some(direction) => solve(direction)?,
         // The current alone may fit both directions.
         None => solve(Direction::NormalToReverse).or_else(|why| solve(Direction::ReverseToNormal).map_err(|_| why))?,

@@ -102,18 +102,21 @@ impl Identifier {
         let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
         copy_finite(current, &raw_current);
         let at_rest = if factor > 1 { level_before(current) } else { 0.0 };
-        let linear =
-            settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz(trace.sample_rate_hz()).is_none();
-        let released = (factor > 1 && has_position)
+        let filter_hz = throw.possible_anti_alias_hz(trace.sample_rate_hz());
+        let linear = settings.motor == Motor::PermanentMagnet && filter_hz.is_none();
+        // A slower filter than that of the decimation rounds the foot of the current.
+        let has_foot = filter_hz.is_none_or(|hz| hz * interval_s >= decimate::CUT_OFF_SHARE);
+        let released = (factor > 1 && has_position && has_foot)
             .then(|| release::at_full_rate(current, raw_interval_s, linear, scratch))
             .flatten();
         decimate::decimate(current, factor, at_rest);
         if !has_position {
             position.clear();
             position.resize(current.len(), 0.0);
-            let movement = Movement::of(current, position, interval_s, scratch);
-            let values = damage::values(&raw_current, &[], raw_interval_s);
-            return identify_current(throw, &movement, values, settings);
+            let mut movement = Movement::of(current, position, interval_s, scratch);
+            movement.near_end = movement.motor_off.unwrap_or(current.len() - 1);
+            let raw = (raw_current.as_ref(), raw_interval_s, factor);
+            return identify_current(throw, &movement, raw, settings, scratch);
         }
         let raw_position = missing::bridged(trace.position_mm(), raw_interval_s);
         let raw_checks = damage::values(&raw_current, &raw_position, raw_interval_s)
@@ -224,7 +227,7 @@ impl Buffers {
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / movement.interval_s;
         let filter_hz = throw.possible_anti_alias_hz(rate_hz);
-        noise::resolved(movement, settings)?;
+        noise::resolved(movement)?;
         let noisy = noise::plausible(movement, settings).err();
         let no_inrush = completeness::inrush(movement, &mut self.scratch);
         let doubt = self.check_samples(&throw.trace, settings, movement, factor, filter_hz)?;
@@ -249,6 +252,7 @@ impl Buffers {
             // has no inrush and does not fit is rejected.
             no_inrush?;
         }
+        let refuted = fitted.as_ref().is_err_and(Rejection::refutes_the_model);
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
@@ -258,7 +262,6 @@ impl Buffers {
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
-        let refuted = reason.refutes_the_model();
         let reason = noisy.unwrap_or(reason);
         let ratios = ratios.ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
@@ -285,15 +288,18 @@ impl Buffers {
     }
 }
 
-/// Identifies a throw of a machine without a toe sensor; `values` is the result of [`damage::values`] for its samples.
+/// Identifies a throw of a machine without a toe sensor. `raw`: the current before its decimation by a factor, with its
+/// sampling interval \[s\].
 fn identify_current(
     throw: &Throw,
     movement: &Movement<'_>,
-    values: Result<(), Rejection>,
+    raw: (&[f64], f64, usize),
     settings: &Settings,
+    scratch: &mut Vec<f64>,
 ) -> Identification {
-    let is_impossible = matches!(values, Err(Rejection::ImplausibleValue { .. }));
-    let mut features = if is_impossible { Features::default() } else { current_only::features(movement) };
+    let (raw_current, raw_interval_s, factor) = raw;
+    let values = damage::values(raw_current, &[], raw_interval_s);
+    let mut features = if values.is_err() { Features::default() } else { current_only::features(movement) };
     let too_slow = features.duration_s.filter(|duration_s| *duration_s > LONGEST_RUN_S).map(|duration_s| {
         let (longest_s, rate_hz) = (completeness::LONGEST_MOVEMENT_S, 1.0 / movement.interval_s);
         Rejection::TooSlow { duration_s, longest_s, rate_hz }
@@ -301,16 +307,27 @@ fn identify_current(
     if too_slow.is_some() {
         features = features.without_times();
     }
-    add_supply(&mut features, throw);
     let (trace, start_s) = (&throw.trace, movement.start() as f64 * movement.interval_s);
+    let no_position = |why: String| Rejection::NoPosition { sent: sent_position(trace), why };
     let outcome = values
         .and_then(|()| missing::within(trace, start_s - movement.interval_s, start_s + INRUSH_S).map_or(Ok(()), Err))
         .and_then(|()| usable(movement, settings))
         .and_then(|()| too_slow.map_or(Ok(()), Err))
         .and_then(|()| {
-            current_only::estimate(movement, throw, settings, &mut features)
-                .map_err(|why| Rejection::NoPosition { sent: sent_position(trace), why })
+            let known = current_only::known(movement, throw, settings).map_err(no_position)?;
+            if completeness::motor(movement, scratch).is_err() {
+                features = std::mem::take(&mut features).without(Channel::Current).without_times();
+                return Err(no_position(current_only::NO_MOTOR.to_owned()));
+            }
+            damage::clipping(raw_current, raw_interval_s)?;
+            damage::sticking(movement, Channel::Current, raw_current, raw_interval_s, factor)?;
+            noise::resolved(movement)?;
+            let filtered = throw.possible_anti_alias_hz(1.0 / movement.interval_s).is_some();
+            damage::spikes(movement, Channel::Current, filtered)?;
+            current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)
         });
+    features = reliable(features, &outcome);
+    add_supply(&mut features, throw);
     Identification {
         direction: throw.direction,
         direction_contradicted: None,
@@ -321,28 +338,33 @@ fn identify_current(
     }
 }
 
-/// The features of a throw with a toe position. What a damaged channel shows is left out.
+/// The features without those that a damaged channel shows.
+fn reliable(features: Features, outcome: &Result<Estimate, Rejection>) -> Features {
+    match outcome {
+        // The start of the motor, from which all else follows, is unknown.
+        Err(Rejection::ImplausibleValue { channel: Channel::Current, .. }) => Features::default(),
+        Err(
+            Rejection::Noisy { channel, .. }
+            | Rejection::Stuck { channel, .. }
+            | Rejection::NotFinite { channel, .. }
+            | Rejection::ImplausibleValue { channel, .. },
+        ) => features.without(*channel),
+        Err(Rejection::WrongUnit { .. } | Rejection::PositionJump { .. }) => features.without(Channel::Position),
+        // Without a motor there is no time from its start.
+        Err(Rejection::NoCurrent { .. }) => features.without(Channel::Current).without_times(),
+        Err(Rejection::TooSlow { .. }) => features.without_times(),
+        _ => features,
+    }
+}
+
+/// The features of a throw with a toe position.
 fn features_of(
     throw: &Throw,
     movement: &Movement<'_>,
     outcome: &Result<Estimate, Rejection>,
     settings: &Settings,
 ) -> Features {
-    let mut features = movement.features();
-    match outcome {
-        // The start of the motor, from which all else follows, is unknown.
-        Err(Rejection::ImplausibleValue { channel: Channel::Current, .. }) => features = Features::default(),
-        Err(
-            Rejection::Noisy { channel, .. }
-            | Rejection::Stuck { channel, .. }
-            | Rejection::ImplausibleValue { channel, .. },
-        ) => features = features.without(*channel),
-        Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
-        // Without a motor there is no time from its start.
-        Err(Rejection::NoCurrent { .. }) => features = features.without(Channel::Current).without_times(),
-        Err(Rejection::TooSlow { .. }) => features = features.without_times(),
-        _ => {}
-    }
+    let mut features = reliable(movement.features(), outcome);
     add_supply(&mut features, throw);
     let is_damaged = outcome.as_ref().is_err_and(|reason| {
         let is_false = matches!(reason, Rejection::PositionJump { .. } | Rejection::TooSlow { .. });
@@ -373,7 +395,7 @@ const THREE_PHASE: &str = "the motor is configured as three-phase";
 /// Describes the content of `position_mm` in a message without a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {
     if trace.position_mm().contains(&0.0) {
-        "position_mm is 0 in all samples, as without a toe sensor"
+        "position_mm is 0 or missing in all samples, as without a toe sensor"
     } else {
         "there is no toe position (position_mm is absent, or no sample of it was measured)"
     }

@@ -283,8 +283,9 @@ pub enum Rejection {
         channel: Channel,
         /// Measured standard deviation \[A or mm\].
         measured: f64,
-        /// Standard deviation in the configuration \[A or mm\].
-        expected: f64,
+        /// Standard deviation in the configuration \[A or mm\]; `None` if the noise is too large for any estimate,
+        /// whatever the configuration says.
+        expected: Option<f64>,
     },
     /// The normal equations are singular or nearly so.
     #[error("the trace does not determine the three coefficients: the normal equations are singular")]
@@ -345,8 +346,8 @@ pub enum Rejection {
     },
     /// The recording ends in the middle of the movement.
     #[error(
-        "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or correct \
-         stroke_mm if this is the whole stroke"
+        "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or, if this \
+         is the whole stroke, set stroke_mm to it"
     )]
     EndMissing {
         /// Distance moved by then \[mm\].
@@ -372,19 +373,21 @@ pub enum Rejection {
     },
 }
 
-/// The text of [`Rejection::Noisy`]. If the noise is above the configured one, a setting may be the remedy.
-fn noise(channel: Channel, measured: f64, configured: f64) -> String {
+/// The text of [`Rejection::Noisy`].
+fn noise(channel: Channel, measured: f64, configured: Option<f64>) -> String {
     let (unit, key) = match channel {
         Channel::Current => ("A", "current_noise_a"),
         Channel::Position => ("mm", "position_noise_mm"),
     };
-    if measured > configured {
+    if let Some(configured) = configured {
         format!(
             "the noise of the {channel} is {measured:.3} {unit}, configured {configured:.3} {unit}: check the sensor, or set \
              {key} if it is sound"
         )
     } else {
-        format!("the noise of the {channel} is {measured:.3} {unit}: too much for an estimate")
+        format!(
+            "the noise of the {channel} is {measured:.3} {unit}, too much for an estimate: check the sensor and its cable"
+        )
     }
 }
 

@@ -102,7 +102,9 @@ impl Degenerate {
         let estimate = Estimated::new(coefficients, covariance);
         let (grade, rejection) = match (is_current_only, is_rough) {
             (true, _) => (Grade::CurrentOnly, Rejection::NoMovement),
-            (_, true) => (Grade::Rough, Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 }),
+            (_, true) => {
+                (Grade::Rough, Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: Some(0.02) })
+            }
             _ => (Grade::Good, Rejection::PoorFit { fit_pct: 80.0, floor_pct: 99.0 }),
         };
         let turn = Direction::BOTH[usize::from(throw_no.is_multiple_of(2) && !self.is_one_way)];

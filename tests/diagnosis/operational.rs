@@ -27,7 +27,7 @@ fn fail(throw: &mut Observation) {
 
 /// Makes the position of the throw useless.
 fn disturb(throw: &mut Observation) {
-    let noisy = Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: 0.02 };
+    let noisy = Rejection::Noisy { channel: Channel::Position, measured: 2.0, expected: Some(0.02) };
     throw.outcome = Some(Err(noisy));
 }
 
@@ -335,7 +335,7 @@ fn a_disturbance_of_another_sensor_keeps_no_alarm_of_a_mended_one() {
     let events = feed(&mut machine, 4, disturb);
     assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))]);
     assert_eq!(feed(&mut machine, 8, |_| {}), []);
-    let noisy = Rejection::Noisy { channel: Channel::Current, measured: 2.0, expected: 0.02 };
+    let noisy = Rejection::Noisy { channel: Channel::Current, measured: 2.0, expected: Some(0.02) };
     assert_eq!(feed(&mut machine, 1, |throw| throw.outcome = Some(Err(noisy.clone()))), []);
     assert_eq!(summary(&feed(&mut machine, 20, |_| {})), [ended(Cause::Sensor)]);
 }

@@ -199,3 +199,42 @@ fn a_current_without_a_direction_counts_as_normal_to_reverse_only_if_it_fits() {
         assert_eq!(identify(None), identify(Some(truth)), "{truth}");
     }
 }
+
+/// Without a toe sensor a damaged current gives no coefficients, and a dead one no features that look like a throw.
+#[test]
+fn a_damaged_current_has_its_reason_and_a_dead_one_shows_no_motor() {
+    let direction = Direction::NormalToReverse;
+    let sound = current(&Parameters::default(), direction, 1000.0);
+    let peak = sound.iter().copied().fold(0.0, f64::max);
+    let start = sound.iter().position(|i| *i > 0.5 * peak).unwrap();
+    let damaged = |damage: &dyn Fn(&mut Vec<f64>)| {
+        let mut current = sound.clone();
+        damage(&mut current);
+        identify(current, direction, 1000.0, f64::NAN, Some(110.0))
+    };
+    let rest = sound[..start - 20].to_vec();
+    let noise = |current: &mut Vec<f64>| {
+        for (i, rest) in current.iter_mut().zip(rest.iter().cycle()) {
+            *i = *rest;
+        }
+    };
+    let cases: [(&str, &dyn Fn(&mut Vec<f64>)); 4] = [
+        ("clipped", &|current| current.iter_mut().for_each(|i| *i = i.min(0.6 * peak))),
+        ("spike", &|current| current[start + 30] = 40.0),
+        ("stuck", &|current| {
+            let (from, value) = (current.len() / 2, current[current.len() / 2]);
+            current[from..].fill(value);
+        }),
+        ("not_finite", &|current| current[start + 500..].fill(f64::NAN)),
+    ];
+    for (quality, damage) in cases {
+        let found = damaged(damage);
+        assert_eq!(found.quality(), quality, "{:?}", found.detail());
+    }
+    for (name, dead) in [("noise", &noise as &dyn Fn(&mut Vec<f64>)), ("zeros", &|current| current.fill(0.0))] {
+        let found = damaged(dead);
+        assert!(found.detail().unwrap().contains("shows no motor"), "{name}: {:?}", found.detail());
+        let Features { duration_s, running_current_a, energy_j, .. } = found.features;
+        assert_eq!((duration_s, running_current_a, energy_j), (None, None, None), "{name}");
+    }
+}

@@ -381,6 +381,37 @@ fn faults_of_the_machine_are_distinguished_from_those_of_the_sensors() {
     assert!(matches!(refused, Rejection::Incomplete { .. }), "{refused}");
 }
 
+/// A position that ends or jumps within the movement shows no arrival, after which the motor would have run on. A dead
+/// current hides the start, but not the travel.
+#[test]
+fn a_lost_channel_shows_neither_an_arrival_nor_another_travel() {
+    let healthy = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 3);
+    let middle = healthy.position.len() / 2;
+    let damages: [fn(&mut Channels, usize); 3] = [
+        |channels, middle| channels.position[middle..].fill(f64::NAN),
+        |channels, middle| channels.position[..middle].fill(f64::NAN),
+        |channels, middle| channels.position[middle..].iter_mut().for_each(|x| *x += 30.0),
+    ];
+    for damage in damages {
+        let mut channels = healthy.clone();
+        damage(&mut channels, middle);
+        let found = channels.identify(&mut Identifier::default(), &Settings::default());
+        assert!(
+            matches!(found.outcome, Err(Rejection::NotFinite { .. } | Rejection::PositionJump { .. })),
+            "{found:?}"
+        );
+        let features = found.features;
+        let of_position = (features.duration_s, features.run_on_s, features.travel_mm, features.end_position_mm);
+        assert_eq!(of_position, (None, None, None, None));
+        assert!(features.running_current_a.is_some());
+    }
+    let mut dead = healthy;
+    dead.current.fill(0.25);
+    let found = dead.identify(&mut Identifier::default(), &Settings::default());
+    assert!(matches!(found.outcome, Err(Rejection::NoCurrent { .. })), "{found:?}");
+    assert!((found.features.travel_mm.unwrap() - 114.6).abs() < 0.5, "{found:?}");
+}
+
 #[test]
 fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
     let machine = Parameters::default();

@@ -7,10 +7,12 @@ use std::{
     env, fs,
     net::Ipv4Addr,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use anyhow::anyhow;
 use tempfile::TempDir;
+use tokio::time;
 
 use super::{
     Exit, Failure, Outcome, ResultExt, output,
@@ -34,6 +36,8 @@ use screen::Screen;
 const THROWS: u64 = 200;
 /// Throws of one machine per second.
 const RATE: f64 = 6.5;
+/// Longest time without a judged throw after the last throw was published: the usual time is below a second.
+const JUDGE_LIMIT: Duration = Duration::from_secs(60);
 /// Simulated time between two throws of a machine \[s\], as at a busy junction.
 const INTERVAL_S: f64 = 1200.0;
 
@@ -87,7 +91,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
         .or_exit(Exit::Software)?;
     let machines = logger.machines().to_vec();
     let expected = THROWS * MACHINES.len() as u64;
-    let mut seen = 0;
+    let (mut seen, mut published) = (0, false);
     while seen < expected {
         tokio::select! {
             batch = judged.recv() => {
@@ -96,6 +100,14 @@ async fn demo(arguments: &Arguments) -> Outcome {
                 seen += batch.len() as u64;
                 batch.iter().for_each(|judgement| screen.throw(&machines, judgement));
             }
+            finished = logger.finished(), if !published => {
+                finished.or_exit(Exit::Software)?;
+                published = true;
+            }
+            () = time::sleep(JUDGE_LIMIT), if published => {
+                let problem = anyhow!("the daemon judged {seen} of {expected} throws, and no other for a minute");
+                return Err(Failure::new(Exit::Software, problem));
+            }
             ended = daemon.ended() => return Err(died(ended)),
             () = signals.stop() => {
                 output::line("stopped")?;
@@ -103,7 +115,9 @@ async fn demo(arguments: &Arguments) -> Outcome {
             }
         }
     }
-    logger.finished().await.or_exit(Exit::Software)?;
+    if !published {
+        logger.finished().await.or_exit(Exit::Software)?;
+    }
     screen.finish();
     let rows = outcome::rows(daemon.store().reader(), &machines).await.or_exit(Exit::Io)?;
     output::line(outcome::table(&rows))?;

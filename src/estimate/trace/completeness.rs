@@ -92,8 +92,7 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     if is_in_metres(movement, settings, noise_mm) {
         return Err(Rejection::WrongUnit { travel_mm });
     }
-    let noisy =
-        Rejection::Noisy { channel: Channel::Position, measured: noise_mm, expected: settings.position_noise_mm };
+    let noisy = Rejection::Noisy { channel: Channel::Position, measured: noise_mm, expected: None };
     let least =
         LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {
@@ -103,12 +102,7 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
             Rejection::NoMovement
         });
     }
-    // Without quiet samples the noise comes from differences of samples, which include the ripple of the supply.
-    let quiet = movement.current;
-    let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
-    if movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a {
-        return Err(Rejection::NoCurrent { travel_mm });
-    }
+    motor(movement, scratch)?;
     let start = movement.start();
     let moved_mm = peak(&position[..=start], position[0]);
     if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
@@ -160,6 +154,15 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     // A recording without the decay of the inrush begins in the middle of the movement.
     let has_decayed = has_decayed(current[0], current, movement.current.mean, interval_s);
     if has_decayed { Ok(()) } else { motor_start(movement) }
+}
+
+/// Rejects a trace whose current does not show a motor.
+pub(crate) fn motor(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let Movement { current_a, current: quiet, travel_mm, .. } = *movement;
+    // Without quiet samples the noise comes from differences of samples, which include the ripple of the supply.
+    let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current_a, scratch) };
+    let is_dead = movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a;
+    if is_dead { Err(Rejection::NoCurrent { travel_mm }) } else { Ok(()) }
 }
 
 /// Rejects a recording that begins after the start of the motor.

@@ -109,16 +109,15 @@ impl<'a> Movement<'a> {
         let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
         if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
             // The current decays for a moment after the cut-off.
-            let tail = (off + 1 + len / 100 + 2).min(len);
-            if len - tail >= MIN_QUIET {
-                level = Level::of(&current[tail..]);
-                peak_a = peak(current, level.mean);
+            let tail = &current[(off + 1 + len / 100 + 2).min(len)..];
+            level = if tail.len() >= MIN_QUIET { Level::of(tail) } else { Level::default() };
+            peak_a = peak(current, level.mean);
+            if level.samples > 0 {
                 motor_off = last_beyond(current, level.mean, threshold(&level, peak_a));
-            } else {
-                level = Level::default();
             }
         }
-        let mut position_level = Level::of(&position[..before]);
+        // Without a motor the toe may move from the first samples on.
+        let mut position_level = Level::of(&position[..if start.is_some() { before } else { len.min(MIN_QUIET) }]);
         if before == 0 {
             position_level.mean = position[0];
         }

@@ -18,23 +18,23 @@ const POSITION_NOISE_FACTOR: f64 = 25.0;
 const LARGEST_NOISE_SHARE: f64 = 0.025;
 
 /// Rejects noise that is too large compared with the signals for any estimate.
-pub(crate) fn resolved(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
+pub(crate) fn resolved(movement: &Movement<'_>) -> Result<(), Rejection> {
     let largest_a = LARGEST_NOISE_SHARE * movement.peak_a;
-    within(movement, settings, [largest_a, LARGEST_POSITION_SHARE * movement.travel_mm])
+    within(movement, [(largest_a, None), (LARGEST_POSITION_SHARE * movement.travel_mm, None)])
 }
 
 /// Rejects noise that is too large compared with that of the configured sensors. The throw may still have an estimate.
 pub(crate) fn plausible(movement: &Movement<'_>, settings: &Settings) -> Result<(), Rejection> {
-    let largest_a = CURRENT_NOISE_FACTOR * settings.current_noise_a;
-    within(movement, settings, [largest_a, POSITION_NOISE_FACTOR * settings.position_noise_mm])
+    let Settings { current_noise_a, position_noise_mm, .. } = *settings;
+    let current = (CURRENT_NOISE_FACTOR * current_noise_a, Some(current_noise_a));
+    within(movement, [current, (POSITION_NOISE_FACTOR * position_noise_mm, Some(position_noise_mm))])
 }
 
-/// Rejects a channel whose noise at rest has a standard deviation above `current_a` \[A\] or `position_mm` \[mm\].
-fn within(movement: &Movement<'_>, settings: &Settings, [current_a, position_mm]: [f64; 2]) -> Result<(), Rejection> {
-    for (channel, level, expected, largest) in [
-        (Channel::Current, movement.current, settings.current_noise_a, current_a),
-        (Channel::Position, movement.position, settings.position_noise_mm, position_mm),
-    ] {
+/// Rejects a channel whose noise at rest has a standard deviation above a limit. Each limit \[A, mm\] has the configured
+/// noise from which it is.
+fn within(movement: &Movement<'_>, limits: [(f64, Option<f64>); 2]) -> Result<(), Rejection> {
+    for (channel, (largest, expected)) in [Channel::Current, Channel::Position].into_iter().zip(limits) {
+        let level = movement.level(channel);
         if level.samples >= MIN_QUIET && level.sd > largest {
             return Err(Rejection::Noisy { channel, measured: level.sd, expected });
         }
