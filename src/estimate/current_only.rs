@@ -186,6 +186,7 @@ fn solve_in_rounds(
     let interval_s = window.interval_s;
     let inrush = samples_in(INRUSH_S, interval_s).min(last);
     let (mut a1, mut a0, mut resistance) = (0.0, 0.0, 0.0);
+    let (mut integrals_of_movement, mut scratch) = Default::default();
     let mut found = None;
     for _ in 0..ROUNDS {
         let solved = solve(integrals, inrush, (supply_v, interval_s), (a0, resistance)).ok_or(NO_ARMATURE)?;
@@ -202,7 +203,8 @@ fn solve_in_rounds(
         window.output.extend((0..last).map(|k| flux(k) / back_emf).take_while(|y| *y <= NEAR_END_SHARE * angle));
         window.input.clear();
         window.input.extend_from_slice(&amperes[..window.output.len()]);
-        let ratios = ratios::load(window).and_then(|load| ratios::of(window, &load)).ok_or(NO_MODEL)?;
+        let load = ratios::load(window, &mut integrals_of_movement, &mut scratch);
+        let ratios = load.and_then(|load| ratios::of(window, &load, &integrals_of_movement)).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);
@@ -261,7 +263,7 @@ fn end_of_voltage(movement: &Movement<'_>) -> Option<usize> {
     let peak = late.iter().copied().fold(0.0, f64::max);
     let stalled = late.iter().rposition(|i| *i >= STALLED_SHARE * peak)?;
     let (first, second) = late[stalled..].split_at((late.len() - stalled) / 2);
-    let decays = mean(second.iter().copied()) < FREEWHEEL_SHARE * mean(first.iter().copied());
+    let decays = mean(second) < FREEWHEEL_SHARE * mean(first);
     let is_short = (late.len() - stalled) as f64 * movement.interval_s <= FREEWHEEL_S;
     let stalls = is_short && decays && peak > STALL_FACTOR * median_of_magnitudes(&mut late);
     Some(if stalls { from + stalled } else { off })

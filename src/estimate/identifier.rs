@@ -1,12 +1,15 @@
 //! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use super::{
-    acceptance::{self, brake, start},
+    acceptance::{
+        self, brake,
+        start::{self, Start},
+    },
     armature::{Armature, LEAST_RATE_HZ},
     current_only,
     features::Features,
     identification::{Estimate, Fit, Grade, Identification},
-    load::Load,
+    load::{Integrals, Load},
     motor_kind,
     ratios::{self, Ratios},
     rejection::{MIN_RISE_SAMPLES, Rejection},
@@ -56,6 +59,7 @@ pub struct Identifier {
 struct Buffers {
     window: Window,
     scratch: Vec<f64>,
+    integrals: Integrals,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
 }
@@ -113,7 +117,8 @@ impl Identifier {
         if !has_position {
             position.clear();
             position.resize(current.len(), 0.0);
-            let mut movement = Movement::of(current, position, interval_s, scratch);
+            let start = start_of_motor(current, interval_s, scratch);
+            let mut movement = Movement::of(current, position, interval_s, start, scratch);
             movement.near_end = movement.motor_off.unwrap_or(current.len() - 1);
             let raw = (raw_current.as_ref(), raw_interval_s, factor);
             return identify_current(throw, &movement, raw, settings, scratch);
@@ -125,15 +130,17 @@ impl Identifier {
         let first = position[0];
         decimate::decimate(position, factor, first);
 
-        if let Some(foot) = start_of_motor(current, interval_s, scratch) {
+        let mut start = start_of_motor(current, interval_s, scratch);
+        if let Some(foot) = start {
             let noise = second_difference_noise(&current[..=foot], scratch);
             if Level::of(&current[..=foot]).sd > HUM_FACTOR * noise {
                 hum::remove(current, foot + 1, interval_s);
+                start = start_of_motor(current, interval_s, scratch);
             }
         }
-        let mut movement = Movement::of(current, position, interval_s, scratch);
+        let mut movement = Movement::of(current, position, interval_s, start, scratch);
         movement.measure_position_every(position_every / factor as f64, settings.position_noise_mm);
-        let outcome = raw_checks
+        let estimated = raw_checks
             .and_then(|()| usable(&movement, settings))
             .and_then(|()| completeness::course(&movement, settings, scratch))
             .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
@@ -145,14 +152,11 @@ impl Identifier {
                 }),
                 _ => buffers.estimate(throw, settings, &movement, factor, released),
             });
+        let start = estimated.as_ref().ok().and_then(|(_, start)| *start);
+        let outcome = estimated.map(|(estimate, _)| estimate);
         let moved = direction_moved(&movement, &outcome);
-        let mut features = features_of(throw, &movement, &outcome, settings);
-        if let Ok(estimate) = &outcome
-            && !matches!(estimate.reason, Some(Rejection::StartMissing { .. }))
-        {
-            let start = start::find(&buffers.window, estimate.ratios(), &mut buffers.brakes.free);
-            (features.start_delay_s, features.start_gain) = start.map(|start| (start.delay_s, start.gain)).unzip();
-        }
+        let (start_delay_s, start_gain) = start.map(|start| (start.delay_s, start.gain)).unzip();
+        let features = Features { start_delay_s, start_gain, ..features_of(throw, &movement, &outcome, settings) };
         let short_of_stroke_mm = settings.stroke_mm.filter(|stroke_mm| {
             outcome.is_ok() && completeness::is_short(movement.travel_mm, *stroke_mm, movement.position_noise_mm)
         });
@@ -216,7 +220,7 @@ impl Buffers {
         Ok(doubt)
     }
 
-    /// Estimates the coefficients of a complete movement, or their ratios if its start is unusable.
+    /// Estimates the coefficients of a complete movement, or their ratios if its start is unusable; and the start.
     fn estimate(
         &mut self,
         throw: &Throw,
@@ -224,7 +228,7 @@ impl Buffers {
         movement: &Movement<'_>,
         factor: usize,
         released: Option<f64>,
-    ) -> Result<Estimate, Rejection> {
+    ) -> Result<(Estimate, Option<Start>), Rejection> {
         let rate_hz = 1.0 / movement.interval_s;
         let filter_hz = throw.possible_anti_alias_hz(rate_hz);
         noise::resolved(movement)?;
@@ -244,9 +248,9 @@ impl Buffers {
         {
             return Err(reason);
         }
-        let load = ratios::load(&self.window);
+        let load = ratios::load(&self.window, &mut self.integrals, &mut self.scratch);
         let (full, fitted) = self.fit(settings, movement, load.as_ref());
-        let ratios = load.and_then(|load| ratios::of(&self.window, &load));
+        let ratios = load.and_then(|load| ratios::of(&self.window, &load, &self.integrals));
         if fitted.is_err() || doubt.is_some() {
             // A controlled drive has no inrush either, but its throws fit the model. A throw that
             // has no inrush and does not fit is rejected.
@@ -254,10 +258,10 @@ impl Buffers {
         }
         let refuted = fitted.as_ref().is_err_and(Rejection::refutes_the_model);
         let reason = match (fitted, doubt) {
-            (Ok(estimate), None) => {
+            (Ok((estimate, start)), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
                 let running = ratios.as_ref().map(Ratios::running);
-                return Ok(Estimate { grade, reason: noisy, running, ..estimate });
+                return Ok((Estimate { grade, reason: noisy, running, ..estimate }, start));
             }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
@@ -267,17 +271,22 @@ impl Buffers {
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
         let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
         let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
-        if are_known || !refuted { Ok(estimate) } else { Err(reason) }
+        if !are_known && refuted {
+            return Err(reason);
+        }
+        let has_start = !matches!(reason, Rejection::StartMissing { .. });
+        let start = has_start.then(|| start::find(&self.window, estimate.ratios(), &mut self.brakes.free));
+        Ok((estimate, start.flatten()))
     }
 
-    /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate or the
-    /// reason why the solution is not accepted.
+    /// Fits the full model to the window. Returns the fit of its solution, `None` without one, and the estimate with the
+    /// start of the movement, or the reason why the solution is not accepted.
     fn fit(
         &mut self,
         settings: &Settings,
         movement: &Movement<'_>,
         load: Option<&Load>,
-    ) -> (Option<Fit>, Result<Estimate, Rejection>) {
+    ) -> (Option<Fit>, Result<(Estimate, Option<Start>), Rejection>) {
         let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
         let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });

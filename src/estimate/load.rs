@@ -26,7 +26,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
-use super::trace::{samples::samples_in, window::Window};
+use super::{
+    lanes::sum,
+    trace::{samples::samples_in, window::Window},
+};
 
 /// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
 /// from 0 to 1.
@@ -48,6 +51,31 @@ const ROUNDING: f64 = 1e-12;
 /// 1 + this / ν. (Cornish, Fisher: (1.96² + 1)/4)
 const STUDENT: f64 = 1.21;
 
+/// Integrals over a movement from one of its samples on, reused from throw to throw.
+#[derive(Debug, Default)]
+pub(crate) struct Integrals {
+    /// ∫u dt.
+    pub(super) charge: Vec<f64>,
+    /// ∫(y - `y_eq`) dt.
+    pub(super) angle: Vec<f64>,
+}
+
+impl Integrals {
+    pub(super) fn fill(&mut self, window: &Window, from: usize) {
+        let integrate = |integral: &mut Vec<f64>, signal: &[f64], level: f64| {
+            let mut sum = 0.0;
+            integral.clear();
+            integral.push(0.0);
+            integral.extend(signal.array_windows().map(|[before, after]| {
+                sum += (0.5 * (before + after) - level) * window.interval_s;
+                sum
+            }));
+        };
+        integrate(&mut self.charge, &window.input[from..], 0.0);
+        integrate(&mut self.angle, &window.output[from..], window.equilibrium);
+    }
+}
+
 /// The integrated equation of a movement, as differences of neighbouring windows.
 #[derive(Debug)]
 pub(crate) struct Load {
@@ -65,10 +93,10 @@ pub(crate) struct Load {
 impl Load {
     /// Cuts a movement from the sample `from` on into steps; `None` if it is too short, or does not determine the three
     /// factors.
-    pub(crate) fn of(window: &Window, from: usize) -> Option<Self> {
-        let Window { input, output, .. } = window;
-        let (equilibrium, interval_s) = (window.equilibrium, window.interval_s);
-        let samples = output.len().checked_sub(from)?;
+    /// `integrals`: those from the sample `from` on.
+    pub(crate) fn of(window: &Window, from: usize, integrals: &Integrals, scratch: &mut Vec<f64>) -> Option<Self> {
+        let (output, interval_s) = (window.output.get(from..)?, window.interval_s);
+        let samples = output.len();
         let steps = samples_in(samples as f64 * interval_s, STEP_S).clamp(LEAST_STEPS, STEPS);
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
         let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
@@ -81,18 +109,17 @@ impl Load {
         let weights = per_window - squares;
         let of_slope = 2.0 / (squares * per_window * interval_s);
         let scale = Vector4::new(1.0 / weights, 1.0 / weights, of_slope, 1.0 / weights);
-        let (mut charge, mut angle, mut before) = (0.0, 0.0, None);
-        for (window, start) in (from..).step_by(length).take(count + 1).enumerate() {
-            let mut row = Vector4::zeros();
-            for (at, k) in (start..start + length).enumerate() {
-                if k > from {
-                    charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
-                    angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
-                }
-                let x = (2 * at + 1) as f64 * per_window.recip() - 1.0;
-                let weight = 1.0 - x * x;
-                row += Vector4::new(weight * output[k], weight * angle, x * output[k], weight * charge);
-            }
+        let place = |at: usize| (2 * at + 1) as f64 * per_window.recip() - 1.0;
+        scratch.clear();
+        scratch.extend((0..length).map(place));
+        let place = scratch.as_slice();
+        let mut before = None;
+        for (window, start) in (0..).step_by(length).take(count + 1).enumerate() {
+            let [output, angle, charge] =
+                [output, &integrals.angle, &integrals.charge].map(|signal| [place, &signal[start..start + length]]);
+            let weighted = |[x, value]: [f64; 2]| (1.0 - x * x) * value;
+            let slope = sum(output, |[x, y]| x * y);
+            let row = Vector4::new(sum(output, weighted), sum(angle, weighted), slope, sum(charge, weighted));
             let row = row.component_mul(&scale);
             if let Some(before) = before.replace(row) {
                 load.rows[window - 1] = row - before;

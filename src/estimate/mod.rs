@@ -20,6 +20,7 @@ mod current_only;
 mod features;
 mod identification;
 mod identifier;
+mod lanes;
 mod load;
 mod matrix;
 mod model;

@@ -3,7 +3,10 @@
 use super::{
     identifier::copy_finite,
     settings::{Motor, Settings},
-    trace::{missing, movement::Movement},
+    trace::{
+        missing,
+        movement::{Movement, start_of_motor},
+    },
 };
 use crate::throw::Trace;
 
@@ -21,7 +24,9 @@ pub(crate) fn modelled_position_mm(
         copy_finite(&mut finite, &missing::bridged(values, step_s));
         finite
     });
-    let movement = Movement::of(&current, &position, step_s, &mut Vec::new());
+    let mut scratch = Vec::new();
+    let start = start_of_motor(&current, step_s, &mut scratch);
+    let movement = Movement::of(&current, &position, step_s, start, &mut scratch);
     let (start, start_mm) = (movement.start(), movement.position.mean);
     let driven = (0..current.len() - start).take_while(|after| *after as f64 * step_s <= duration_s);
     let end = start + driven.count();

@@ -88,18 +88,17 @@ struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Current \[A\] at a sample after the start, positive if it drives.
-    fn current(&self, sample: usize) -> f64 {
-        self.drive * (self.movement.current_a[self.start + sample] - self.movement.current.mean)
-    }
-
     /// The inrush over the current at which the running motor would stand still, by the line through its speed and
     /// current; `None` if they have no such line.
     fn inrush_of_standstill(&self) -> Option<f64> {
-        let level = |from: usize, to: usize| mean((from..to).map(|k| self.current(k)));
-        let place = |from: usize, to: usize| mean((from..to).map(|k| self.movement.progress_mm(self.start + k)));
+        let Movement { current_a, position_mm, sign, .. } = *self.movement;
+        let of = |signal: &[f64], from: usize, to: usize| mean(&signal[self.start + from..self.start + to]);
+        // Current, positive if it drives, and position with an offset, as means over some samples after the start.
+        let level = |from: usize, to: usize| self.drive * (of(current_a, from, to) - self.movement.current.mean);
+        let place = |from: usize, to: usize| sign * of(position_mm, from, to);
+        let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
         let ripple = samples_in(RIPPLE_S, self.movement.interval_s).clamp(1, self.len);
-        let currents = &self.movement.current_a[self.start..=self.start + self.len];
+        let currents = &current_a[self.start..=self.start + from.max(ripple)];
         let mut sum = level(0, ripple) * ripple as f64;
         let mut largest = sum.max(0.0);
         for (before, now) in currents.iter().zip(&currents[ripple..]) {
@@ -107,7 +106,6 @@ impl Way<'_> {
             largest = if sum > largest { sum } else { largest };
         }
         let inrush = largest / ripple as f64;
-        let from = samples_in(SKIPPED_SHARE * self.len as f64, 1.0);
         let length = (self.len - from) / BLOCKS;
         let quarter = (length / 4).max(1);
         if length <= quarter {
@@ -118,8 +116,9 @@ impl Way<'_> {
             let moved = place(to - quarter, to) - place(at, at + quarter);
             [level(at, to), moved / (length - quarter) as f64]
         });
-        let means = [0, 1].map(|of| mean(blocks.iter().map(|block| block[of])));
-        let product = |a: usize, b: usize| mean(blocks.iter().map(|of| (of[a] - means[a]) * (of[b] - means[b])));
+        let mean = |of: &dyn Fn(&[f64; 2]) -> f64| blocks.iter().map(of).sum::<f64>() / BLOCKS as f64;
+        let means = [0, 1].map(|of| mean(&|block| block[of]));
+        let product = |a: usize, b: usize| mean(&|of| (of[a] - means[a]) * (of[b] - means[b]));
         let (variance, both) = (product(0, 0), product(0, 1));
         let slope = both / variance;
         let is_line = both < CORRELATION * (variance * product(1, 1)).sqrt();

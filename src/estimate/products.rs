@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
+use super::lanes::LANES;
+
 /// Number of samples that are multiplied at a time.
 const BLOCK: usize = 64;
-/// Number of partial sums of a sum, as a single chain of additions is slow.
-const LANES: usize = 8;
 /// The partial sums of one sum.
 type Lanes = [f64; LANES];
 

@@ -18,10 +18,13 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
     identification::{Estimate, Fit, Grade, RunningRatios},
-    load::{DRY_SHARE, Load, STEPS},
+    load::{DRY_SHARE, Integrals, Load, STEPS},
     products::Products,
     rejection::Rejection,
-    trace::{samples::samples_in, window::Window},
+    trace::{
+        samples::{mean, peak, samples_in},
+        window::Window,
+    },
 };
 
 /// Standard deviation of the logarithm of the common scale of the coefficients if nothing is known about it.
@@ -104,14 +107,16 @@ fn start(window: &Window) -> Option<usize> {
     (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel).map(|k| k + reach)
 }
 
-/// The load of a movement after its start; `None` if the samples do not determine it.
-pub(super) fn load(window: &Window) -> Option<Load> {
-    Load::of(window, start(window)?)
+/// The load of a movement after its start; `None` if the samples do not determine it. Fills the integrals, for [`of`].
+pub(super) fn load(window: &Window, integrals: &mut Integrals, scratch: &mut Vec<f64>) -> Option<Load> {
+    let from = start(window).filter(|from| *from < window.output.len())?;
+    integrals.fill(window, from);
+    Load::of(window, from, integrals, scratch)
 }
 
 /// Computes the ratios of a movement from the samples that have this load; `None` if the samples do not determine them
-/// or do not fit the equation.
-pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
+/// or do not fit the equation. `integrals`: those of the load.
+pub(super) fn of(window: &Window, load: &Load, integrals: &Integrals) -> Option<Ratios> {
     let Window { output, interval_s, .. } = window;
     let (travel, from) = (*output.last()?, load.from);
     let to = output.len().checked_sub(reach(*interval_s))?;
@@ -119,8 +124,12 @@ pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
         return None;
     }
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
-    let sums = Sums::over(window, from..to, load);
-    let [charge, time, offset] = [4, 5, 6].map(|signal| sums.with_factors(signal));
+    let sums = Sums::over(window, from..to, load, integrals);
+    let [charge, time] = [4, 5].map(|signal| sums.with_factors(signal));
+    // The charge from an offset of 1 A.
+    let input_scale = |step| window.input_scale().map_or(1.0, |scale| mean(&scale[step]));
+    let offset: Vector4<f64> =
+        load.steps(from..to).zip(&sums.effects).map(|(step, effect)| effect * (input_scale(step) * interval_s)).sum();
     let normal = Matrix4::from_fn(|i, j| sums.products[i][j]);
     // The inverse by cofactors needs no scaling of the units.
     let inverse = normal.try_inverse()?;
@@ -150,39 +159,30 @@ pub(super) fn of(window: &Window, load: &Load) -> Option<Ratios> {
 /// Sums over the samples of a movement. The factors of a sample are those of the integrated equation, and 1 for its
 /// constant: y - `y_s`, ∫(y - `y_eq`) dt, y' - `y'_s` and 1.
 struct Sums {
-    /// Products of each two of the four factors, the charge ∫u dt, the time since the first sample, and the charge from
-    /// an offset of 1 A.
-    products: [[f64; 7]; 7],
+    /// Products of each two of the four factors, the charge ∫u dt, and the time since the first sample.
+    products: [[f64; 6]; 6],
     largest_charge: f64,
     largest_angle: f64,
-    /// For each step of the load: sum of the factors' products with the charge over the step's samples, each with a charge of 1 from there on.
+    /// For each step of the load: the sum over its samples of the factors' products with a charge of 1 from that sample
+    /// on.
     effects: [Vector4<f64>; STEPS],
 }
 
 impl Sums {
-    fn over(window: &Window, samples: Range<usize>, load: &Load) -> Self {
-        let Window { input, output, equilibrium, interval_s, .. } = window;
-        let (from, reach, input_scale) = (samples.start, reach(*interval_s), window.input_scale());
+    fn over(window: &Window, samples: Range<usize>, load: &Load, integrals: &Integrals) -> Self {
+        let Window { output, interval_s, .. } = window;
+        let (from, reach) = (samples.start, reach(*interval_s));
+        let [charge, angle] = [&integrals.charge, &integrals.angle].map(|signal| &signal[..samples.len()]);
         let per_s = (2.0 * reach as f64 * interval_s).recip();
         let speed = |k: usize| (output[k + reach] - output[k - reach]) * per_s;
         let first_speed = speed(from);
-        let (mut charge, mut angle, mut offset) = (0.0, 0.0, 0.0);
-        let (mut largest_charge, mut largest_angle) = (0.0_f64, 0.0_f64);
-        let mut products = Products::<7>::ZERO;
+        let mut products = Products::<6>::ZERO;
         let mut before = [[0.0; 2]; 4];
         let mut effects = [Vector4::zeros(); STEPS];
         for (effect, step) in effects.iter_mut().zip(load.steps(samples.clone())) {
             products.add(step.clone(), |k| {
-                if k > from {
-                    charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
-                    angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
-                }
-                offset += input_scale.map_or(1.0, |scale| scale[k]) * interval_s;
-                // Faster than `max`, which treats NaN specially.
-                largest_charge = if charge.abs() > largest_charge { charge.abs() } else { largest_charge };
-                largest_angle = if angle.abs() > largest_angle { angle.abs() } else { largest_angle };
-                let time_s = (k - from) as f64 * interval_s;
-                [output[k] - output[from], angle, speed(k) - first_speed, 1.0, charge, time_s, offset]
+                let (at, time_s) = (k - from, (k - from) as f64 * interval_s);
+                [output[k] - output[from], angle[at], speed(k) - first_speed, 1.0, charge[at], time_s]
             });
             // A charge from sample k of the step on adds the factors of the samples from k on: for the samples of the
             // step, the factor times their number in the step up to its own sample.
@@ -194,6 +194,7 @@ impl Sums {
                 (moment - first_s * factor) / interval_s + factor - step.len() as f64 * sums[0]
             });
         }
+        let [largest_charge, largest_angle] = [charge, angle].map(|signal| peak(signal, 0.0));
         let mut sums = Self { products: products.sums(), largest_charge, largest_angle, effects };
         let constant = sums.with_factors(3);
         for (effect, step) in sums.effects.iter_mut().zip(load.steps(samples)) {

@@ -57,8 +57,7 @@ impl Errors {
             if from >= window.foot {
                 dry += w * (friction_a * ((model[to] - model[from]) / (block.len() as f64 * per_sample) - 1.0));
             }
-            offset +=
-                w * (window.rest_a * window.input_scale().map_or(1.0, |scale| mean(scale[block].iter().copied())));
+            offset += w * (window.rest_a * window.input_scale().map_or(1.0, |scale| mean(&scale[block])));
         });
         let inverse = &solution.inverse;
         let load = load.covariance(|step| inverse * effects[step])?;

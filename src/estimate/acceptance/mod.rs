@@ -11,6 +11,7 @@ use start::Start;
 
 use super::{
     identification::{Estimate, Fit, Grade},
+    lanes::sum,
     load::Load,
     rejection::Rejection,
     settings::Settings,
@@ -75,9 +76,8 @@ fn misfit(
     let stretch = samples_in(MISFIT_STRETCH_S, window.interval_s).clamp(1, output.len());
     let (mut squares, mut slow, mut peak, mut at) = (0.0, 0.0, 0.0_f64, 0);
     for (block, (y, x)) in output.chunks(stretch).zip(model.chunks(stretch)).enumerate() {
-        let sum: f64 = y.iter().zip(x).map(|(y, x)| y - x).sum();
-        squares += y.iter().zip(x).map(|(y, x)| (y - x) * (y - x)).sum::<f64>();
-        let mean = (sum / y.len() as f64).abs();
+        squares += sum([y, x], |[y, x]| (y - x) * (y - x));
+        let mean = (sum([y, x], |[y, x]| y - x) / y.len() as f64).abs();
         slow += mean * mean * y.len() as f64;
         if y.len() == stretch && mean > peak {
             (peak, at) = (mean, block * stretch);
@@ -95,25 +95,25 @@ fn misfit(
     Ok((slow - 2.0 * through).max(0.0).sqrt() / radians_per_mm)
 }
 
-/// The delay of the movement behind the current \[s\], negative if the toe starts early; 0 if the samples of the start do
-/// not show it. A brake, play, lost motion or a time shift between the channels causes one.
+/// The start of the movement, with its delay behind the current; `None` if the samples do not show it. A brake, play,
+/// lost motion or a time shift between the channels causes a delay.
 ///
 /// The first 50 ms of a throw determine the common scale of b0, a1 and a0: later the machine runs at nearly constant
 /// speed, which determines only the ratios a1/b0 and a0/b0. A delay of 1 ms changes the scale by about 2 %.
 ///
 /// # Errors
 /// When the delay is too large.
-fn delay(window: &Window, [b0, a1, a0]: [f64; 3], brakes: &mut brake::Buffers) -> Result<f64, Rejection> {
+fn start(window: &Window, [b0, a1, a0]: [f64; 3], brakes: &mut brake::Buffers) -> Result<Option<Start>, Rejection> {
     match start::find(window, [a1 / b0, a0 / b0], &mut brakes.free) {
         Some(Start { delay_s, delay_sd_s, .. }) if delay_s.abs() > LARGEST_DELAY_S.max(DELAY_SIGMAS * delay_sd_s) => {
             Err(Rejection::LateStart { delay_ms: 1e3 * delay_s })
         }
-        found => Ok(found.map_or(0.0, |start| start.delay_s)),
+        found => Ok(found),
     }
 }
 
-/// The estimate with its covariance; rejects a solution that does not describe the movement, or is too uncertain.
-/// `workspace` has the instruments and the output of the solution.
+/// The estimate with its covariance, and the start of the movement; rejects a solution that does not describe the
+/// movement, or is too uncertain. `workspace` has the instruments and the output of the solution.
 pub(super) fn estimate(
     (model, solution): (&Sriv<2, 1, 3>, Solution<2, 1, 3>),
     window: &Window,
@@ -122,11 +122,12 @@ pub(super) fn estimate(
     settings: &Settings,
     workspace: &mut Workspace<3>,
     brakes: &mut brake::Buffers,
-) -> Result<Estimate, Rejection> {
+) -> Result<(Estimate, Option<Start>), Rejection> {
     accept(&solution, settings)?;
     let slow_mm =
         misfit(window, &workspace.model_output, solution.parameters, movement.travel_mm, settings.radians_per_mm())?;
-    let delay_s = delay(window, solution.parameters, brakes)?;
+    let start = start(window, solution.parameters, brakes)?;
+    let delay_s = start.map_or(0.0, |start| start.delay_s);
     let brake_sd = brake::scale_sd(window, solution.parameters, brakes)?;
     let scale_sd =
         (SCALE_PER_S * delay_s).hypot(SCALE_PER_MM * slow_mm).hypot(SCALE_PER_RISE * window.rise).hypot(brake_sd);
@@ -156,7 +157,7 @@ pub(super) fn estimate(
     }
     let [b0, a1, a0] = parameters;
     let (Errors { load, dry, offset }, parameters) = (errors, Vector3::from(parameters));
-    Ok(Estimate {
+    let estimate = Estimate {
         grade: Grade::Good,
         b0,
         a1,
@@ -170,5 +171,6 @@ pub(super) fn estimate(
         fit: Some(Fit { pct: 100.0 * solution.fit, iterations: solution.iterations }),
         start_s: window.from as f64 * window.interval_s,
         end_s: (window.from + window.output.len() - 1) as f64 * window.interval_s,
-    })
+    };
+    Ok((estimate, start))
 }

@@ -40,7 +40,7 @@ use self::{
     polynomial::{is_stable, reflected},
     sums::Sums,
 };
-use super::{matrix::invert, products::Products, rejection::Rejection};
+use super::{lanes::sum, matrix::invert, rejection::Rejection};
 
 pub use problem::{Problem, Sriv, Workspace};
 
@@ -213,8 +213,9 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
     let (first, first_error) = (output[0], output[0] - model[0]);
-    let mut products = Products::<3>::ZERO;
-    products.add(0..output.len().min(model.len()), |k| [1.0, output[k] - first, output[k] - model[k] - first_error]);
-    let [[_, value, error], [_, square, _], [_, _, error_square]] = products.sums();
+    let value = sum([output], |[y]| y - first);
+    let square = sum([output], |[y]| (y - first).powi(2));
+    let error = sum([output, model], |[y, x]| y - x - first_error);
+    let error_square = sum([output, model], |[y, x]| (y - x - first_error).powi(2));
     1.0 - (error_square - error * error / count) / (square - value * value / count)
 }

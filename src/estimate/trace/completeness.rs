@@ -190,7 +190,7 @@ fn whole_noise(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> f64 {
     if quarter < MIN_QUIET || sd < 2.0 * noise_mm {
         return noise_mm;
     }
-    let of = |from: usize| mean(position[from..from + quarter].iter().copied());
+    let of = |from: usize| mean(&position[from..from + quarter]);
     if (of(samples - quarter) - of(0)).abs() > DISPLACED_SIGMAS * sd {
         return noise_mm;
     }
@@ -207,7 +207,7 @@ pub(crate) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
 fn reopened(movement: &Movement<'_>, settings: &Settings, noise_mm: f64) -> Option<Rejection> {
     let Movement { position_mm: position, sign, travel_mm, near_end, end_mm: position_mm, .. } = *movement;
     let progress_mm = |mm: f64| sign * (mm - movement.position.mean);
-    let means = position[near_end..].chunks_exact(MIN_QUIET).map(|part| progress_mm(mean(part.iter().copied())));
+    let means = position[near_end..].chunks_exact(MIN_QUIET).map(|part| progress_mm(mean(part)));
     let ended_mm = progress_mm(position_mm);
     let back_mm = means.fold(travel_mm, f64::max) - ended_mm;
     let ends_short = settings.stroke_mm.is_some_and(|stroke_mm| {
@@ -279,7 +279,7 @@ fn moves_until(off: usize, movement: &Movement<'_>, noise_mm: f64) -> bool {
     if third == 0 {
         return false;
     }
-    let of = |from: usize| mean(movement.position_mm[from..from + third].iter().copied());
+    let of = |from: usize| mean(&movement.position_mm[from..from + third]);
     let moved = movement.sign * (of(off - third) - of(off - 2 * third));
     let usual = movement.travel_mm * third as f64 / off.saturating_sub(movement.start()).max(1) as f64;
     moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
@@ -292,7 +292,7 @@ pub(crate) fn early(movement: &Movement<'_>) -> Result<(), Rejection> {
         return Ok(());
     }
     let start = movement.start();
-    let moved_mm = (mean(movement.position_mm[start - 2..=start].iter().copied()) - movement.position.mean).abs();
+    let moved_mm = (mean(&movement.position_mm[start - 2..=start]) - movement.position.mean).abs();
     let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(movement.position.quantum);
     if moved_mm > noise_mm.max(LEAST_SLIP * movement.travel_mm) {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });

@@ -6,9 +6,12 @@ use statrs::function::erf::erf;
 
 use super::{
     movement::{INRUSH_S, MIN_QUIET, Movement},
-    samples::{every, largest, quantum, samples_in},
+    samples::{every, quantum, samples_in},
 };
-use crate::{estimate::rejection::Rejection, throw::Channel};
+use crate::{
+    estimate::{lanes::largest, rejection::Rejection},
+    throw::Channel,
+};
 
 /// Largest plausible current \[A\]; public recordings contain 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;

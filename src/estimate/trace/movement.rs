@@ -1,7 +1,9 @@
 //! The course of a throw from its two channels, without a model: start and end of the motor, positions before and after
 //! the movement, and levels of the sensors at rest.
 
-use super::samples::{Level, mean, median_distance, median_of, peak, quantum, samples_in, second_difference_noise};
+use super::samples::{
+    Level, first, mean, mean_distance, median_distance, median_of, peak, quantum, samples_in, second_difference_noise,
+};
 use crate::{estimate::features::Features, throw::Channel};
 
 /// The search for the start of the motor begins where the current exceeds this share of its peak: above sensor noise,
@@ -93,10 +95,15 @@ pub(crate) struct Movement<'a> {
 }
 
 impl<'a> Movement<'a> {
-    /// Determines the course of a throw.
-    pub(crate) fn of(current: &'a [f64], position: &'a [f64], interval_s: f64, scratch: &mut Vec<f64>) -> Self {
+    /// Determines the course of a throw; `start`: the result of [`start_of_motor`].
+    pub(crate) fn of(
+        current: &'a [f64],
+        position: &'a [f64],
+        interval_s: f64,
+        start: Option<usize>,
+        scratch: &mut Vec<f64>,
+    ) -> Self {
         let len = current.len();
-        let start = start_of_motor(current, interval_s, scratch);
         let quiet = start.map_or(len, |start| start + 1);
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
@@ -129,11 +136,11 @@ impl<'a> Movement<'a> {
         let reached_mm = if distance(with_motor) > distance(end_mm) { with_motor } else { end_mm };
         let moved = reached_mm - position_level.mean;
         let sign = if moved == 0.0 { 0.0 } else { moved.signum() };
-        let progress = |k: usize| sign * (position[k] - position_level.mean);
+        let reached = |from, least_mm| first(position, from, least_mm, |x| sign * (x - position_level.mean));
         let travel_mm = moved.abs();
-        let near_end = (0..len).find(|&k| progress(k) >= NEAR_END_SHARE * travel_mm).unwrap_or(len - 1);
+        let near_end = reached(0, NEAR_END_SHARE * travel_mm).unwrap_or(len - 1);
         let slack = (ARRIVED_SIGMAS * position_level.sd).max(ARRIVED_SHARE * travel_mm);
-        let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
+        let arrived = reached(near_end, travel_mm - slack).unwrap_or(len - 1);
         // A noisy position does not show the arrival.
         let is_clear = arrived > quiet && position_level.sd <= LARGEST_POSITION_SHARE * travel_mm;
         if let Some(off) = motor_off.filter(|off| *off > arrived && is_clear) {
@@ -141,14 +148,14 @@ impl<'a> Movement<'a> {
             let before_a = median_distance(&current[since..=arrived], level.mean, scratch);
             let driving = threshold(&level, peak_a).max(DRIVING_SHARE * before_a);
             // A mean decides, as single samples of a noisy detection circuit are as large as those of a motor.
-            let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
+            let drives = |values: &[f64]| (mean(values) - level.mean).abs() > driving;
             let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
             motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
         }
         // In a slow recording one sample of the inrush would have as much charge as the rest of the throw.
         let from = (quiet + usize::from(hides_inrush(interval_s))).min(len - 1);
         let on = from..motor_off.map_or(0, |off| off + 1).max(from);
-        let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
+        let mean_a = mean_distance(&current[on], level.mean);
         Self {
             current_a: current,
             position_mm: position,
@@ -202,7 +209,7 @@ impl<'a> Movement<'a> {
     /// Whether the motor still drives at the end of the trace: the current is at least half of its mean.
     pub(crate) fn ends_driven(&self) -> bool {
         let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET)..];
-        mean(last.iter().map(|i| (i - self.current.mean).abs())) > 0.5 * self.mean_a
+        mean_distance(last, self.current.mean) > 0.5 * self.mean_a
     }
 
     /// Last sample before the motor's start, or the first of the trace.
@@ -212,8 +219,12 @@ impl<'a> Movement<'a> {
 
     /// First sample at which the toe is released; `None` if it is never.
     pub(crate) fn released(&self) -> Option<usize> {
-        let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
-        (self.start()..self.position_mm.len()).find(|&k| self.progress_mm(k) >= least_mm)
+        self.reached(self.start(), (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd))
+    }
+
+    /// First sample from `from` on at which the toe has moved by `least_mm`.
+    fn reached(&self, from: usize, least_mm: f64) -> Option<usize> {
+        first(self.position_mm, from, least_mm, |x| self.sign * (x - self.position.mean))
     }
 
     /// Distance of the toe from its position at rest \[mm\], positive in the direction of the throw.
@@ -249,12 +260,11 @@ impl<'a> Movement<'a> {
     fn end_rise_a(&self) -> Option<f64> {
         let off = self.motor_off?;
         let is_clear = self.travel_mm > 0.0 && self.position_noise_mm <= LARGEST_POSITION_SHARE * self.travel_mm;
-        let (drive, len) = (self.drive(), self.position_mm.len());
+        let drive = self.drive();
         let mean_a = |[from, to]: [f64; 2], since: usize| {
-            let reached = |share: f64, since| (since..len).find(|&k| self.progress_mm(k) >= share * self.travel_mm);
-            let from = reached(from, since)?;
-            let to = reached(to, from)?.min(off + 1);
-            (to >= from + LEAST_IN_PART).then(|| drive * mean(self.current_a[from..to].iter().copied()))
+            let from = self.reached(since, from * self.travel_mm)?;
+            let to = self.reached(from, to * self.travel_mm)?.min(off + 1);
+            (to >= from + LEAST_IN_PART).then(|| drive * mean(&self.current_a[from..to]))
         };
         let end_a = is_clear.then(|| mean_a(END_PART, self.near_end)).flatten()?;
         Some(end_a - mean_a(RUNNING_PART, self.start())?).filter(|rise_a| rise_a.is_finite())
@@ -265,7 +275,6 @@ impl<'a> Movement<'a> {
         let start = self.start();
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * self.interval_s;
         let on_s = self.motor_off.map(since_start_s);
-        let magnitude = |i: &f64| (i - self.current.mean).abs();
         let is_measured =
             |charge_as: f64| !hides_inrush(self.interval_s) || self.peak_a * self.interval_s < SAMPLE_SHARE * charge_as;
         let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
@@ -276,7 +285,7 @@ impl<'a> Movement<'a> {
             peak_current_a: Some(self.peak_a).filter(|peak_a| peak_a.is_finite()),
             running_current_a: running
                 .filter(|running| !running.is_empty())
-                .map(|running| mean(self.current_a[running].iter().map(magnitude))),
+                .map(|running| mean_distance(&self.current_a[running], self.current.mean)),
             mean_current_a: self.motor_off.map(|_| self.mean_a).filter(|mean_a| mean_a.is_finite()),
             end_rise_a: self.end_rise_a(),
             run_on_s: self.motor_off.map(|off| off.saturating_sub(self.arrived) as f64 * self.interval_s),

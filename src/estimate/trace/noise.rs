@@ -5,7 +5,7 @@ use super::{
     samples::{samples_in, second_difference_noise},
 };
 use crate::{
-    estimate::{rejection::Rejection, settings::Settings},
+    estimate::{lanes::sum, rejection::Rejection, settings::Settings},
     throw::Channel,
 };
 
@@ -42,8 +42,9 @@ fn within(movement: &Movement<'_>, limits: [(f64, Option<f64>); 2]) -> Result<()
     Ok(())
 }
 
-/// Shortest stretch whose noise is compared with the usual noise \[samples\].
-const NOISE_SAMPLES: usize = 64;
+/// Second differences are summed in groups of this many, and stretches of this many groups or more are compared.
+const GROUP: usize = 16;
+const LEAST_GROUPS: usize = 4;
 /// Least noise that hides the vibrations of the machine, as share of the configured noise.
 const LEAST_NOISE: f64 = 0.5;
 /// Allowed deviation of a stretch \[standard deviations\]: one false rejection in 3 million stretches.
@@ -66,7 +67,7 @@ pub(crate) fn noise_level(
 ) -> Result<(), Rejection> {
     let current = movement.current_a;
     let quiet = &current[..movement.quiet];
-    if quiet.len() < NOISE_SAMPLES {
+    if quiet.len() < LEAST_GROUPS * GROUP {
         return Ok(());
     }
     let last = movement.near_end + 1;
@@ -84,26 +85,33 @@ pub(crate) fn noise_level(
         return Ok(());
     }
     let settled = movement.start() + samples_in(INRUSH_S, movement.interval_s);
+    let square = (6.0 * usual * usual).recip();
     scratch.clear();
-    scratch.push(0.0);
-    let (mut sum, square) = (0.0, 6.0 * usual * usual);
-    for (k, [a, b, c]) in current[..last].array_windows().enumerate() {
-        if (settled..last).contains(&k) || k + 3 < movement.start() {
-            sum += (c - 2.0 * b + a).powi(2) / square;
-            scratch.push(sum);
-        }
+    for part in [&current[..movement.start().saturating_sub(1)], current[..last].get(settled..).unwrap_or_default()] {
+        scratch.extend(part.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).powi(2) * square));
     }
-    let mut width = NOISE_SAMPLES;
+    // The sums of all groups before each group, in place of their squares.
+    let groups = scratch.len() / GROUP;
+    let mut before = 0.0;
+    for group in 0..groups {
+        let own = sum([&scratch[group * GROUP..][..GROUP]], |[square]| square);
+        scratch[group] = before;
+        before += own;
+    }
+    scratch.truncate(groups);
+    scratch.push(before);
+    let mut width = LEAST_GROUPS;
     while width < scratch.len() {
+        let samples = (width * GROUP) as f64;
         // Limits of a mean of squares by Wilson and Hilferty. Neighbouring second differences share samples, so 35/18
         // of them count as one.
-        let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
+        let spread = 2.0 / 9.0 * (35.0 / 18.0) / samples;
         let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
         let (low, high) = (limit(-1.0), limit(1.0));
         for from in (0..scratch.len() - width).step_by(width / 4) {
-            let ratio = (scratch[from + width] - scratch[from]) / width as f64;
+            let ratio = (scratch[from + width] - scratch[from]) / samples;
             // In motion, vibrations of the machine may add to the noise.
-            let at_rest = from + width + 3 < movement.start();
+            let at_rest = (from + width) * GROUP + 3 < movement.start();
             if ratio < low || (at_rest && ratio > high) {
                 return Err(Rejection::GainChanged { ratio: ratio.sqrt() });
             }

@@ -20,8 +20,7 @@
 //! with the sampling interval h and the place f of the kink in its interval, from 0 to 1. This is 0.5 % of the inrush
 //! at 1 kHz and 2 % at 500 Hz, and would change the three coefficients as much.
 
-use nalgebra::Complex;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 use super::{
     movement::{MIN_QUIET, Movement, start_of_motor},
@@ -52,7 +51,7 @@ const FILTER_DELAY: f64 = 2.613_125_929_752_753;
 /// filter, adds the missing charge at the foot to it. `None` if the motor was never off or never on.
 pub(crate) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, scratch: &mut Vec<f64>) -> Option<f64> {
     let foot = start_of_motor(current, interval_s, scratch).filter(|foot| *foot > 0)?;
-    let offset = mean(current[..foot].iter().copied());
+    let offset = mean(&current[..foot]);
     let Some(onset) = onset(current, offset, foot) else { return Some(foot as f64 * interval_s) };
     if linear {
         onset.complete(current, foot);
@@ -178,39 +177,47 @@ fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f
         .map_or(foot_s, |best| best.1)
 }
 
-/// Fills `step` with a step from 0 to 1 at the time `released` \[s\], filtered, as mean over the interval after each
-/// sample.
-pub(crate) fn course(step: &mut Vec<f64>, len: usize, released: f64, interval_s: f64, filter_hz: Option<f64>) {
+/// Fills `step` with a step from 0 to `height` at the time `released` \[s\], filtered, as mean over the interval after
+/// each sample.
+pub(crate) fn course(
+    step: &mut Vec<f64>,
+    (len, interval_s): (usize, f64),
+    (released, height): (f64, f64),
+    filter_hz: Option<f64>,
+) {
+    let settled_s = released + filter_hz.map_or(0.0, |hz| SETTLED / (TAU * hz));
+    let settled = (samples_in(settled_s, interval_s) + 2).min(len);
     step.clear();
-    step.extend((0..len).map(|k| {
+    step.extend((0..settled).map(|k| {
         let from = k as f64 * interval_s - released;
-        match filter_hz {
-            None => ((from + interval_s) / interval_s).clamp(0.0, 1.0),
-            Some(hz) => 0.5 * (step_response(from, hz) + step_response(from + interval_s, hz)),
-        }
+        height
+            * match filter_hz {
+                None => ((from + interval_s) / interval_s).clamp(0.0, 1.0),
+                Some(hz) => 0.5 * (step_response(from, hz) + step_response(from + interval_s, hz)),
+            }
     }));
+    step.resize(len, height);
 }
 
-/// Response of a fourth-order Butterworth low-pass with the cut-off `hz` to a step at time 0.
+/// Time after a step at which the response of the filter is 1, in units of `1/ω_c`.
+const SETTLED: f64 = 60.0;
+/// sin(π/8) and cos(π/8).
+const SIN: f64 = 0.382_683_432_365_089_8;
+const COS: f64 = 0.923_879_532_511_286_7;
+
+/// Response of a fourth-order Butterworth low-pass with the cut-off `hz` to a step at time 0. Its poles are
+/// `ω_c` (-sin π/8 ± j cos π/8) and `ω_c` (-cos π/8 ± j sin π/8).
 fn step_response(time_s: f64, hz: f64) -> f64 {
     let x = TAU * hz * time_s;
     if x <= 0.0 {
         return 0.0;
     }
-    if x > 60.0 {
+    if x > SETTLED {
         return 1.0;
     }
-    // Poles e^{j 5π/8}, e^{j 7π/8} and their conjugates; each contributes the residue of 1/(s Π (s - p)).
-    let angles = [5.0, 7.0].map(|eighths: f64| Complex::from_polar(1.0, eighths * TAU / 16.0));
-    let poles = [angles[0], angles[0].conj(), angles[1], angles[1].conj()];
-    let transient: f64 = [0, 2]
-        .into_iter()
-        .map(|i| {
-            let others = (0..4).filter(|j| *j != i).fold(poles[i], |product, j| product * (poles[i] - poles[j]));
-            2.0 * ((poles[i] * x).exp() / others).re
-        })
-        .sum();
-    1.0 + transient
+    let slow = (-SIN * x).exp() * ((COS * x).cos() - (COS * x).sin());
+    let fast = (-COS * x).exp() * ((SIN * x).cos() + (SIN * x).sin());
+    1.0 + FRAC_1_SQRT_2 * slow - (1.0 + FRAC_1_SQRT_2) * fast
 }
 
 #[cfg(test)]

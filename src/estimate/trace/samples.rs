@@ -1,5 +1,7 @@
 //! Statistics of samples: level, noise, converter step, median and peak.
 
+use crate::estimate::lanes::{largest, sum};
+
 /// Mean and standard deviation of a channel at rest, in its unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Level {
@@ -23,8 +25,8 @@ impl Level {
         if values.is_empty() {
             return Self::default();
         }
-        let mean = mean(values.iter().copied());
-        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        let mean = mean(values);
+        let squares = sum([values], |[v]| (v - mean) * (v - mean));
         let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
         Self { mean, sd, samples: values.len(), quantum: 0.0 }
     }
@@ -35,32 +37,29 @@ pub(crate) fn peak(values: &[f64], level: f64) -> f64 {
     largest([values], |[v]| (v - level).abs()).max(0.0)
 }
 
-/// Largest of the function's results for all samples of signals with the same length; negative infinity without
-/// samples. It is computed in independent lanes without a branch, for speed.
-pub(crate) fn largest<const N: usize>(signals: [&[f64]; N], of: impl Fn([f64; N]) -> f64) -> f64 {
-    const LANES: usize = 8;
-    let mut most = [f64::NEG_INFINITY; LANES];
-    let chunks = signals.map(|signal| signal.as_chunks::<LANES>());
-    for at in 0..chunks[0].0.len() {
-        let chunk = chunks.map(|(chunks, _)| &chunks[at]);
-        for lane in 0..LANES {
-            let value = of(chunk.map(|samples| samples[lane]));
-            most[lane] = if value > most[lane] { value } else { most[lane] };
-        }
-    }
-    let rest = (0..chunks[0].1.len()).map(|at| of(chunks.map(|(_, rest)| rest[at])));
-    most.into_iter().chain(rest).fold(f64::NEG_INFINITY, f64::max)
-}
-
 /// Whether all tests are true. It counts them, as a loop that may end early takes three times as long.
 pub(crate) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
     let count = tests.len() as u64;
     tests.map(u64::from).sum::<u64>() == count
 }
 
-pub(crate) fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
-    if count > 0.0 { sum / count } else { 0.0 }
+/// Index of the first value from `from` on of which the function is at least `least`.
+pub(super) fn first(values: &[f64], from: usize, least: f64, of: impl Fn(f64) -> f64) -> Option<usize> {
+    // A fast check that nearly all parts of a trace fail.
+    const PART: usize = 64;
+    let parts = values.get(from..)?.chunks(PART);
+    let part = from + PART * parts.map(|part| largest([part], |[v]| of(v))).position(|largest| largest >= least)?;
+    values[part..].iter().position(|v| of(*v) >= least).map(|at| part + at)
+}
+
+/// Mean of the values; 0 without values.
+pub(crate) fn mean(values: &[f64]) -> f64 {
+    sum([values], |[v]| v) / values.len().max(1) as f64
+}
+
+/// Mean distance of the values from a level; 0 without values.
+pub(crate) fn mean_distance(values: &[f64], level: f64) -> f64 {
+    sum([values], |[v]| (v - level).abs()) / values.len().max(1) as f64
 }
 
 /// Number of whole sampling intervals in a time; both in s.

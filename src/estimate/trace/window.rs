@@ -106,10 +106,7 @@ impl Window {
             |released| released - from as f64 * interval_s,
         );
         self.equilibrium = movement.sign * (settings.neutral_mm - start_mm) * radians_per_mm;
-        release::course(&mut self.shift, to - from, released, interval_s, filter_hz);
-        for shift in &mut self.shift {
-            *shift *= self.equilibrium;
-        }
+        release::course(&mut self.shift, (to - from, interval_s), (released, self.equilibrium), filter_hz);
         let (current_sd, position_sd) = sensor_noise(settings, movement);
         // Filtered noise has more power below the cut-off than white noise with the same variance of the samples.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
