@@ -298,7 +298,7 @@ impl MachineMonitor {
     /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
         let settings = step.settings;
-        let departure = self.tracks.departure(throw);
+        let departure = self.tracks.departure(throw, settings);
         let suspicion = self.drift.suspicion(None, step.alarms);
         let residual = self.tracks.push(throw, self.order, suspicion, settings);
         let drift = residual.map(|residual| {

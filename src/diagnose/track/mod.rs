@@ -198,7 +198,7 @@ impl Tracks {
     }
 
     /// The departure of a throw from the previous throws of its direction; `None` with too few throws.
-    pub(super) fn departure(&self, throw: &Evaluated) -> Option<Departure> {
+    pub(super) fn departure(&self, throw: &Evaluated, settings: &Settings) -> Option<Departure> {
         /// Number of previous throws: few enough that the median follows the weather, and enough that a third of
         /// departures does not change it.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
@@ -218,7 +218,7 @@ impl Tracks {
             } else {
                 (change, of_one_throw)
             };
-            Departure { side: at, change, of_one_throw, is_complete: baseline.complete }
+            Departure { side: at, change, of_one_throw, is_complete: baseline.is_final(settings) }
         })
     }
 
@@ -339,8 +339,7 @@ impl Tracks {
     /// size, if this is above the warning limit; and the mean temperature of these throws.
     fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<Blindness> {
         let track = &self.sides[side];
-        let thresholds =
-            track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(|baseline| baseline.complete))?;
+        let thresholds = track.thresholds.as_ref().filter(|_| track.is_final(settings))?;
         let window = level.filter(|window| window.temperature_sd != Vector3::zeros())?;
         let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
         let over_limit = |cause: Cause| {
@@ -375,7 +374,8 @@ impl Tracks {
         let streams = [mixed, Some(own)].into_iter().flatten();
         let means: Vec<(Matrix3<f64>, f64)> = streams
             .flat_map(|(scatter, thresholds, centre_throws)| {
-                let of_mean = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws);
+                let of_scale = Matrix3::repeat(if track.of_ratios { UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD } else { 0.0 });
+                let of_mean = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws) + of_scale;
                 WINDOWS.into_iter().enumerate().map(move |(at, throws)| (of_mean(throws), thresholds.of(at)))
             })
             .collect();
@@ -385,7 +385,9 @@ impl Tracks {
             let least = visible.min_by(f64::total_cmp).filter(|least| *least > critical_pct)?;
             Some((cause, least, least / critical_pct))
         };
-        Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
+        // Ratios never show the inertia, of which a caveat says so.
+        let is_shown = |cause: &Cause| !(track.of_ratios && *cause == Cause::Inertia);
+        Cause::PHYSICAL.into_iter().filter(is_shown).filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
     }
 
     /// Whether no baseline has a temperature.
@@ -436,7 +438,7 @@ impl Tracks {
         let track = &self.sides[direction.side()];
         match &track.baseline {
             Some(baseline) if baseline.is_final(settings) => (baseline.throws, baseline.throws),
-            _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
+            _ => (track.learned.len(), settings.baseline_throws),
         }
     }
 
