@@ -99,7 +99,7 @@ impl MachineMonitor {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
                 self.trail.push(at, residual, &of_one_throw);
             }
-            let shared = site::shared_part(residual, common);
+            let shared = residual.map_or_else(Vector3::zeros, |residual| site::shared_part(&residual, common));
             self.drift.share(&shared, settings);
             throw.log = (Vector3::from(throw.log) - shared).into();
         }
