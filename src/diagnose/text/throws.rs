@@ -18,8 +18,7 @@ pub(crate) fn incomplete(
     direction: Option<Direction>,
     in_a_row: u32,
     last: Option<&Rejection>,
-    is_usual_current: bool,
-    is_first: bool,
+    (is_usual_current, is_first): (bool, bool),
 ) -> String {
     let (throws, were) = throws_in_a_row(in_a_row);
     let what = format!("{throws} {were} not completed");
