@@ -401,13 +401,13 @@ impl Operation {
 }
 
 /// Raises the alarm that the machine, or only a direction, is not monitored. An active alarm changes if its reason is
-/// another, as silence instead of throws that cannot be evaluated, or if it concerns the other direction too. Two
-/// loggers explain that throws are not evaluated.
+/// another, as silence instead of throws that cannot be evaluated, or if it concerns the other direction, alone or too.
+/// Two loggers explain that throws are not evaluated.
 pub(crate) fn not_monitored(rule: Rule, direction: Option<Direction>, text: String, step: &mut Step) {
     let event = AlarmEvent { direction, ..step.warning(Cause::NotMonitored, text) };
     match step.alarms.find_active(Cause::NotMonitored).map(|alarm| (alarm.rule, alarm.last.direction)) {
         Some((Rule::TwoLoggers, _)) if matches!(rule, Rule::Usual | Rule::Blind) => {}
-        Some((before, of)) if before != rule || of.is_some() && direction.is_none() => {
+        Some((before, of)) if before != rule || of.is_some() && of != direction => {
             step.alarms.raise_anew(rule, event);
         }
         _ => _ = step.alarms.raise(rule, event),
