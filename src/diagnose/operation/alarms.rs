@@ -157,6 +157,12 @@ pub(crate) struct Operation {
     pub(super) calm_s: f64,
 }
 
+/// Updates the value of the last throw, and the number of consecutive throws with a value.
+fn follow<T>(last: &mut Option<(T, u32)>, now: Option<T>) {
+    let before = last.take().map_or(0, |(_, throws)| throws);
+    *last = now.map(|now| (now, before.saturating_add(1)));
+}
+
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
@@ -194,13 +200,9 @@ impl Operation {
                 None => own.rejected = None,
             }
         }
-        let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
-        self.unused_fields = unused_fields.clone().map(|sentence| (sentence, before.saturating_add(1)));
-        let before = self.short.take().map_or(0, |(_, throws)| throws);
-        self.short = features
-            .travel_mm
-            .zip(observation.short_of_stroke_mm)
-            .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm].map(to_f32), before.saturating_add(1)));
+        follow(&mut self.unused_fields, unused_fields.clone());
+        let short = features.travel_mm.zip(observation.short_of_stroke_mm);
+        follow(&mut self.short, short.map(|(travel_mm, stroke_mm)| [travel_mm, stroke_mm].map(to_f32)));
         streak(&mut self.without_coefficients, observation.has_features_only());
         let is_named = observation.is_without_position() || observation.unusual_run_s.is_some();
         let named = direction.filter(|_| is_named);

@@ -53,11 +53,11 @@ impl Tracks {
             let [(larger, size), (other, smaller)] = larger_first([(first, a), (second, b)], |(_, size)| *size);
             return Some(if smaller / size < ONE_SIDED && !differ { larger } else { larger.or_as(other) });
         };
-        let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
+        let baselines = self.baselines();
+        let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent), baselines);
         // The course ends with the last throw that shows the size.
         let since = stream.since_counted(weights);
-        let baselines = self.baselines();
-        let recent = stream.points(weights, baselines, now - since);
+        let recent = stream.points(weights, now - since);
         // The history consists of blocks, each with throws of both directions.
         let oldest = recent.first()?.age;
         let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
@@ -71,8 +71,8 @@ impl Tracks {
     fn course_of(&self, at: usize, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>, now: u64) -> Option<Course> {
         let baselines = self.baselines();
         let baseline = baselines[at]?;
-        let stream = Stream::of(&self.sides[at].recent, at);
-        let points = stream.points(weights, baselines, now - stream.since_counted(weights));
+        let stream = Stream::of(&self.sides[at].recent, at, baselines);
+        let points = stream.points(weights, now - stream.since_counted(weights));
         Course::of(&points, noise(&baseline.scatter, baseline.centre_throws(), weights, temperature_sd))
     }
 
