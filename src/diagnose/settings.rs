@@ -42,7 +42,8 @@ settings! {
         pub temperature_span_k: f64 = 10.0, Within(1.0, 100.0, "");
         /// Consecutive throws with a drift until its alarm is raised. 1 to 100.
         pub on_delay_throws: u32 = 2, Within(1.0, 100.0, "");
-        /// Consecutive throws without a drift until an alarm is cleared; drift alarms need at least 12. 1 to 10,000.
+        /// Consecutive throws without a fault until its alarm is cleared. Some alarms need more, as those about drifts at
+        /// least 12. 1 to 10,000.
         pub off_delay_throws: u32 = 12, Within(1.0, 10_000.0, "");
         /// Throws below the deadband until an alarm just below its limit clears. 1 to 100,000.
         pub hold_throws: u32 = 200, Within(1.0, 100_000.0, "");
@@ -54,7 +55,8 @@ settings! {
         pub slow_throw_pct: f64 = 20.0, Within(1.0, 1_000.0, "");
         /// Excess over the baseline's duration of a critically slow throw. `slow_throw_pct` to 10,000 %.
         pub slow_throw_critical_pct: f64 = 50.0;
-        /// Consecutive throws without an estimate until a machine is not monitored. 1 to 10,000.
+        /// Consecutive throws without an estimate and without monitored features until a machine, or a direction, is not
+        /// monitored. 1 to 10,000.
         pub not_monitored_throws: u32 = 20, Within(1.0, 10_000.0, "");
         /// Time without a throw until a machine is not monitored. 0.1 to 100,000 h.
         pub not_monitored_hours: f64 = 168.0, Within(0.1, 100_000.0, "");

@@ -4,10 +4,10 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{
-        AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Missing, Observation,
+        AlarmEvent, AlarmState, Away, Cause, Command, Irregularity, MachineMonitor, MachineState, Missing, Observation,
         SensorChannel, Settings, Severity,
     },
-    throw::{Direction, Throw, ThrowRef, utc},
+    throw::{Direction, MachineId, Throw, ThrowRef, utc},
 };
 
 use crate::{
@@ -81,6 +81,10 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
     assert_eq!(summary(&feed(&mut machine, 1, |_| {})), [ended]);
     assert_eq!(pass(&mut machine.monitor, &mut now, 5, there), []);
+    // The first throw after its return is rejected.
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
+    assert_eq!(feed(&mut machine, 1, |o| o.outcome = None), []);
+    assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 5, there)), [ended]);
     // After its return with throws without an estimate the machine is still not monitored.
     assert_eq!(summary(&pass(&mut machine.monitor, &mut now, 15, away)), [raised]);
     let many = i64::from(settings.not_monitored_throws);
@@ -103,6 +107,33 @@ fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
     assert_eq!(feed(&mut machine, 5, |throw| throw.received_at = Some(received)), []);
     let events = feed(&mut machine, 1, |throw| throw.received_at = Some(now));
     assert_eq!(summary(&events), [ended(Cause::NotMonitored)]);
+}
+
+/// The machine of an unreadable snapshot has made throws.
+#[test]
+fn silence_after_the_return_to_an_earlier_version_is_noticed() {
+    let start = Timestamp::UNIX_EPOCH;
+    let silent = |mut monitor: MachineMonitor| {
+        let tick = |hour| monitor.tick(start + SignedDuration::from_hours(hour), &Settings::default());
+        summary(&(0..24 * 8).flat_map(tick).collect::<Vec<_>>())
+    };
+    assert_eq!(silent(MachineMonitor::instead_of("{}".to_owned(), "21B")), [raised(Cause::NotMonitored)]);
+    assert_eq!(silent(MachineMonitor::new("21B")), []);
+}
+
+#[test]
+fn a_further_daemon_that_is_away_needs_a_new_acknowledgement() {
+    use AlarmState::{ActiveAcknowledged, ActiveUnacknowledged, Normal};
+    let (settings, mut monitor) = (Settings::default(), MachineMonitor::new("pointsd"));
+    let mut states = Vec::new();
+    for away in [&["one"][..], &["one", "two"], &["two"], &["one", "two"], &[]] {
+        let at = Timestamp::UNIX_EPOCH;
+        let daemons = away.iter().map(|id| (MachineId::new("north", id).unwrap(), Some(at))).collect();
+        states.push(monitor.peers(&Away { daemons, has_link: true }, at, &settings)[0].state);
+        let ack = Command::Ack { cause: Cause::NotMonitored, by: "mia".to_owned() };
+        let _ = monitor.command(&ack, at, &settings);
+    }
+    assert_eq!(states, [ActiveUnacknowledged, ActiveUnacknowledged, ActiveAcknowledged, ActiveUnacknowledged, Normal]);
 }
 
 #[test]

@@ -190,7 +190,12 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     assert_eq!(summary(&events), [raised(Cause::NotMonitored)]);
     let text = &events[0].text;
     assert!(text.contains("reverse to normal") && text.contains("Check for a load that varies"), "{text}");
+    assert_eq!(events[0].direction, Some(Direction::ReverseToNormal));
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
+    // The other direction too is a worse fault.
+    let both = feed(&mut machine, 40, |o| o.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 })));
+    assert_eq!(summary(&both), [raised(Cause::NotMonitored)]);
+    assert!(both[0].direction.is_none() && both[0].text.contains("so the machine is not monitored"), "{}", both[0].text);
     assert_eq!(summary(&feed(&mut machine, 8, |_| {})), [ended(Cause::NotMonitored)]);
 }
 
@@ -290,6 +295,8 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let events = feed(&mut machine, 25, without);
     assert_eq!(events[0].channel, Some(SensorChannel::Position));
     assert_eq!(machine.monitor.state(), MachineState::NotMonitored);
+    let caveats = machine.monitor.caveats();
+    assert!(!caveats.iter().any(|caveat| caveat.contains("charge are monitored")), "{caveats:?}");
     // The sensor was removed for good.
     let at = machine.throw(Vector3::zeros()).started_at;
     let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "no toe sensor any more".to_owned() };
@@ -424,6 +431,35 @@ fn a_lost_toe_sensor_makes_no_throw_slow() {
     assert_eq!(causes, [Cause::Sensor, Cause::NotMonitored], "{events:?}");
 }
 
+/// The duration of a recording that ends before the toe arrives is a lower bound.
+#[test]
+fn throws_that_are_cut_off_do_not_end_the_alarm_about_slow_ones() {
+    let mut machine = machine();
+    let lasts = |factor: f64| move |o: &mut Observation| o.features.duration_s = Some(4.3 * factor);
+    let cut = |o: &mut Observation| {
+        (o.outcome, o.features.duration_s) = (Some(Err(Rejection::EndMissing { travel_mm: 80.0 })), Some(4.0));
+    };
+    assert_eq!(summary(&feed(&mut machine, 10, lasts(1.3))), [raised(Cause::SlowThrow)]);
+    let events = feed(&mut machine, 40, cut);
+    assert!(events.iter().all(|event| event.cause != Cause::SlowThrow), "{events:?}");
+    let events = feed(&mut machine, 20, lasts(1.0));
+    assert!(summary(&events).contains(&ended(Cause::SlowThrow)), "{events:?}");
+}
+
+#[test]
+fn a_wrong_clock_explains_slow_throws() {
+    for (is_clock, slow) in [(true, 0), (false, 1)] {
+        let mut machine = machine();
+        let too_slow = |o: &mut Observation| {
+            o.outcome = Some(Err(Rejection::TooSlow { duration_s: 60.0, longest_s: 30.0, rate_hz: 33.0 }));
+        };
+        let events = feed(&mut machine, if is_clock { 3 } else { 0 }, too_slow);
+        assert_eq!(events.iter().any(|event| event.channel == Some(SensorChannel::Clock)), is_clock, "{events:?}");
+        let events = feed(&mut machine, 6, |o| o.features.duration_s = Some(4.3 * 1.3));
+        assert_eq!(events.iter().filter(|event| event.cause == Cause::SlowThrow).count(), slow, "{events:?}");
+    }
+}
+
 /// Less friction does not make a throw slow, and hides no other reason.
 #[test]
 fn only_a_drift_that_lengthens_a_throw_explains_slow_throws() {
@@ -495,11 +531,17 @@ fn a_new_baseline_ends_the_alarms_that_compare_with_the_old_one() {
     assert_eq!(summary(&ended), [(Cause::Supply, Severity::Warning, AlarmState::Normal)]);
     assert!(ended[0].text.contains("new baseline"), "{}", ended[0].text);
 
-    let mut machine = machine();
-    feed(&mut machine, 5, |o| o.features.duration_s = Some(8.0));
-    let at = machine.throw(Vector3::zeros()).started_at;
-    let ended = machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
-    assert_eq!(summary(&ended), [(Cause::SlowThrow, Severity::Critical, AlarmState::Normal)]);
+    let mut slow = machine();
+    feed(&mut slow, 5, |o| o.features.duration_s = Some(8.0));
+    let mut hot = machine();
+    feed(&mut hot, 20, |o| o.temperature_c = Some(850.0));
+    for (mut machine, cause, severity) in
+        [(slow, Cause::SlowThrow, Severity::Critical), (hot, Cause::Sensor, Severity::Warning)]
+    {
+        let at = machine.throw(Vector3::zeros()).started_at;
+        let ended = machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
+        assert_eq!(summary(&ended), [(cause, severity, AlarmState::Normal)]);
+    }
 }
 
 /// An order that was given while the clock was years ahead ends within the longest allowed time.

@@ -2,7 +2,10 @@
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, Cause, Common, MachineMonitor, Settings};
+use pointsd::{
+    diagnose::{AlarmEvent, Cause, Common, MachineMonitor, Settings},
+    estimate::Grade,
+};
 
 use crate::fleet::{Machine, Scatter, shift};
 
@@ -141,4 +144,21 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     assert!(later[0].text.contains("too few of the machines"), "{}", later[0].text);
     assert!(later[0].event_at > night + SignedDuration::from_hours(24 * 6), "{}", later[0].event_at);
     assert!(Common::default() == MachineMonitor::common(std::iter::empty(), events[0].event_at));
+}
+
+/// A rough throw is not compared with the other machines, so nothing is known of the common change.
+#[test]
+fn a_machine_whose_throws_became_rough_shares_no_change() {
+    let mut site = Site::new(74_000, 5);
+    for throw in 0..160 {
+        let weather = if throw >= 140 { shift(Cause::Friction, -25.0) } else { Vector3::zeros() };
+        site.throw(weather, |_| Vector3::zeros());
+    }
+    let machine = &mut site.machines[0];
+    let is_shared = |caveats: Vec<String>| caveats.iter().any(|caveat| caveat.contains("is common to most machines"));
+    assert!(is_shared(machine.monitor.caveats()));
+    let mut rough = machine.throw(shift(Cause::Friction, -25.0));
+    let estimate = rough.outcome.as_mut().unwrap().as_mut().unwrap();
+    (estimate.grade, estimate.ratios_only) = (Grade::Rough, true);
+    assert!(!is_shared(machine.observe(&rough).present.caveats));
 }

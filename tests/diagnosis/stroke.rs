@@ -1,5 +1,7 @@
 //! Points that stop at another place, and a motor that runs on where they stop. The coefficients stay as they were.
 
+use std::cell::Cell;
+
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Command, MachineState, Observation, Settings, Severity},
     estimate::Rejection,
@@ -56,6 +58,20 @@ fn a_toe_that_stops_short_is_found_without_a_toe_sensor() {
         let mended: Vec<AlarmState> = drive.events(60, State::SOUND).iter().map(|event| event.state).collect();
         assert_eq!(mended, [AlarmState::ClearedUnacknowledged]);
     }
+}
+
+#[test]
+fn a_toe_that_stops_short_is_found_between_rejected_throws() {
+    let mut drive = Drive::after(60, 78_500, Voltage::Unknown);
+    let throws = Cell::new(0);
+    let reject_fifth = |throw: &mut Observation| {
+        throws.set(throws.get() + 1);
+        if throws.get() % 5 == 0 {
+            throw.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 }));
+        }
+    };
+    let events = drive.events_with(40, State { stroke: 0.93, ..State::SOUND }, reject_fifth);
+    assert!(!events.is_empty() && events.iter().all(|event| is_about(event, "the toe is shorter")), "{events:#?}");
 }
 
 /// A rejected throw shows no travel that the other direction could speak for.

@@ -236,7 +236,7 @@ impl Command {
     pub fn validate(&self, now: Timestamp, settings: &Settings) -> Result<(), CommandError> {
         // Control characters could be commands to the terminal on which the text is shown.
         let fits = |text: &str| {
-            (1..=Self::MAX_TEXT).contains(&text.trim().chars().count()) && !text.chars().any(char::is_control)
+            !text.trim().is_empty() && text.chars().count() <= Self::MAX_TEXT && !text.chars().any(char::is_control)
         };
         if !fits(self.by()) {
             return Err(CommandError::Text { field: "by" });

@@ -149,6 +149,8 @@ impl Alarms {
     /// `OutOfService` instead. An alarm whose event has the state `Normal` is removed.
     fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) {
         let alarm = &mut self.open[index];
+        // A throw may have been made before the raise, and received after it.
+        let at = at.max(alarm.last.raised_at);
         let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
         alarm.last.event_no += 1;
         alarm.last.event_at = at;
@@ -159,9 +161,9 @@ impl Alarms {
             State::Active { acknowledged } => {
                 alarm.last.acknowledged_by = acknowledged.as_ref().map(|acknowledged| acknowledged.by.clone());
             }
-            State::Cleared => alarm.last.acknowledged_by = None,
+            State::Cleared => (alarm.last.acknowledged_by, alarm.last.limit_in_throws) = (None, None),
             // The alarm ended with its acknowledgement or after it, or was never acknowledged.
-            State::Normal | State::Shelved { .. } => {}
+            State::Normal | State::Shelved { .. } => alarm.last.limit_in_throws = None,
         }
         if let Some(text) = text {
             // An operator's command may only append a sentence to the text of an earlier event, which keeps its time.
@@ -216,7 +218,7 @@ impl Alarms {
         if !is_worse && !is_other {
             return false;
         }
-        let text = if is_new { format!("{} {}", last.text, event.text) } else { event.text.clone() };
+        let text = format!("{} {}", last.text, event.text);
         if is_new {
             added.push(rule);
         }
@@ -252,14 +254,14 @@ impl Alarms {
         true
     }
 
-    /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor or by
-    /// another rule, it changes to the new fault if that `is_new`, and its text still has the fault before. So one
-    /// fault does not hide another.
+    /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor, an offset
+    /// or another fault of the supply, it changes to the new fault if that `is_new`, and its text still has the fault
+    /// before. So one fault does not hide another. An offset waits for the end of a fault that the gauges show, as that
+    /// one explains changed values.
     pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
         let is_other = |alarm: &&Alarm| {
-            alarm.last.channel != event.channel
-                || event.cause == Cause::Supply && alarm.rule != rule
-                || alarm.rule == Rule::Offset
+            let is_kind = alarm.rule != rule && (event.cause == Cause::Supply || alarm.rule == Rule::Offset);
+            (alarm.last.channel != event.channel || is_kind) && (alarm.rule, rule) != (Rule::Gauges, Rule::Offset)
         };
         match self.find_active(event.cause).filter(is_other).filter(|_| is_new) {
             Some(before) => {
@@ -295,20 +297,22 @@ impl Alarms {
         if stands { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
-    /// Replaces the evidence of an active alarm, and keeps its state.
+    /// Replaces the evidence of an active alarm, and keeps its state. Its text no longer has added faults, which are
+    /// added again.
     pub(super) fn update(&mut self, event: AlarmEvent) {
         if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
+            self.open[index].added.clear();
             self.renew(index, Rule::Usual, event);
         }
     }
 
     fn renew(&mut self, index: usize, rule: Rule, event: AlarmEvent) {
         let alarm = &mut self.open[index];
-        let at = event.event_at;
+        let (at, text) = (event.event_at, event.text.clone());
         let AlarmEvent { raised_at, event_no, .. } = alarm.last;
         (alarm.rule, alarm.is_unchecked) = (rule, false);
-        alarm.last = AlarmEvent { raised_at, event_no, text_at: Some(at), ..event };
-        self.event(index, at, Actor::default(), None);
+        alarm.last = AlarmEvent { raised_at, event_no, ..event };
+        self.event(index, at, Actor::default(), Some(text));
     }
 
     /// Takes over an open alarm of a monitor whose snapshot was lost. The alarm becomes a cleared one; it ends at once
@@ -324,9 +328,10 @@ impl Alarms {
         self.out_of_service = out_of_service;
     }
 
-    /// Adds an event with a text to an open alarm, without a change of its state.
+    /// Adds an event with a text to an open alarm, without a change of its state. See [`Self::update`].
     pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) {
         if let Some(index) = self.find(cause) {
+            self.open[index].added.clear();
             self.event(index, at, Actor::default(), Some(text));
         }
     }
@@ -338,9 +343,6 @@ impl Alarms {
         let State::Active { acknowledged } = alarm.state.beneath() else { return };
         let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
         *alarm.state.beneath_mut() = cleared;
-        alarm.last.limit_in_throws = None;
-        // The throw may have been made before the raise, and received after it.
-        let at = at.max(alarm.last.raised_at);
         self.event(index, at, Actor::default(), Some(text));
     }
 
@@ -477,5 +479,69 @@ impl Alarms {
     /// The latest event of every open alarm, oldest first.
     pub(super) fn events(&self) -> impl Iterator<Item = &AlarmEvent> {
         self.open.iter().map(|alarm| &alarm.last)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::{LimitForecast, Settings};
+
+    const AT: Timestamp = Timestamp::constant(1_000_000, 0);
+
+    fn step<T>(make: impl FnOnce(&Step) -> T) -> T {
+        let settings = Settings::default();
+        make(&Step { alarms: &mut Alarms::default(), name: "21B", at: AT, throw: None, settings: &settings })
+    }
+
+    fn unattributed(severity: Severity, text: &str) -> AlarmEvent {
+        step(|step| step.event(Cause::Unattributed, severity, text.to_owned()))
+    }
+
+    #[test]
+    fn an_offset_at_its_limit_is_one_event_and_takes_no_explanation_away() {
+        let of = |channel| step(|step| step.sensor(channel, "wrong".to_owned()));
+        let mut alarms = Alarms::default();
+        assert!(alarms.raise_another(Rule::Offset, of(SensorChannel::Current), true));
+        assert!(!alarms.raise_another(Rule::Offset, of(SensorChannel::Current), true), "the same offset again");
+        assert!(alarms.raise_another(Rule::Offset, of(SensorChannel::Position), true), "that of another sensor");
+        assert!(alarms.raise_another(Rule::Gauges, of(SensorChannel::Position), true), "its gain");
+        assert!(!alarms.raise_another(Rule::Offset, of(SensorChannel::Current), true));
+        assert_eq!(alarms.distorting_sensor(), Some(SensorChannel::Position));
+    }
+
+    #[test]
+    fn an_added_fault_stays_in_the_text_or_is_added_again() {
+        let mut alarms = Alarms::default();
+        let warning = |text| unattributed(Severity::Warning, text);
+        let text = |alarms: &Alarms| alarms.open[0].last.text.clone();
+        alarms.raise(Rule::Features, warning("Charge."));
+        assert!(alarms.raise(Rule::End, warning("End.")) && !alarms.raise(Rule::End, warning("End.")));
+        assert_eq!(text(&alarms), "Charge. End.");
+        alarms.remark(Cause::Unattributed, "More charge.".to_owned(), AT);
+        assert!(alarms.raise(Rule::End, warning("End.")));
+        assert_eq!(text(&alarms), "More charge. End.");
+        assert!(alarms.raise(Rule::End, unattributed(Severity::Critical, "Critical end.")));
+        assert_eq!(text(&alarms), "More charge. End. Critical end.");
+        assert!(!alarms.raise(Rule::End, unattributed(Severity::Critical, "Critical end.")));
+    }
+
+    #[test]
+    fn an_alarm_that_is_over_has_no_forecast_and_no_event_is_before_the_raise() {
+        let forecast = LimitForecast { low: 10.0, mid: 20.0, high: 30.0 };
+        let drift = AlarmEvent { limit_in_throws: Some(forecast), ..unattributed(Severity::Warning, "Drift.") };
+        for is_closed in [true, false] {
+            let mut alarms = Alarms::default();
+            alarms.raise(Rule::Usual, drift.clone());
+            let (before, over) = (Timestamp::UNIX_EPOCH, "Over.".to_owned());
+            if is_closed {
+                alarms.close(Cause::Unattributed, over, Actor::default(), before);
+            } else {
+                alarms.clear(Cause::Unattributed, over, before);
+            }
+            let [raised, ended] = &alarms.take_events()[..] else { panic!("two events") };
+            assert_eq!((raised.limit_in_throws, ended.limit_in_throws), (Some(forecast), None));
+            assert_eq!((ended.event_at, ended.text_at), (AT, Some(AT)));
+        }
     }
 }

@@ -9,7 +9,7 @@ use crate::diagnose::Cause;
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Rule {
     /// The usual rule of the cause. For a drift: the rule of the means of coefficients over windows of throws. For a
-    /// machine that is not monitored: throws that cannot be evaluated, or do not show every fault.
+    /// machine that is not monitored: throws that cannot be evaluated.
     #[default]
     Usual,
     /// Changed features of throws without coefficients.
@@ -37,6 +37,8 @@ pub(crate) enum Rule {
     Circuit,
     /// No throw arrives, or the logger is gone.
     Silence,
+    /// Throws that are evaluated, and do not show every fault.
+    Blind,
     /// Two loggers that publish as one machine, so that no throw is evaluated.
     TwoLoggers,
 }

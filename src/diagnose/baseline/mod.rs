@@ -221,9 +221,10 @@ impl Baseline {
         self.slopes.is_some()
     }
 
-    /// Whether it has all its throws. With a trend it is not complete even then.
+    /// Whether it has all its throws. With a trend it is not complete even then. A baseline that only a lower setting
+    /// makes full is taken again with the next throw, so that it becomes complete.
     pub(super) fn is_final(&self, settings: &Settings) -> bool {
-        self.complete || self.throws >= settings.baseline_throws
+        self.complete || self.has_trend() && self.throws >= settings.baseline_throws
     }
 
     pub(super) fn record(&self, direction: Direction, ratios_only: bool) -> BaselineRecord {
@@ -355,7 +356,7 @@ pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     let slopes = filling.slopes(bound.evidence);
     let limits = Cause::OF_COEFFICIENTS.map(|cause| settings.limit_pct(cause));
     let matters = |i: usize| {
-        let change_pct = 100.0 * slopes[i] * filling.len() as f64;
+        let change_pct = 100.0 * slopes[i] * filling.range();
         limits[i].is_some_and(|limit| change_pct.abs() > bound.part_of_limit * limit)
             && (is_end || change_pct * WEAR_SIGN[i] > 0.0)
     };
@@ -379,6 +380,26 @@ mod tests {
     /// Residuals of ratios to b0, with independent standard deviations of a1/b0 and a0/b0.
     fn residuals(sd: [f64; 2]) -> Vec<Vector3<f64>> {
         (0..48).map(|at| Vector3::new(0.0, sd[0] * [1.0, -1.0][at % 2], sd[1] * [1.0, -1.0][at / 2 % 2])).collect()
+    }
+
+    /// The change over the baseline is that of all throws of the machine, also of those between.
+    #[test]
+    fn rejected_throws_make_no_trend_smaller() {
+        let slopes = |apart: u32| {
+            // 9 % over the baseline.
+            let throw = |at: u32| BaselineThrow {
+                order: apart * at,
+                log: [5.0, 2.0 + 0.0009 * at as f32 + if at % 4 < 2 { 0.003 } else { -0.003 }, 1.0],
+                temperature_c: None,
+                duration_s: None,
+            };
+            let throws: Vec<BaselineThrow> = (0..100).map(throw).collect();
+            let sides = [0, 1].map(|side| throws.iter().skip(side).step_by(2));
+            trend(&filling(sides, Matrix3::zeros(), &[]), &Settings::default())
+        };
+        for apart in [1, 4] {
+            assert!(slopes(apart)[1] > 0.0, "{apart}: {:?}", slopes(apart));
+        }
     }
 
     #[test]

@@ -84,7 +84,7 @@ impl Filling {
     }
 
     /// Number of throws of the machine from the first to the last.
-    fn range(&self) -> f64 {
+    pub(crate) fn range(&self) -> f64 {
         self.throws.first().zip(self.throws.last()).map_or(0.0, |(first, last)| f64::from(last.order - first.order))
     }
 

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     AlarmEvidence, Attribution, Claim, Condition, Course, Departure, Drift, During, Explanation, History, Intermittent,
-    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, Transition, Window, explained,
-    friction_of_sound_motor,
+    Known, LEVELS_FOLLOW, LatestThrow, LimitForecast, MotorEvidence, Naming, Origin, TOO_CLOSE_PATIENCE, Transition,
+    Window, explained, friction_of_sound_motor,
 };
 use crate::{
     diagnose::{
@@ -186,8 +186,6 @@ impl DriftAlarms {
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
             (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-            // An alarm about an intermittent fault ends by its own rule.
-            (Transition::Clear { .. } | Transition::Withdraw, _) if step.alarms.rule(cause) != Some(Rule::Usual) => {}
             (Transition::Clear { at_once }, _) => {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
@@ -251,7 +249,7 @@ impl DriftAlarms {
         self.intermittent.push(departure, during, settings);
         let found = if is_active.is_some() {
             // A fault that became permanent is no longer intermittent: the usual rule takes over its alarm.
-            let becomes_permanent = is_active.is_some_and(|cause| self.counts_for(cause));
+            let becomes_permanent = is_active.is_some_and(|cause| self.counts_for(cause, settings));
             let is_over = self.intermittent.is_over() && !becomes_permanent;
             if is_over { RuleResult::Nothing } else { RuleResult::Unclear }
         } else {
@@ -279,16 +277,20 @@ impl DriftAlarms {
         }
     }
 
-    /// Whether the last throws speak for an alarm of the usual rule about `cause`.
-    fn counts_for(&self, cause: Cause) -> bool {
+    /// Whether the last throws speak for an alarm of the usual rule about `cause`. After more throws than an alarm waits
+    /// for, the drift may be the season's or near its limit, and raises none.
+    fn counts_for(&self, cause: Cause, settings: &Settings) -> bool {
+        let counts = 1..=settings.on_delay_throws + 2 * TOO_CLOSE_PATIENCE + LEVELS_FOLLOW;
         let is_beginning =
-            |condition: &Condition| matches!(condition, Condition::Quiet { onset, .. } if onset.named > 0);
+            |condition: &Condition| matches!(condition, Condition::Quiet { onset, .. } if counts.contains(&onset.named));
         Cause::DRIFTS.iter().zip(&self.conditions).any(|(own, condition)| *own == cause && is_beginning(condition))
     }
 
-    /// The suspicion of a drift, as a reason not to add the last throw to a baseline.
+    /// The suspicion of a drift, as a reason not to add the last throw to a baseline. A motor that runs on after the
+    /// movement does not change it.
     pub(crate) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
-        if alarms.active().any(|event| event.cause.is_drift()) {
+        let is_of_movement = |event: &AlarmEvent| alarms.rule(event.cause) != Some(Rule::RunOn);
+        if alarms.active().any(|event| event.cause.is_drift() && is_of_movement(event)) {
             Suspicion::Alarmed
         } else if drift.is_some_and(Drift::matters) {
             Suspicion::AboveLimit
@@ -310,9 +312,9 @@ impl DriftAlarms {
         Known { causes, level, gauges: Some(gauges), ..Known::default() }
     }
 
-    /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
+    /// Whether a drift is suspected or alarmed, or the motor runs on, so that throws do not count as healthy.
     pub(crate) fn is_suspicious(&self, alarms: &Alarms) -> bool {
-        !self.suspicion(None, alarms).is_none()
+        !self.suspicion(None, alarms).is_none() || alarms.owned_by(Rule::RunOn).is_some()
     }
 
     /// Counts a throw that cannot be judged. Returns whether the present is unknown, after 24 of them in a row.
@@ -504,6 +506,32 @@ fn severity_of_drift(cause: Cause, alarms: &Alarms) -> Option<Severity> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnose::drift::Beginning;
+
+    /// A slow change that may be the season's counts for ever.
+    #[test]
+    fn a_drift_that_counts_for_longer_than_an_alarm_waits_ends_an_intermittent_fault() {
+        let settings = Settings::default();
+        let counts_after = |named: u32| {
+            let onset = Beginning { named, critical: 0 };
+            let conditions = std::array::from_fn(|_| Condition::Quiet { onset, since_raised: None });
+            DriftAlarms { conditions, ..DriftAlarms::default() }.counts_for(Cause::Friction, &settings)
+        };
+        assert_eq!([0, 1, 40, 62, 63, 500].map(counts_after), [false, true, true, true, false, false]);
+    }
+
+    #[test]
+    fn a_motor_that_runs_on_stops_no_learning_of_the_movement() {
+        let settings = Settings::default();
+        for (rule, learns) in [(Rule::RunOn, true), (Rule::Travel, false)] {
+            let mut alarms = Alarms::default();
+            let at = Timestamp::UNIX_EPOCH;
+            let step = Step { alarms: &mut alarms, name: "21B", at, throw: None, settings: &settings };
+            let event = step.warning(Cause::Unattributed, "fault".to_owned());
+            alarms.raise(rule, event);
+            assert_eq!(DriftAlarms::default().suspicion(None, &alarms).is_none(), learns, "{rule:?}");
+        }
+    }
 
     #[test]
     fn a_named_part_comes_before_a_drift_without_a_name() {

@@ -11,7 +11,8 @@
 //! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
 //! - another name for 24 throws: another cause explains the drift.
 //!
-//! So an alarm near its limit does not alternate: without health it lasts at least `hold_throws`.
+//! So an alarm near its limit does not alternate: without health or another name it lasts at least `hold_throws`, and
+//! also with them if it was raised again within `hold_throws`.
 
 use serde::{Deserialize, Serialize};
 
@@ -206,9 +207,7 @@ impl Condition {
         let onset = Beginning::default();
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
-            Self::Raised { since_raised, ref ending, .. } => {
-                Self::Raised { onset, since_raised, ending: Box::new(Ending::new(ending.restless)) }
-            }
+            Self::Raised { since_raised, .. } => Self::Raised { onset, since_raised, ending: Box::default() },
         };
     }
 }
@@ -282,6 +281,21 @@ mod tests {
         let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
         let mut step = || condition.step(evidence, Some(Severity::Warning), &settings);
         (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
+    }
+
+    #[test]
+    fn an_alarm_that_came_back_soon_ends_after_a_maintenance_like_any_other() {
+        let (settings, onset) = (Settings::default(), Beginning::default());
+        let plain = AlarmEvidence { plain_health: true, ..AlarmEvidence::default() };
+        for is_reset in [false, true] {
+            let mut condition = Condition::Raised { onset, since_raised: 0, ending: Box::new(Ending::new(true)) };
+            if is_reset {
+                condition.reset();
+            }
+            let mut step = || condition.step(plain, Some(Severity::Warning), &settings);
+            let ended = (1..=300).find(|_| matches!(step(), Transition::Clear { .. }));
+            assert_eq!(ended, Some(if is_reset { LEVELS_FOLLOW } else { settings.hold_throws }));
+        }
     }
 
     /// After two throws at twice the size, which are scatter, and one below half of theirs.

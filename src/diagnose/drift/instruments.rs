@@ -284,17 +284,16 @@ impl Instruments {
             || self.speed_explains(attribution, window, lost.value.signum(), [of_start, of_inertia])
     }
 
-    /// Present fault of a sensor, by the gauges that it changes, as part of its size when it was named. `None` if the
-    /// gauges are unknown, or another sensor was named since.
-    fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
-        if sensor == Some(SensorChannel::Supply) {
+    /// Present fault of a sensor, by the gauges that it changes, as part of `named`, its size when it was named. `None`
+    /// if the gauges are unknown.
+    fn left_of(&self, (sensor, named): (SensorChannel, f64)) -> Option<f64> {
+        if sensor == SensorChannel::Supply {
             return self.gauges.voltage_error_size();
         }
-        let sensor = sensor.filter(|_| sensor == self.channel);
-        let suspect = SUSPECTS.iter().find(|suspect| sensor == Some(suspect.channel))?;
+        let suspect = SUSPECTS.iter().find(|suspect| suspect.channel == sensor)?;
         let levels = self.levels(WINDOWS[1]);
         let left = weighed(Level { value: 0.0, sd: f64::INFINITY }, &levels, &suspect.gauges);
-        let named = self.size / suspect.gain;
+        let named = named / suspect.gain;
         (left.sd.is_finite() && named != 0.0).then_some(left.value / named)
     }
 
@@ -330,10 +329,14 @@ impl Instruments {
         let is_alike = drift.origin == Origin::Past { is_alike: true };
         let delay = settings.on_delay_throws;
         let is_of_stroke = step.alarms.owned_by(Rule::Stroke).is_some();
-        let is_of_sensor = step.alarms.owned_by(Rule::Gauges).is_some();
-        let of_sensor = || step.alarms.faulty_sensor().filter(|_| is_of_sensor);
-        let open = if is_of_stroke { Some(SensorChannel::Position) } else { of_sensor() };
-        let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
+        let open = step.alarms.find_active(Cause::Sensor).filter(|alarm| alarm.rule == Rule::Gauges);
+        let is_of_sensor = open.is_some();
+        // The gauges may have shown another sensor since then, for some throws.
+        let of_alarm = open.and_then(|open| Some((open.last.channel?, (open.last.change_pct? / 100.0).ln_1p())));
+        let shown = self.channel.map(|channel| (channel, self.size));
+        let shown = shown.filter(|(channel, _)| !is_of_stroke || *channel == SensorChannel::Position);
+        let shown = of_alarm.filter(|_| !is_of_stroke).or(shown);
+        let left = shown.and_then(|shown| self.left_of(shown)).or_else(|| drift.attribution.is_none().then_some(0.0));
         let matters = fault.map(|_| of_drift.is_none() || drift.matters());
         self.sensor.follow(matters, is_alike, left, delay);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.

@@ -90,7 +90,7 @@ pub(crate) struct Departure {
     pub(crate) change: Vector3<f64>,
     /// Covariance of one throw.
     pub(crate) of_one_throw: Matrix3<f64>,
-    /// Whether the baseline of the direction is complete.
+    /// Whether the baseline of the direction has all its throws.
     pub(crate) is_complete: bool,
 }
 
@@ -104,8 +104,9 @@ pub(super) struct During {
 }
 
 impl Intermittent {
-    /// Adds a throw. Until the baseline is complete, the throw belongs to the healthy past. During a suspicion of a
-    /// drift no throw counts for the tails, and during an alarm the healthy rate stays as it is.
+    /// Adds a throw. Until the baseline has all its throws, the throw belongs to the healthy past. During a suspicion of a
+    /// drift no throw counts for the tails, during an alarm the healthy rate stays as it is, and while the departures
+    /// become more frequent they do not count for it.
     pub(super) fn push(&mut self, departure: &Departure, during: During, settings: &Settings) {
         let Departure { side, change: departure, ref of_one_throw, is_complete } = *departure;
         self.unknown = 0;

@@ -200,31 +200,35 @@ fn mean_sensor(throws: &[(usize, &RecentThrow)]) -> Matrix3<f64> {
     throws.iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws.len() as f64
 }
 
-/// The last throws of one direction, or of both, newest first.
-pub(crate) struct Stream<'a>(Vec<(usize, &'a RecentThrow)>);
+/// The last throws of one direction, or of both, newest first, with the baselines of both directions.
+pub(crate) struct Stream<'a> {
+    throws: Vec<(usize, &'a RecentThrow)>,
+    baselines: [Option<&'a Baseline>; 2],
+}
 
 impl<'a> Stream<'a> {
     /// The stream of one direction.
-    pub(crate) fn of(ring: &'a RecentThrows, direction: usize) -> Self {
-        Self(ring.iter().rev().map(|throw| (direction, throw)).collect())
+    pub(crate) fn of(ring: &'a RecentThrows, direction: usize, baselines: [Option<&'a Baseline>; 2]) -> Self {
+        Self { throws: ring.iter().rev().map(|throw| (direction, throw)).collect(), baselines }
     }
 
     /// The stream of both directions, in the order of the throws; as long as that of one direction.
-    pub(crate) fn mixed(rings: [&'a RecentThrows; 2]) -> Self {
-        let mut all = Self::all(rings);
-        all.0.truncate(KEPT);
+    pub(crate) fn mixed(rings: [&'a RecentThrows; 2], baselines: [Option<&'a Baseline>; 2]) -> Self {
+        let mut all = Self::all(rings, baselines);
+        all.throws.truncate(KEPT);
         all
     }
 
     /// All stored throws of both directions.
-    pub(crate) fn all(rings: [&'a RecentThrows; 2]) -> Self {
-        let mut all: Vec<_> = rings.into_iter().enumerate().flat_map(|(side, ring)| Self::of(ring, side).0).collect();
-        all.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
-        Self(all)
+    pub(crate) fn all(rings: [&'a RecentThrows; 2], baselines: [Option<&'a Baseline>; 2]) -> Self {
+        let of = |(side, ring)| Self::of(ring, side, baselines).throws;
+        let mut throws: Vec<_> = rings.into_iter().enumerate().flat_map(of).collect();
+        throws.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
+        Self { throws, baselines }
     }
 
     pub(crate) fn len(&self) -> usize {
-        self.0.len()
+        self.throws.len()
     }
 
     /// The window of the last `throws`, without the test of T. `None` with fewer throws, or without the baseline of one
@@ -235,8 +239,8 @@ impl<'a> Stream<'a> {
     /// the mean over the other throws, while the least-squares ratios are the mean over all throws. Therefore the
     /// throws of ratios get the mean scale of the others, and the covariance along (1, 1, 1) is that of the other
     /// throws only.
-    pub(crate) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
-        let last = self.0.get(..throws)?;
+    pub(crate) fn window(&self, throws: usize, scatter: &Scatter) -> Option<Window> {
+        let last = self.throws.get(..throws)?;
         let sensor = mean_sensor(last);
         let mut distances = [(0.0, 0.0); 2];
         let mut residuals = Vec::with_capacity(throws);
@@ -244,7 +248,7 @@ impl<'a> Stream<'a> {
             let (sum, count) = &mut distances[*side];
             *sum += f64::from(throw.distance_k);
             *count += 1.0;
-            residuals.push(baselines[*side]?.compensated(throw.raw()));
+            residuals.push(self.baselines[*side]?.compensated(throw.raw()));
         }
         let n = throws as f64;
         let scale = self.common_scale(&residuals, scatter);
@@ -255,20 +259,20 @@ impl<'a> Stream<'a> {
         let values = |i: usize| residuals.iter().map(|residual| residual[i]).collect::<Vec<_>>();
         let mut mean = Vector3::from_fn(|i, _| clipped_mean(&mut values(i), sd[i]));
         let mut temperature_sd = Vector3::zeros();
-        for (baseline, (sum, count)) in baselines.into_iter().zip(distances) {
+        for (baseline, (sum, count)) in self.baselines.into_iter().zip(distances) {
             if count > 0.0 {
                 temperature_sd += baseline?.temperature.effect_sd(sum / count) * (count / n);
             }
         }
-        let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
-        let mut misfit = self.mean_misfit(throws, baselines) / n;
+        let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, self.baselines)?);
+        let mut misfit = self.mean_misfit(throws) / n;
         let of_scale = match scale {
             // The only throw of ratios may be the one before the window, which the common scale includes.
             _ if last.iter().all(|(_, throw)| throw.has_scale()) => None,
             CommonScale::OfAll => None,
             CommonScale::OfSome { k, .. } => {
                 let scaled: Vec<_> = last.iter().filter(|(_, throw)| throw.has_scale()).copied().collect();
-                let centre = centre_throws(&scaled, baselines)?;
+                let centre = centre_throws(&scaled, self.baselines)?;
                 Some((k, k.dot(&(scatter.of_mean(scaled.len(), &mean_sensor(&scaled), centre) * k))))
             }
             CommonScale::Unknown { k } => {
@@ -288,11 +292,11 @@ impl<'a> Stream<'a> {
     /// The common scale of the last throws with these residuals.
     fn common_scale(&self, residuals: &[Vector3<f64>], scatter: &Scatter) -> CommonScale {
         // The test of the innovations also needs the throw before the window.
-        if self.0.iter().take(residuals.len() + 1).all(|(_, throw)| throw.has_scale()) {
+        if self.throws.iter().take(residuals.len() + 1).all(|(_, throw)| throw.has_scale()) {
             return CommonScale::OfAll;
         }
         let k = scatter.of_scale();
-        let own = residuals.iter().zip(&self.0).filter(|(_, (_, throw))| throw.has_scale());
+        let own = residuals.iter().zip(&self.throws).filter(|(_, (_, throw))| throw.has_scale());
         let mut values: Vec<f64> = own.map(|(residual, _)| k.dot(residual)).collect();
         if values.len() < LEAST_SCALED {
             return CommonScale::Unknown { k };
@@ -309,15 +313,14 @@ impl<'a> Stream<'a> {
         limit: f64,
         reach: &Vector3<f64>,
         scatter: &Scatter,
-        baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
         let n = window.throws as f64;
         let (rho, inverse) = self.innovation(window, limit, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
         let mut sum = Vector3::zeros();
-        let mut throw = self.residual(0, window, baselines)?;
+        let mut throw = self.residual(0, window)?;
         for at in 1..=window.throws {
-            let before = self.residual(at, window, baselines);
+            let before = self.residual(at, window);
             let innovation = before.map_or(throw.component_mul(&fresh), |before| throw - rho.component_mul(&before));
             sum += Vector3::from_fn(|i, _| innovation[i].clamp(-reach[i], reach[i]));
             throw = before.unwrap_or_default();
@@ -330,25 +333,19 @@ impl<'a> Stream<'a> {
     /// for scatter with heavy tails, without the two largest. The serial correlation is the highest that is plausible
     /// for the machine. An outlier that fades over the next throws shifts the mean too, but only a drift keeps it
     /// shifted.
-    fn t_without_outliers(
-        &self,
-        window: &Window,
-        heavy_tails: bool,
-        scatter: &Scatter,
-        baselines: [Option<&Baseline>; 2],
-    ) -> Option<f64> {
+    fn t_without_outliers(&self, window: &Window, heavy_tails: bool, scatter: &Scatter) -> Option<f64> {
         // The misfit that repeats is in no innovation; only the part that differs from throw to throw is.
-        let repeated = self.mean_misfit(window.throws, baselines) * (1.0 - 1.0 / f64::from(LONGEST_WINDOW));
-        let sensor = mean_sensor(&self.0[..window.throws]) - repeated;
+        let repeated = self.mean_misfit(window.throws) * (1.0 - 1.0 / f64::from(LONGEST_WINDOW));
+        let sensor = mean_sensor(&self.throws[..window.throws]) - repeated;
         // The correlation is that of the machine alone: beside a large outlier, the errors of the estimates are small.
         let phi = scatter.highest_lag1();
         let outliers = if heavy_tails { 2 } else { 1 };
         let inverse = sym3::inverse(&scatter.of_innovations(1, 0, &phi, &sensor))?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
         let mut innovations = Vec::with_capacity(KEPT);
-        let mut throw = self.residual(0, window, baselines)?;
+        let mut throw = self.residual(0, window)?;
         for at in 1..=window.throws {
-            let before = self.residual(at, window, baselines).unwrap_or_default();
+            let before = self.residual(at, window).unwrap_or_default();
             innovations.push(throw - phi.component_mul(&before));
             throw = before;
         }
@@ -363,17 +360,17 @@ impl<'a> Stream<'a> {
 
     /// Whether the change in `window` becomes smaller from throw to throw, as after an outlier: by the regression of
     /// its differences between consecutive throws of a direction on its size in the earlier throw.
-    fn fades(&self, window: &Window, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> bool {
-        let covariance = scatter.of_change(&mean_sensor(&self.0[..window.throws]));
+    fn fades(&self, window: &Window, scatter: &Scatter) -> bool {
+        let covariance = scatter.of_change(&mean_sensor(&self.throws[..window.throws]));
         let Some(inverse) = sym3::inverse(&covariance) else { return false };
         let along = inverse * window.mean;
         let along = along / along.dot(&window.mean).sqrt();
         let mut before: [Option<f64>; 2] = [None; 2];
         let (mut sum, mut squares) = (0.0, 0.0);
         for at in (0..FADES_WITHIN.min(self.len())).rev() {
-            let Some(residual) = self.residual(at, window, baselines) else { continue };
+            let Some(residual) = self.residual(at, window) else { continue };
             let size = along.dot(&residual);
-            if let Some(before) = before[self.0[at].0].replace(size) {
+            if let Some(before) = before[self.throws[at].0].replace(size) {
                 sum += (size - before).clamp(-FADING_SD, FADING_SD) * before;
                 squares += before * before;
             }
@@ -383,9 +380,9 @@ impl<'a> Stream<'a> {
 
     /// Residual of the throw at this index, with the common scale of `window`; `None` without this throw or its
     /// baseline.
-    fn residual(&self, at: usize, window: &Window, baselines: [Option<&Baseline>; 2]) -> Option<Vector3<f64>> {
-        let (side, throw) = self.0.get(at)?;
-        Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
+    fn residual(&self, at: usize, window: &Window) -> Option<Vector3<f64>> {
+        let (side, throw) = self.throws.get(at)?;
+        Some(throw.scaled(self.baselines[*side]?.compensated(throw.raw()), &window.scale))
     }
 
     /// For each coefficient, the innovation that alone would give `window` the part `most` of its limit.
@@ -397,18 +394,18 @@ impl<'a> Stream<'a> {
     /// Lag-1 correlations of the throws of `window`, and the inverse covariance of their mean innovation, converted to
     /// a level, for a test with this limit.
     fn innovation(&self, window: &Window, limit: f64, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-        let sensor = mean_sensor(&self.0[..window.throws]);
+        let sensor = mean_sensor(&self.throws[..window.throws]);
         let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
         Some((scatter.lag1_of_one(&sensor), sym3::inverse(&covariance)?))
     }
 
     /// The part of the mean covariance of the last `throws` that comes from the misfit of rough throws, which repeats;
     /// only with a baseline of complete coefficients.
-    fn mean_misfit(&self, throws: usize, baselines: [Option<&Baseline>; 2]) -> Matrix3<f64> {
+    fn mean_misfit(&self, throws: usize) -> Matrix3<f64> {
         let repeats = |(side, throw): &&(usize, &RecentThrow)| {
-            throw.ratios_only && baselines[*side].is_some_and(Baseline::counts_repeating_errors)
+            throw.ratios_only && self.baselines[*side].is_some_and(Baseline::counts_repeating_errors)
         };
-        let rough = self.0[..throws].iter().filter(repeats);
+        let rough = self.throws[..throws].iter().filter(repeats);
         rough.map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
     }
 
@@ -416,17 +413,11 @@ impl<'a> Stream<'a> {
     /// the smaller of this T and that of the mean innovation counts. A single innovation counts for at most a part of
     /// the shortest window's limit. So an outlier is no drift, however heavy the tails are, and a step is detected even
     /// if the limits are high.
-    pub(crate) fn strongest(
-        &self,
-        heavy_tails: bool,
-        scatter: &Scatter,
-        thresholds: &Thresholds,
-        baselines: [Option<&Baseline>; 2],
-    ) -> Option<Tested> {
+    pub(crate) fn strongest(&self, heavy_tails: bool, scatter: &Scatter, thresholds: &Thresholds) -> Option<Tested> {
         let mut best: Option<Tested> = None;
         let (mut shortest, mut reach) = (None, None);
         for (at, &throws) in WINDOWS.iter().enumerate() {
-            let Some(window) = self.window(throws, scatter, baselines) else { continue };
+            let Some(window) = self.window(throws, scatter) else { continue };
             let shortest = *shortest.get_or_insert(window);
             let limit = thresholds.of(at);
             let Some(inverse) = sym3::inverse(&window.tested(limit)) else { continue };
@@ -435,8 +426,7 @@ impl<'a> Stream<'a> {
             if t > 0.25 * limit {
                 let most_of_one = if heavy_tails { MOST_OF_ONE_WITH_HEAVY_TAILS } else { MOST_OF_ONE };
                 reach = reach.or_else(|| self.reach(most_of_one, thresholds.of(0), &shortest, scatter));
-                of_innovations =
-                    reach.and_then(|reach| self.t_of_innovations(&window, limit, &reach, scatter, baselines));
+                of_innovations = reach.and_then(|reach| self.t_of_innovations(&window, limit, &reach, scatter));
             }
             let excess = t.min(of_innovations.unwrap_or(t)) / limit;
             if best.is_none_or(|best| excess > best.excess) {
@@ -445,44 +435,44 @@ impl<'a> Stream<'a> {
         }
         let mut best = best?;
         best.confirmed = best.excess > 1.0
-            && self.t_without_outliers(&best.window, heavy_tails, scatter, baselines).is_some_and(|t| t > CONFIRMED)
-            && !self.fades(&best.window, scatter, baselines);
+            && self.t_without_outliers(&best.window, heavy_tails, scatter).is_some_and(|t| t > CONFIRMED)
+            && !self.fades(&best.window, scatter);
         Some(best)
     }
 
     /// The values of the throws along `weights` with temperature compensation, oldest first; ages count the throws of
     /// the machine back from `now`. Throws of ratios are left out if the size depends on the common scale.
-    pub(crate) fn points(&self, weights: &Vector3<f64>, baselines: [Option<&Baseline>; 2], now: u64) -> Vec<Point> {
+    pub(crate) fn points(&self, weights: &Vector3<f64>, now: u64) -> Vec<Point> {
         let point = |(side, throw): &(usize, &RecentThrow)| {
             if !throw.counts_along(weights) {
                 return None;
             }
-            let residual = baselines[*side]?.compensated(throw.raw());
+            let residual = self.baselines[*side]?.compensated(throw.raw());
             Some(Point {
                 age: now.saturating_sub(throw.order.into()) as f64,
                 value: weights.dot(&residual),
                 throws: 1.0,
             })
         };
-        let mut points: Vec<Point> = self.0.iter().filter_map(point).collect();
+        let mut points: Vec<Point> = self.throws.iter().filter_map(point).collect();
         points.reverse();
         points
     }
 
     /// Number of throws of the machine from the newest throw that has a value along `weights` to the newest of all.
     pub(crate) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
-        let counted = self.0.iter().find(|(_, throw)| throw.counts_along(weights));
-        counted.zip(self.0.first()).map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
+        let counted = self.throws.iter().find(|(_, throw)| throw.counts_along(weights));
+        counted.zip(self.throws.first()).map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
     }
 
     /// Whether the last `throws` all have only ratios.
     pub(crate) fn is_without_scale(&self, throws: usize) -> bool {
-        self.0.iter().take(throws).all(|(_, throw)| !throw.has_scale())
+        self.throws.iter().take(throws).all(|(_, throw)| !throw.has_scale())
     }
 
     /// Whether the last throws are balanced: at least three, and at least a quarter of each direction.
     pub(crate) fn is_balanced(&self) -> bool {
-        let last = self.0.iter().take(KEPT);
+        let last = self.throws.iter().take(KEPT);
         let (total, reverse) = last.fold((0, 0), |(total, reverse), (side, _)| (total + 1, reverse + side));
         total >= WINDOWS[0] && 4 * reverse >= total && 4 * (total - reverse) >= total
     }

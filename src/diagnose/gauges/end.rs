@@ -4,7 +4,7 @@
 
 use super::{
     Gauge, Gauges, mean,
-    side_watch::{LEVEL, SideChange, SideThrows, SideWatch},
+    side_watch::{SideChange, SideThrows, SideWatch},
 };
 use crate::diagnose::{
     alarm::{RuleResult, Step},
@@ -18,14 +18,14 @@ const RISE: f64 = 0.3;
 /// Least significant change: in standard deviations of one throw while the normal value was learned, and in standard
 /// deviations of a level with the scatter of its throws. A force that grows may scatter by much more than before.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Standard deviation of a median of [`LEVEL`] values, as part of that of one value.
+/// Standard deviation of a median of six values, as part of that of one value.
 const OF_MEDIAN: f64 = 0.5;
 
 /// Applies a throw, which the `gauges` contain already.
 pub(crate) fn judge_end(watch: &mut SideWatch, gauges: &Gauges, step: &Step) -> RuleResult {
     // With a spring, the running current of one direction may be small.
     let running_a = mean(&gauges.normals(Gauge::Running).map(f64::exp).collect::<Vec<f64>>());
-    let text = |changes: &str, ways: [bool; 2]| text::end(step.name, changes, ways, LEVEL);
+    let text = |changes: &str, ways: [bool; 2], throws: usize| text::end(step.name, changes, ways, throws);
     watch.judge(gauges, [Gauge::EndRise, Gauge::Running], |side| change(side, running_a), text, step)
 }
 

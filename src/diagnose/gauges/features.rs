@@ -134,7 +134,9 @@ impl FeatureWatch {
     ) -> RuleResult {
         let side = direction.side();
         self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
-        self.follow_season(side, celsius, step.at);
+        // A temperature that is published only after the normal values were learned does not show the season.
+        let compared = celsius.filter(|_| gauges.normal(direction, Gauge::Air).is_some());
+        self.follow_season(side, compared, step.at);
         let levels: Vec<JudgedChange> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
         let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);
         count_over(&mut self.calm, largest);

@@ -9,7 +9,7 @@ use crate::{
     throw::Direction,
 };
 
-/// Largest number of throws of both directions in a level.
+/// Number of stored throws, of both directions together: the largest number in a level.
 const RECENT: usize = WINDOWS[2];
 /// Change of the field of a magnet with its temperature \[1/K\], and the standard deviation of this change: -0.2 % per
 /// K for ferrite, -0.1 % for rare earths, hardly any for Alnico and for a wound field. The magnet has the temperature

@@ -3,7 +3,7 @@
 
 use super::{
     Gauge, Gauges,
-    side_watch::{LEVEL, SideChange, SideThrows, SideWatch},
+    side_watch::{SideChange, SideThrows, SideWatch},
 };
 use crate::diagnose::{
     alarm::{RuleResult, Step},
@@ -23,7 +23,7 @@ const OF_DURATION: f64 = 0.5;
 
 /// Applies a throw, which the `gauges` contain already.
 pub(crate) fn judge_travel(watch: &mut SideWatch, gauges: &Gauges, step: &Step) -> RuleResult {
-    let text = |changes: &str, ways: [bool; 2]| text::travel(step.name, changes, ways, LEVEL);
+    let text = |changes: &str, ways: [bool; 2], throws: usize| text::travel(step.name, changes, ways, throws);
     watch.judge(gauges, [Gauge::Travel, Gauge::Duration], change, text, step)
 }
 

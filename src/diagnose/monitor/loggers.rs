@@ -124,7 +124,7 @@ impl MachineMonitor {
         let two_loggers = self.two_loggers();
         if let Some(text) = two_loggers.clone().filter(|_| self.maintenance.is_none()) {
             let Self { alarms, name, .. } = self;
-            not_monitored(Rule::TwoLoggers, text, &mut Step { alarms, name, at, throw: Some(throw), settings });
+            not_monitored(Rule::TwoLoggers, None, text, &mut Step { alarms, name, at, throw: Some(throw), settings });
         }
         BootCheck { two_loggers, command }
     }

@@ -138,7 +138,7 @@ impl MachineMonitor {
             self.end_maintenance(Actor::default(), now);
         }
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
-        let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0);
+        let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0 || self.unread.is_some());
         self.step(now, None, settings, |operation, step| operation.on_tick(in_service, has_thrown, step))
     }
 
@@ -173,8 +173,7 @@ impl MachineMonitor {
 
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        self.step(now, None, settings, |_, step| on_peers(text, step))
+        self.step(now, None, settings, |_, step| on_peers(away, step))
     }
 
     /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
@@ -255,9 +254,10 @@ impl MachineMonitor {
     }
 
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) {
-        // These compare with the baseline or with the gauges' normal values, which are learned anew.
+        // These compare with the baseline, with the gauges' normal values or with earlier values of a sensor, which are
+        // all learned anew.
         let compares = |event: &AlarmEvent| match event.cause {
-            Cause::Sensor => matches!(self.alarms.rule(Cause::Sensor), Some(Rule::Gauges | Rule::Offset)),
+            Cause::Sensor => self.alarms.owned_by(Rule::Dates).is_none(),
             cause => cause.is_drift() || matches!(cause, Cause::Supply | Cause::SlowThrow),
         };
         for cause in self.causes(compares) {
@@ -320,6 +320,8 @@ impl MachineMonitor {
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
+        // The alarm about a lost toe sensor says what is known of its machine.
+        let had_coefficients = self.tracks.any_baseline() && !self.has_position;
         let unread = self.unread.as_ref().map(|_| text::machine(&self.name, text::UNREAD));
         unread
             .into_iter()
@@ -332,7 +334,7 @@ impl MachineMonitor {
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::machine(&self.name, text::ONLY_FEATURES)))
             .chain(self.operation.is_contradicted().then(|| text::machine(&self.name, text::CONTRADICTED)))
-            .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
+            .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), had_coefficients))
             .chain(self.neutral_elsewhere())
             .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
             .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))

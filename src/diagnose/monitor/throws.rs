@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::{MachineMonitor, to_micros};
 use crate::{
     diagnose::{
-        AlarmEvent, Cause, Common, Observation, Settings, Verdict,
+        AlarmEvent, Cause, Common, Observation, SensorChannel, Settings, Verdict,
         alarm::{Alarms, Rule, RuleResult, Step, rule_result},
         baseline::BaselineRecord,
         drift::{Drift, Known, LatestThrow, Origin},
@@ -95,11 +95,11 @@ impl MachineMonitor {
             })
             .map(|throw| self.tracks.compared(throw));
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
-        if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
-            if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
+        if let Some(throw) = &mut evaluated {
+            if let Some((residual, of_one_throw)) = residual.as_ref().zip(self.tracks.of_one_throw(throw.direction)) {
                 self.trail.push(at, residual, &of_one_throw);
             }
-            let shared = site::shared_part(residual, common);
+            let shared = residual.map_or_else(Vector3::zeros, |residual| site::shared_part(&residual, common));
             self.drift.share(&shared, settings);
             throw.log = (Vector3::from(throw.log) - shared).into();
         }
@@ -176,11 +176,8 @@ impl MachineMonitor {
         evaluated: Option<&Evaluated>,
         step: &mut Step,
     ) -> Vec<BaselineRecord> {
-        let Observation { direction, ref features, temperature_c, .. } = *observation;
-        let is_usual_current = direction
-            .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
-        let is_first = self.instruments.gauges.normal_travel_mm().is_none();
-        self.operation.on_throw(observation, is_usual_current, is_first, step);
+        let Observation { direction, ref features, .. } = *observation;
+        self.operation.on_throw(observation, &self.instruments.gauges, step);
         self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
         let has_gauges = if let Some(throw) = evaluated {
@@ -225,7 +222,10 @@ impl MachineMonitor {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
             let explained = step.alarms.active().any(|event| may_lengthen(event, step.alarms));
             let longer = (longer_pct, !observation.is_without_position());
-            self.operation.on_duration(longer, direction, explained, step);
+            // The duration of a cut-off recording is a lower bound.
+            if observation.is_whole() || longer_pct > step.settings.slow_throw_pct {
+                self.operation.on_duration(longer, direction, explained, step);
+            }
         }
         baselines_taken
     }
@@ -298,7 +298,7 @@ impl MachineMonitor {
     /// Applies a throw with an estimate. Returns the baselines that became usable or complete.
     fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
         let settings = step.settings;
-        let departure = self.tracks.departure(throw);
+        let departure = self.tracks.departure(throw, settings);
         let suspicion = self.drift.suspicion(None, step.alarms);
         let residual = self.tracks.push(throw, self.order, suspicion, settings);
         let judged = residual.map(|residual| {
@@ -372,6 +372,7 @@ fn may_lengthen(event: &AlarmEvent, alarms: &Alarms) -> bool {
             let rule = alarms.rule(Cause::Unattributed);
             !matches!(rule, Some(Rule::Start | Rule::Travel | Rule::RunOn | Rule::Stroke))
         }
+        Cause::Sensor => alarms.distorting_sensor() == Some(SensorChannel::Clock),
         cause => cause == Cause::Supply,
     }
 }

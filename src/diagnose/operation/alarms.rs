@@ -10,6 +10,7 @@ use crate::{
     diagnose::{
         AlarmEvent, Blindness, Cause, Observation, Severity,
         alarm::{Rule, Step},
+        gauges::Gauges,
         statistics::{is_default, streak, to_f32},
         text,
     },
@@ -50,8 +51,6 @@ pub(super) enum Logger {
     Gone {
         /// Time since the loss of the token \[s\].
         for_s: f64,
-        /// Whether the loss has raised an alarm.
-        alarmed: bool,
         /// Time of the loss; `None` in snapshots of early versions.
         since: Option<Timestamp>,
     },
@@ -158,31 +157,30 @@ pub(crate) struct Operation {
     pub(super) calm_s: f64,
 }
 
+/// Updates the value of the last throw, and the number of consecutive throws with a value.
+fn follow<T>(last: &mut Option<(T, u32)>, now: Option<T>) {
+    let before = last.take().map_or(0, |(_, throws)| throws);
+    *last = now.map(|now| (now, before.saturating_add(1)));
+}
+
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
 }
 
 impl Operation {
-    /// Applies a throw, complete or not. A throw shows that the logger is alive, unless it was received before the loss
-    /// of the logger. `is_usual_current`: the current is that of a complete throw; `is_first`: the travel of complete
-    /// throws is not known yet.
-    pub(crate) fn on_throw(
-        &mut self,
-        observation: &Observation,
-        is_usual_current: bool,
-        is_first: bool,
-        step: &mut Step,
-    ) {
-        let &Observation { direction, received_at, ref unused_fields, .. } = observation;
+    /// Applies a throw, complete or not, before the `gauges`. A throw shows that the logger is alive, unless it was
+    /// received before the loss of the logger.
+    pub(crate) fn on_throw(&mut self, observation: &Observation, gauges: &Gauges, step: &mut Step) {
+        let &Observation { direction, received_at, temperature_c, ref features, ref unused_fields, .. } = observation;
         let incomplete = observation.is_incomplete();
         let enough = step.settings.off_delay_throws;
         self.silence_s = 0.0;
         self.logger = match self.logger {
             gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
             // The logger publishes without a token: from now on, only silence shows its loss.
-            Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
-            Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, alarmed: false, since },
+            Logger::Gone { .. } if is_silence(step) => Logger::Unannounced,
+            Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, since },
             as_before => as_before,
         };
         // A trace that shows nothing neither completes a throw nor fails.
@@ -202,14 +200,9 @@ impl Operation {
                 None => own.rejected = None,
             }
         }
-        let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
-        self.unused_fields = unused_fields.clone().map(|sentence| (sentence, before.saturating_add(1)));
-        let before = self.short.take().map_or(0, |(_, throws)| throws);
-        self.short = observation
-            .features
-            .travel_mm
-            .zip(observation.short_of_stroke_mm)
-            .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm].map(to_f32), before.saturating_add(1)));
+        follow(&mut self.unused_fields, unused_fields.clone());
+        let short = features.travel_mm.zip(observation.short_of_stroke_mm);
+        follow(&mut self.short, short.map(|(travel_mm, stroke_mm)| [travel_mm, stroke_mm].map(to_f32)));
         streak(&mut self.without_coefficients, observation.has_features_only());
         let is_named = observation.is_without_position() || observation.unusual_run_s.is_some();
         let named = direction.filter(|_| is_named);
@@ -223,7 +216,11 @@ impl Operation {
             let rejection = observation.rejection();
             let text = match observation.unusual_run_s {
                 Some(run_s) => text::unusual_run(step.name, in_direction, in_a_row, run_s),
-                None => text::incomplete(step.name, in_direction, in_a_row, rejection, is_usual_current, is_first),
+                None => {
+                    let is_usual = |direction| gauges.is_usual_current(direction, features, temperature_c);
+                    let seems = (direction.is_some_and(is_usual), gauges.normal_travel_mm().is_none());
+                    text::incomplete(step.name, in_direction, in_a_row, rejection, seems)
+                }
             };
             // Without the toe sensor, points that open again seem closed.
             let is_open = matches!(rejection, Some(Rejection::Reopened { .. }));
@@ -295,19 +292,19 @@ impl Operation {
         // All throws of one direction may be rejected, as with a wrong `neutral_mm`, while the other is evaluated.
         let [normal, reverse] = Direction::BOTH.map(Some);
         let unseen = [None, normal, reverse].into_iter().find(|own| self.unevaluated_in_a_row.of(*own) >= enough);
-        let text = if let Some(blind) = blind.filter(|_| is_blind) {
-            text::blind(name, blind)
-        } else if let Some(unseen) = unseen {
+        // After throws that cannot be evaluated, a single evaluated one changes nothing.
+        let may_change = is_seen || step.alarms.rule(Cause::NotMonitored) != Some(Rule::Usual);
+        let is_gone = matches!(self.logger, Logger::Gone { .. }) && is_silence(step);
+        if let Some(unseen) = unseen {
             let of_side = |side: Direction| self.sides[side.side()].rejected.as_deref();
             let code = unseen.map_or_else(|| observation.rejection().map(Rejection::code), of_side);
-            text::unevaluated(name, unseen, self.unevaluated_in_a_row.of(unseen), code)
-        } else {
-            if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-                step.clear(Cause::NotMonitored, |name| text::machine(name, text::MONITORED_AGAIN));
-            }
-            return;
-        };
-        not_monitored(Rule::Usual, text, step);
+            let text = text::unevaluated(name, unseen, self.unevaluated_in_a_row.of(unseen), code);
+            not_monitored(Rule::Usual, unseen, text, step);
+        } else if let Some(blind) = blind.filter(|_| is_blind && may_change) {
+            not_monitored(Rule::Blind, None, text::blind(name, blind), step);
+        } else if evaluated && is_seen && !is_blind && !is_gone {
+            step.clear(Cause::NotMonitored, |name| text::machine(name, text::MONITORED_AGAIN));
+        }
     }
 
     /// Whether the last throw was not evaluated.
@@ -405,14 +402,21 @@ impl Operation {
     }
 }
 
-/// Raises the alarm that the machine is not monitored. An active alarm changes if its reason is another: silence
-/// instead of throws that cannot be evaluated, or the reverse. Two loggers explain that throws are not evaluated.
-/// Returns whether the alarm changed.
-pub(crate) fn not_monitored(rule: Rule, text: String, step: &mut Step) -> bool {
-    let event = step.warning(Cause::NotMonitored, text);
-    match step.alarms.rule(Cause::NotMonitored) {
-        Some(Rule::TwoLoggers) if rule == Rule::Usual => false,
-        Some(before) if before != rule => step.alarms.raise_anew(rule, event),
-        _ => step.alarms.raise(rule, event),
+/// Raises the alarm that the machine, or only a direction, is not monitored. An active alarm changes if its reason is
+/// another, as silence instead of throws that cannot be evaluated, or if it concerns the other direction, alone or too.
+/// Two loggers explain that throws are not evaluated.
+pub(crate) fn not_monitored(rule: Rule, direction: Option<Direction>, text: String, step: &mut Step) {
+    let event = AlarmEvent { direction, ..step.warning(Cause::NotMonitored, text) };
+    match step.alarms.find_active(Cause::NotMonitored).map(|alarm| (alarm.rule, alarm.last.direction)) {
+        Some((Rule::TwoLoggers, _)) if matches!(rule, Rule::Usual | Rule::Blind) => {}
+        Some((before, of)) if before != rule || of.is_some() && of != direction => {
+            step.alarms.raise_anew(rule, event);
+        }
+        _ => _ = step.alarms.raise(rule, event),
     }
+}
+
+/// Whether the machine is not monitored because of silence, or as its logger is gone.
+pub(super) fn is_silence(step: &Step) -> bool {
+    step.alarms.rule(Cause::NotMonitored) == Some(Rule::Silence)
 }

@@ -96,7 +96,7 @@ impl Boots {
                 turns.two = Some(TwoLoggers { since: boots[1].0, boots: boots.map(|(_, id)| id) });
             }
         } else if let Some(turns) = &self.turns
-            && received_at.duration_since(turns.last_at) >= ALONE
+            && received_at.duration_since(turns.last_at).abs() >= ALONE
         {
             self.turns = None;
         }

@@ -1,9 +1,9 @@
 //! Alarms about silence and lost data: of the logger, its throws, the daemon itself and other daemons.
 
-use super::{Logger, Operation, not_monitored, unix_s};
+use super::{Logger, Operation, is_silence, not_monitored, unix_s};
 use crate::{
     diagnose::{
-        Cause, Irregularity, Missing, Settings, Severity,
+        Away, Cause, Irregularity, Missing, Settings, Severity,
         alarm::{Rule, Step},
         text,
     },
@@ -38,16 +38,11 @@ impl Operation {
             // A longer time is that of a restart of the daemon, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
-                let text = text::logger_gone(name, *for_s / 60.0);
-                let is_raised = not_monitored(Rule::Silence, text, step);
-                if let Logger::Gone { alarmed, .. } = &mut self.logger {
-                    *alarmed |= is_raised;
-                }
-                return;
+                return not_monitored(Rule::Silence, None, text::logger_gone(name, *for_s / 60.0), step);
             }
         }
         if self.is_silent(settings) {
-            not_monitored(Rule::Silence, text::silent(name, self.silence_s / 3600.0), step);
+            not_monitored(Rule::Silence, None, text::silent(name, self.silence_s / 3600.0), step);
         }
     }
 
@@ -60,14 +55,14 @@ impl Operation {
         let before = self.logger;
         self.logger = match before {
             _ if there => Logger::There,
-            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(step.at) },
+            Logger::There => Logger::Gone { for_s: 0.0, since: Some(step.at) },
             absent => absent,
         };
-        let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
+        let is_back = there && before != Logger::There;
         let enough = step.settings.not_monitored_throws;
         let monitored = self.unevaluated_in_a_row.longest().max(self.blind_in_a_row.longest()) < enough
             && !self.is_silent(step.settings);
-        if there && alarmed && monitored {
+        if is_back && monitored && is_silence(step) {
             step.clear(Cause::NotMonitored, |name| text::machine(name, text::LOGGER_BACK));
         }
     }
@@ -135,12 +130,17 @@ fn raise_or_remark(severity: Severity, text: String, step: &mut Step) {
     }
 }
 
-/// Applies a change of the watched daemons; `away`: a text about unreachable ones, `None` without any.
-pub(crate) fn on_peers(away: Option<String>, step: &mut Step) {
+/// Applies a change of the watched daemons. A further unreachable one needs a new acknowledgement.
+pub(crate) fn on_peers(away: &Away, step: &mut Step) {
     let cause = Cause::NotMonitored;
-    match away {
-        None => step.clear(cause, |_| text::PEERS_BACK.to_owned()),
-        Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
-        Some(text) => _ = step.raise(step.event(cause, Severity::Critical, text)),
+    if away.daemons.is_empty() {
+        return step.clear(cause, |_| text::PEERS_BACK.to_owned());
+    }
+    let text = text::peers_away(away);
+    let is_named = |before: &str| away.daemons.iter().all(|(name, _)| before.contains(&format!(" {name} since ")));
+    if step.alarms.find_active(cause).is_some_and(|alarm| is_named(&alarm.last.text)) {
+        step.remark(cause, text);
+    } else {
+        step.alarms.raise_anew(Rule::Usual, step.event(cause, Severity::Critical, text));
     }
 }

@@ -14,7 +14,7 @@ pub(super) use alarms::{Operation, not_monitored};
 pub(super) use boots::Boots;
 pub(super) use logger::on_peers;
 
-use self::alarms::{Logger, unix_s};
+use self::alarms::{Logger, is_silence, unix_s};
 pub(super) use logger_clock::LoggerClock;
 pub(crate) use logger_clock::{are_steady, is_possible_date};
 pub use site::Common;

@@ -32,7 +32,7 @@ pub(crate) struct RunOn {
     learned: [u8; 2],
     /// The last 32 throws of the machine as bits, 1 for a longer time.
     long: u32,
-    /// The longest time in these throws \[s\].
+    /// The longest time since [`CALM`] throws without a longer one \[s\].
     longest_s: f32,
 }
 

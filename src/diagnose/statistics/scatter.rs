@@ -197,30 +197,28 @@ impl Scatter {
     /// Noise along `weights`, for throws compared with the centre of a baseline of `baseline_throws` throws.
     pub(crate) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> Noise {
         let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
-        let natural = Matrix3::from(self.natural);
-        let part = |share: Vector3<f64>| natural.component_mul(&(share * share.transpose()));
-        let slow = part(Vector3::from(self.slow).map(f64::sqrt));
-        let rest = part(Vector3::from(self.slow).map(|slow| (1.0 - slow).sqrt()));
+        let slow = scaled(self.natural.into(), self.slow.into());
+        let rest = scaled(self.natural.into(), Vector3::from(self.slow).map(|slow| 1.0 - slow));
         let total = variance(rest + Matrix3::from(self.sensor)).max(1e-12);
         let lag1 = Vector3::from_fn(|i, _| lag1_of_rest(self.lag1[i], self.slow[i]));
         let lagged = rest.component_mul(&Matrix3::from_fn(|i, j| 0.5 * (lag1[i] + lag1[j])));
         let lag1 = ((weights.transpose() * lagged * weights).x / total).clamp(LAG1_RANGE.0, LAG1_RANGE.1);
-        let base = Vector3::from_fn(|i, _| (self.inflation(i, self.throws) / baseline_throws).sqrt());
-        let centre = variance(natural.component_mul(&(base * base.transpose())))
-            + variance(Matrix3::from(self.sensor)) / baseline_throws;
-        Noise { sd: total.sqrt(), lag1, slow_sd: variance(slow).sqrt(), offset_sd: centre.sqrt() }
+        let offset_sd = variance(self.centre(baseline_throws)).sqrt();
+        Noise { sd: total.sqrt(), lag1, slow_sd: variance(slow).sqrt(), offset_sd }
+    }
+
+    /// Covariance of the centre of a baseline of `baseline_throws` throws.
+    fn centre(&self, baseline_throws: f64) -> Matrix3<f64> {
+        let factors = Vector3::from_fn(|i, _| self.inflation(i, self.throws) / baseline_throws);
+        scaled(self.natural.into(), factors) + Matrix3::from(self.sensor) / baseline_throws
     }
 
     /// Covariance of the difference between a mean of `w` throws and the centre of a baseline of `baseline_throws`
     /// throws. `sensor`: mean covariance of the estimates of the `w` throws.
     pub(crate) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
         let w = w as f64;
-        let recent = Vector3::from_fn(|i, _| (self.inflation(i, w) / w).sqrt());
-        let base = Vector3::from_fn(|i, _| (self.inflation(i, self.throws) / baseline_throws).sqrt());
-        let natural = Matrix3::from(self.natural);
-        natural.component_mul(&(recent * recent.transpose() + base * base.transpose()))
-            + sensor / w
-            + Matrix3::from(self.sensor) / baseline_throws
+        let factors = Vector3::from_fn(|i, _| self.inflation(i, w) / w);
+        scaled(self.natural.into(), factors) + sensor / w + self.centre(baseline_throws)
     }
 
     /// Lag-1 correlations of the logarithms of throws; errors of the estimates, with covariance `sensor`, reduce them.
@@ -254,16 +252,15 @@ impl Scatter {
         sensor: &Matrix3<f64>,
     ) -> Matrix3<f64> {
         let (count, ends) = (count as f64, 1.0 + gaps as f64);
-        let fresh = phi.map(|phi| (count * (1.0 - phi * phi)).sqrt());
-        let errors = phi.map(|phi| (count * (1.0 - phi).powi(2) + 2.0 * ends * phi.max(0.0)).sqrt());
-        Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose()))
-            + sensor.component_mul(&(errors * errors.transpose()))
+        let fresh = phi.map(|phi| count * (1.0 - phi * phi));
+        let errors = phi.map(|phi| count * (1.0 - phi).powi(2) + 2.0 * ends * phi.max(0.0));
+        scaled(self.natural.into(), fresh) + scaled(*sensor, errors)
     }
 
     /// Covariance of the change between two consecutive throws; `sensor`: covariance of their estimates.
     pub(crate) fn of_change(&self, sensor: &Matrix3<f64>) -> Matrix3<f64> {
-        let fresh = Vector3::from(self.lag1).map(|lag1| (1.0 - lag1.max(0.0)).sqrt());
-        2.0 * (Matrix3::from(self.natural).component_mul(&(fresh * fresh.transpose())) + sensor)
+        let fresh = Vector3::from(self.lag1).map(|lag1| 1.0 - lag1.max(0.0));
+        2.0 * (scaled(self.natural.into(), fresh) + sensor)
     }
 
     /// Covariance of the mean innovation of `w` throws, less [`Self::of_mean`]. An innovation is x less rho times
@@ -273,11 +270,10 @@ impl Scatter {
     pub(crate) fn more_of_score(&self, w: usize, sensor: &Matrix3<f64>) -> Matrix3<f64> {
         let w = w as f64;
         let rho = self.lag1_of_one(sensor);
-        let ends = rho.map(|rho| (2.0 * rho.max(0.0)).sqrt() / (w * (1.0 - rho)));
+        let ends = rho.map(|rho| 2.0 * rho.max(0.0) / (w * (1.0 - rho)).powi(2));
         let own = |i: usize| self.inflation(i, f64::INFINITY) - self.inflation(i, w);
-        let more = Vector3::from_fn(|i, _| (own(i).max(0.0) / w).sqrt());
-        Matrix3::from(self.natural).component_mul(&(more * more.transpose()))
-            + sensor.component_mul(&(ends * ends.transpose()))
+        let more = Vector3::from_fn(|i, _| own(i).max(0.0) / w);
+        scaled(self.natural.into(), more) + scaled(*sensor, ends)
     }
 
     /// `g_w` of coefficient `i`: ratio of the natural variance of a mean of `w` throws to that of independent throws.
@@ -331,6 +327,12 @@ impl Scatter {
         }
         factors
     }
+}
+
+/// The covariance `m` with its variances multiplied by `factors`, and the same correlations.
+fn scaled(m: Matrix3<f64>, factors: Vector3<f64>) -> Matrix3<f64> {
+    let root = factors.map(f64::sqrt);
+    m.component_mul(&(root * root.transpose()))
 }
 
 fn gaussian() -> f64 {

@@ -98,8 +98,8 @@ pub(crate) fn same_direction(name: &str, direction: Direction, throws: u32) -> S
 
 /// Text for a machine without a baseline of its coefficients.
 pub(crate) const ONLY_FEATURES: &str = "\
-    its throws do not give the complete coefficients of a baseline, so only duration, running current, charge and \
-    travel are monitored. A change of these is reported without its cause. throws_not_evaluated has the reason of \
+    it has no baseline of its coefficients yet, so only duration, running current, charge and travel are monitored. \
+    A change of these is reported without its cause. throws_not_evaluated has the reason of \
     each throw.";
 
 /// Text for a machine whose neutral position seems to be `off_mm` from the configured one, towards reverse if positive.
@@ -198,8 +198,9 @@ pub(crate) fn season_of_features(name: &str, pct: f64) -> String {
 fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
     let way = if pct < 0.0 { "fell" } else { "rose" };
     format!(
-        "Machine {name}: its {what} {way} by {:.0} % over more than a week. Without a temperature, the season looks \
-         the same as wear or lubrication, so only {least} raises an alarm. Publish temperature_c.",
+        "Machine {name}: its {what} {way} by {:.0} % over more than a week. The baseline has no temperature, so the \
+         season looks the same as wear or lubrication; only {least} raises an alarm. Publish temperature_c, then take \
+         a new baseline (rebaseline).",
         pct.abs()
     )
 }

@@ -21,12 +21,13 @@ pub(crate) const UNREAD: &str = "\
     The stored data are kept: install the version of pointsd that wrote them, or inspect the machine and take a new \
     baseline (rebaseline).";
 
-/// Text for an alarm whose rule starts anew, after maintenance or with a new baseline.
+/// Text for an alarm whose rule starts anew, after maintenance or two loggers, and with a new baseline that does not
+/// close it.
 pub(crate) const CHECKED_ANEW: &str = "this alarm ends. The next throws raise it again if its reason still exists.";
 
 /// Text of an alarm at the end of maintenance; `before`: its text until then.
 pub(crate) fn before_maintenance(before: &str) -> String {
-    const UNCHECKED: &str = " This was before the maintenance: the next throws show whether it is over.";
+    const UNCHECKED: &str = " This was before the maintenance or during it: the next throws show whether it is over.";
     if before.ends_with(UNCHECKED) { before.to_owned() } else { format!("{before}{UNCHECKED}") }
 }
 

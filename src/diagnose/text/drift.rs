@@ -91,7 +91,10 @@ pub(crate) fn drift(
             }
             Awaited::Voltage => " With a permanent-magnet motor, a published supply_v would distinguish them.",
         };
-        format!(" {}{more}", look_at_sensor(sensor))
+        // The other names do not say that a sensor may be the reason.
+        let is_said = matches!(attribution.naming, Naming::One(_));
+        let same = if is_said { String::new() } else { format!(" A faulty {sensor} would look the same.") };
+        format!("{same} {}{more}", look_at_sensor(sensor))
     });
     format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
 }
@@ -104,11 +107,14 @@ pub(crate) fn one_direction(text: &str) -> String {
 /// Text of an intermittent fault.
 pub(crate) fn intermittent(name: &str, found: &IntermittentFault) -> String {
     let IntermittentFault { one_in, explanation, cause } = found;
-    let advice = match cause {
-        Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
-        _ => look_at(explanation.cause, explanation.size),
-    };
     let change = change_of(&explanation.cause.to_string(), explanation);
+    let (change, advice) = match cause {
+        Cause::Unattributed => (
+            format!("a change like {change}; another part explains it as well"),
+            "Check the drive, its contacts and the sensors' cables.",
+        ),
+        _ => (change, look_at(explanation.cause, explanation.size)),
+    };
     format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The other throws are normal. {advice}")
 }
 
@@ -170,10 +176,13 @@ pub(crate) fn maybe_repaired(name: &str, cause: Cause, may_be_rain: bool) -> Str
 
 /// Text of a drift that another cause explains now.
 pub(crate) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
-    if other == cause {
-        return format!("Machine {name}: another alarm explains the drift.");
-    }
-    format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
+    let change = match (cause, other) {
+        _ if other == cause => "another alarm explains the drift".to_owned(),
+        (_, Cause::Unattributed) => format!("the drift is no longer that of the {cause} alone"),
+        (Cause::Unattributed, _) => format!("the cause of the drift is known now: {other}"),
+        _ => format!("the cause of the drift is no longer {cause}, but {other}"),
+    };
+    format!("Machine {name}: {change}.")
 }
 
 /// Text at the end of an alarm without a named part, when `part` explains its reason.

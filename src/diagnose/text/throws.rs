@@ -18,8 +18,7 @@ pub(crate) fn incomplete(
     direction: Option<Direction>,
     in_a_row: u32,
     last: Option<&Rejection>,
-    is_usual_current: bool,
-    is_first: bool,
+    (is_usual_current, is_first): (bool, bool),
 ) -> String {
     let (throws, were) = throws_in_a_row(in_a_row);
     let what = format!("{throws} {were} not completed");
@@ -219,11 +218,11 @@ pub(crate) fn travel_change(direction: Direction, [from_mm, to_mm]: [f64; 2]) ->
 }
 
 /// Text for a motor that ran on after the arrival of the toe in `count` of the last eight throws, for `longest_s` at
-/// most.
+/// most since this began.
 pub(crate) fn runs_on(name: &str, count: u32, longest_s: f64, usual_s: f64) -> String {
     format!(
         "Machine {name}: in {count} of the last 8 throws the motor ran on after the toe had arrived where it always \
-         stops: for up to {longest_s:.1} s, usually {usual_s:.2} s. The machine does not detect its end, or does not \
+         stops: for up to {longest_s:.1} s since this began, usually {usual_s:.2} s. The machine does not detect its end, or does not \
          switch off; motor and clutch become hot. Check detector contacts, limit switch and contactor, whether the lock \
          enters, and the clutch."
     )

@@ -112,11 +112,11 @@ impl<'a> Courses<'a> {
 
     /// The course over the last throws of both directions, and the means of earlier ones.
     fn of_both(&self, scatter: &Scatter, weights: &Vector3<f64>, history: &History) -> Option<Course> {
-        let stream = Stream::all(self.tracks.sides.each_ref().map(|track| &track.recent));
+        let baselines = self.tracks.baselines();
+        let stream = Stream::all(self.tracks.sides.each_ref().map(|track| &track.recent), baselines);
         // The course ends with the last throw that shows the size.
         let since = stream.since_counted(weights);
-        let baselines = self.tracks.baselines();
-        let recent = stream.points(weights, baselines, self.now - since);
+        let recent = stream.points(weights, self.now - since);
         // The history consists of blocks, each with throws of both directions.
         let oldest = recent.first()?.age;
         let blocks = history.along(weights, self.now).map(|block| Point { age: block.age - since as f64, ..block });
@@ -130,8 +130,8 @@ impl<'a> Courses<'a> {
     fn of_direction(&self, at: usize, weights: &Vector3<f64>) -> Option<Course> {
         let baselines = self.tracks.baselines();
         let baseline = baselines[at]?;
-        let stream = Stream::of(&self.tracks.sides[at].recent, at);
-        let points = stream.points(weights, baselines, self.now - stream.since_counted(weights));
+        let stream = Stream::of(&self.tracks.sides[at].recent, at, baselines);
+        let points = stream.points(weights, self.now - stream.since_counted(weights));
         Course::of(&points, self.noise(&baseline.scatter, baseline.centre_throws(), weights))
     }
 

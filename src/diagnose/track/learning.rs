@@ -128,8 +128,8 @@ impl Tracks {
         let is_final = track.is_final(settings);
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];
-        let had_trend = |baseline: &Baseline| baseline.is_final(settings) && baseline.has_trend();
-        if is_final && changes.slopes.is_none() && other.baseline.as_ref().is_some_and(had_trend) {
+        let had_trend = other.is_final(settings) && other.baseline.as_ref().is_some_and(Baseline::has_trend);
+        if is_final && changes.slopes.is_none() && had_trend && !other.learned.is_empty() {
             records.push(other.take(direction, changes, at, settings));
         }
         self.learn_mixed(settings);
@@ -221,6 +221,60 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::diagnose::Cause;
+
+    fn evaluated(order: u64, log: [f64; 3]) -> Evaluated {
+        Evaluated {
+            direction: Direction::BOTH[usize::from(order % 2 == 1)],
+            log,
+            sensor: Matrix3::identity() * 1e-6,
+            grade: Grade::Good,
+            ratios_only: false,
+            running: None,
+            temperature_c: None,
+            duration_s: None,
+        }
+    }
+
+    fn normal(rng: &mut ChaCha8Rng) -> f64 {
+        (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
+    }
+
+    #[test]
+    fn a_baseline_that_a_lower_setting_makes_full_becomes_complete() {
+        let mut tracks = Tracks::default();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut learn = |order: u64, suspicion, baseline_throws| {
+            let settings = Settings { baseline_throws, ..Settings::default() };
+            let noise = 0.03 * normal(&mut rng);
+            let throw = evaluated(order, [5.0, 2.0 + noise, 1.0]);
+            tracks.learn(&throw, order, Timestamp::UNIX_EPOCH, suspicion, &settings);
+            Direction::BOTH.map(|way| (tracks.record(way).map(|own| own.complete), tracks.progress(way, &settings)))
+        };
+        let before = (0..60).map(|order| learn(order, Suspicion::None, 50)).last().unwrap();
+        assert_eq!(before, [(Some(false), (30, 50)); 2]);
+        let suspected = (60..80).map(|order| learn(order, Suspicion::Suspected, 50)).last().unwrap();
+        assert_eq!(suspected, before, "throws set aside do not count");
+        let after = (80..82).map(|order| learn(order, Suspicion::None, 20)).last().unwrap();
+        assert_eq!(after, [(Some(true), (20, 20)); 2]);
+    }
+
+    /// Ratios show a motor less well than friction and stiffness, whose scatter they have too.
+    #[test]
+    fn scatter_of_ratios_that_hides_the_motor_is_stated() {
+        let settings = Settings::default();
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut tracks = Tracks::default();
+        for order in 0..120 {
+            let [friction, spring] = [normal(&mut rng), normal(&mut rng)].map(|noise| 0.22 * noise);
+            let throw = evaluated(order, [0.0, 2.0 + friction, 1.0 + spring]);
+            let throw = Evaluated { grade: Grade::Rough, ratios_only: true, ..throw };
+            tracks.learn(&throw, order, Timestamp::UNIX_EPOCH, Suspicion::None, &settings);
+        }
+        assert!(tracks.any_of_ratios());
+        let hidden = tracks.hidden_by_scatter(&settings).unwrap();
+        assert!(hidden.cause == Cause::Kt && hidden.below_pct > 15.0, "{hidden:?}");
+    }
 
     /// A chance trend in one baseline, which the last throw of the other ends, must not leave wide limits unannounced.
     #[test]
@@ -232,19 +286,10 @@ mod tests {
             let mut tracks = Tracks::default();
             let mut had_trend = false;
             for order in 0..100_u64 {
-                let noise: f64 = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+                let noise = normal(&mut rng);
                 // The last throw of the second direction is against the trend.
                 let rise = if order < 99 { 0.07 * order as f64 / 99.0 + 0.03 * noise } else { -0.07 };
-                let throw = Evaluated {
-                    direction: Direction::BOTH[usize::from(order % 2 == 1)],
-                    log: [5.0, 2.0 + rise, 1.0],
-                    sensor: Matrix3::identity() * 1e-6,
-                    grade: Grade::Good,
-                    ratios_only: false,
-                    running: None,
-                    temperature_c: None,
-                    duration_s: None,
-                };
+                let throw = evaluated(order, [5.0, 2.0 + rise, 1.0]);
                 let records = tracks.learn(&throw, order, Timestamp::UNIX_EPOCH, Suspicion::None, &settings);
                 had_trend |= order == 98 && records.iter().any(|record| !record.complete);
             }

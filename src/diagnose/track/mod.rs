@@ -200,7 +200,7 @@ impl Tracks {
     }
 
     /// The departure of a throw from the previous throws of its direction; `None` with too few throws.
-    pub(super) fn departure(&self, throw: &Evaluated) -> Option<Departure> {
+    pub(super) fn departure(&self, throw: &Evaluated, settings: &Settings) -> Option<Departure> {
         /// Number of previous throws: few enough that the median follows the weather, and enough that a third of
         /// departures does not change it.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
@@ -220,7 +220,7 @@ impl Tracks {
             } else {
                 (change, of_one_throw)
             };
-            Departure { side: at, change, of_one_throw, is_complete: baseline.complete }
+            Departure { side: at, change, of_one_throw, is_complete: baseline.is_final(settings) }
         })
     }
 
@@ -286,8 +286,8 @@ impl Tracks {
     pub(super) fn drift(&self, direction: Direction, heavy_tails: bool, known: &Known, settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = self.baselines();
-        let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
-        let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
+        let tails = [Stream::of(&normal.recent, 0, baselines), Stream::of(&reverse.recent, 1, baselines)];
+        let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent], baselines);
         let own = tails.iter().zip(&self.sides).enumerate().filter_map(|(side, (tail, track))| {
             Some((Some(side), tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?))
         });
@@ -296,7 +296,7 @@ impl Tracks {
         // The strongest window, its scatter, and its side; `None` for the mixed stream.
         let mut best: Option<(Tested, &Scatter, Option<usize>)> = None;
         for (side, tail, scatter, thresholds) in own.chain(mixed) {
-            if let Some(tested) = tail.strongest(heavy_tails, scatter, thresholds, baselines)
+            if let Some(tested) = tail.strongest(heavy_tails, scatter, thresholds)
                 && best.is_none_or(|(best, ..)| tested.excess > best.excess)
             {
                 best = Some((tested, scatter, side));
@@ -305,7 +305,7 @@ impl Tracks {
         let level = |at: usize, longest: usize| {
             let scatter = &baselines[at]?.scatter;
             let throws = WINDOWS.into_iter().rev().find(|w| *w <= longest && *w <= tails[at].len())?;
-            tails[at].window(throws, scatter, baselines)
+            tails[at].window(throws, scatter)
         };
         let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
         let latest = direction.side();
@@ -341,8 +341,7 @@ impl Tracks {
     /// size, if this is above the warning limit; and the mean temperature of these throws.
     fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<Blindness> {
         let track = &self.sides[side];
-        let thresholds =
-            track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(|baseline| baseline.complete))?;
+        let thresholds = track.thresholds.as_ref().filter(|_| track.is_final(settings))?;
         let window = level.filter(|window| window.temperature_sd != Vector3::zeros())?;
         let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
         let over_limit = |cause: Cause| {
@@ -351,8 +350,7 @@ impl Tracks {
             let otherwise = visible_pct(cause, window.covariance - covariance_of_effect(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
-        let (cause, below_pct, _) =
-            Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))?;
+        let (cause, below_pct, _) = most_hidden(Cause::PHYSICAL.into_iter().filter_map(over_limit))?;
         let baseline_c = track.baseline.as_ref()?.temperature.reference_c?;
         let distances = track.recent.iter().rev().take(window.throws).map(|throw| throw.raw().1);
         let temperature_c = baseline_c + distances.sum::<f64>() / window.throws as f64;
@@ -363,7 +361,7 @@ impl Tracks {
     /// the critical limit. It depends on the baselines only, so it does not change from throw to throw.
     pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<Blindness> {
         let hidden = self.sides.iter().filter_map(|track| self.hidden_by_scatter_of(track, settings));
-        let (cause, below_pct, _) = hidden.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        let (cause, below_pct, _) = most_hidden(hidden)?;
         Some(Blindness { cause, below_pct, temperature: None })
     }
 
@@ -377,7 +375,8 @@ impl Tracks {
         let streams = [mixed, Some(own)].into_iter().flatten();
         let means: Vec<(Matrix3<f64>, f64)> = streams
             .flat_map(|(scatter, thresholds, centre_throws)| {
-                let of_mean = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws);
+                let of_scale = Matrix3::repeat(if track.of_ratios { UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD } else { 0.0 });
+                let of_mean = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws) + of_scale;
                 WINDOWS.into_iter().enumerate().map(move |(at, throws)| (of_mean(throws), thresholds.of(at)))
             })
             .collect();
@@ -387,7 +386,9 @@ impl Tracks {
             let least = visible.min_by(f64::total_cmp).filter(|least| *least > critical_pct)?;
             Some((cause, least, least / critical_pct))
         };
-        Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
+        // Ratios never show the inertia, of which a caveat says so.
+        let is_shown = |cause: &Cause| !(track.of_ratios && *cause == Cause::Inertia);
+        most_hidden(Cause::PHYSICAL.into_iter().filter(is_shown).filter_map(over_limit))
     }
 
     /// Whether no baseline has a temperature.
@@ -401,7 +402,7 @@ impl Tracks {
         /// coefficients has shorter runs of ratios only.
         const LAST: usize = WINDOWS[2];
         let [normal, reverse] = &self.sides;
-        let recent = Stream::all([&normal.recent, &reverse.recent]);
+        let recent = Stream::all([&normal.recent, &reverse.recent], self.baselines());
         normal.of_ratios && reverse.of_ratios || recent.len() >= LAST && recent.is_without_scale(LAST)
     }
 
@@ -438,7 +439,7 @@ impl Tracks {
         let track = &self.sides[direction.side()];
         match &track.baseline {
             Some(baseline) if baseline.is_final(settings) => (baseline.throws, baseline.throws),
-            _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
+            _ => (track.learned.len(), settings.baseline_throws),
         }
     }
 
@@ -459,4 +460,9 @@ impl Tracks {
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
         self.sides[direction.side()].since_baseline
     }
+}
+
+/// The most hidden cause of these: each has its least visible size \[%\], also relative to a limit.
+fn most_hidden(causes: impl Iterator<Item = (Cause, f64, f64)>) -> Option<(Cause, f64, f64)> {
+    causes.max_by(|a, b| a.2.total_cmp(&b.2))
 }
