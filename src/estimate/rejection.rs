@@ -201,8 +201,8 @@ pub enum Rejection {
     },
     /// The current stepped: its gain or offset changed, or samples are missing.
     #[error(
-        "the current jumps by {jump_a:.2} A at {at_s:.3} s, faster than the inductance of a motor allows: a disturbed channel or \
-         lost samples"
+        "the current jumps by {jump_a:.2} A at {at_s:.3} s: a disturbed channel, lost samples, or a knock in the drive (play or \
+         lost motion where the load reverses)"
     )]
     CurrentJump {
         /// Size of the jump \[A\].

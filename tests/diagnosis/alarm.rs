@@ -210,9 +210,12 @@ fn a_name_or_reason_with_control_characters_is_refused() {
     let (mut machine, _) = alarmed(4);
     let until = now() + SignedDuration::from_hours(8);
     let long = format!("greased{}", " ".repeat(Command::MAX_TEXT));
-    for (by, why, field) in
-        [("mia\u{1b}[2J", "greased", "by"), ("mia", "greased\u{9b}31m", "why"), ("mia", &long, "why"), (" ", "greased", "by")]
-    {
+    for (by, why, field) in [
+        ("mia\u{1b}[2J", "greased", "by"),
+        ("mia", "greased\u{9b}31m", "why"),
+        ("mia", &long, "why"),
+        (" ", "greased", "by"),
+    ] {
         let command = Command::MaintenanceStart { until, by: by.to_owned(), why: why.to_owned() };
         assert_eq!(act(&mut machine, &command), Err(CommandError::Text { field }));
     }

@@ -195,7 +195,11 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     // The other direction too is a worse fault.
     let both = feed(&mut machine, 40, |o| o.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 })));
     assert_eq!(summary(&both), [raised(Cause::NotMonitored)]);
-    assert!(both[0].direction.is_none() && both[0].text.contains("so the machine is not monitored"), "{}", both[0].text);
+    assert!(
+        both[0].direction.is_none() && both[0].text.contains("so the machine is not monitored"),
+        "{}",
+        both[0].text
+    );
     assert_eq!(summary(&feed(&mut machine, 8, |_| {})), [ended(Cause::NotMonitored)]);
 }
 

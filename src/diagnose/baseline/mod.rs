@@ -131,7 +131,8 @@ impl BaselineThrow {
 
 impl Baseline {
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
-    /// estimates. With the slopes of a trend the centre is that of the first throw, when the machine was least worn.
+    /// estimates. With the slopes of a trend the centre is that of the throw at which the machine was least worn: the
+    /// first one, or the last one while it runs in.
     pub(super) fn learn(
         throws: &[BaselineThrow],
         sensor: Sym3,
@@ -308,25 +309,36 @@ pub(super) fn learn_in_order(mut residuals: Vec<(u32, Vector3<f64>)>, sensor: Ma
     Scatter::learn(&ordered, sensor, centres)
 }
 
-/// The logarithms of the throws without the known `changes` since the first throw.
+/// The logarithms, with `to_b0` of the ratios to b0.
+fn relative(log: Vector3<f64>, to_b0: bool) -> Vector3<f64> {
+    if to_b0 { log.add_scalar(-log.x) } else { log }
+}
+
+/// The logarithms of the throws without the known `changes`: each coefficient as in the first throw, or in the last one
+/// if its slope is against wear.
 fn unchanged(throws: &[BaselineThrow], changes: Changes) -> impl Iterator<Item = Vector3<f64>> {
-    let first = throws.first().map_or(0, |throw| throw.order);
-    let slopes = Vector3::from(changes.slopes.unwrap_or_default());
-    throws.iter().map(move |throw| throw.dry(changes.wet) - slopes * f64::from(throw.order - first))
+    let [first, last] = [throws.first(), throws.last()].map(|throw| throw.map_or(0, |throw| throw.order));
+    let slopes = changes.slopes.unwrap_or_default();
+    throws.iter().map(move |throw| {
+        let least_worn = |i: usize| if slopes[i] * WEAR_SIGN[i] < 0.0 { last } else { first };
+        let since = |i: usize| f64::from(throw.order) - f64::from(least_worn(i));
+        throw.dry(changes.wet) - Vector3::from_fn(|i, _| slopes[i] * since(i))
+    })
 }
 
 /// The throws of both directions while the baselines fill, without the effect of rain, for the search for a trend;
-/// `sensor` is the mean covariance of their estimates.
+/// `sensor` is the mean covariance of their estimates. `of_ratios`: as ratios to b0.
 pub(super) fn filling<'a>(
     sides: [impl Iterator<Item = &'a BaselineThrow>; 2],
     sensor: Matrix3<f64>,
     wet: &[WetSpell],
+    of_ratios: bool,
 ) -> Filling {
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];
     for (side, series) in sides.into_iter().enumerate() {
         let (series, logs): (Vec<&BaselineThrow>, Vec<Vector3<f64>>) =
-            series.map(|throw| (throw, throw.dry(wet))).unzip();
+            series.map(|throw| (throw, throw.dry(wet))).map(|(throw, log)| (throw, relative(log, of_ratios))).unzip();
         if series.is_empty() {
             continue;
         }
@@ -342,14 +354,15 @@ pub(super) fn filling<'a>(
     Filling::new(throws, variance, [0, 1, 2].map(|i| sensor[(i, i)]))
 }
 
+/// Sign of wear in b0, a1 and a0: a weaker motor, more friction, more stiffness.
+const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
+
 /// Trend of the throws of both directions: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; 0 for a
 /// coefficient without a trend that matters.
 pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     /// [`trend::AT_THE_END`] applies to this number of last throws of all baselines together: one direction may
     /// complete its baseline two throws before the other.
     const LAST: usize = 4;
-    /// Sign of wear: a weaker motor, more friction, more stiffness.
-    const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
     // The throws of one direction may all be without an estimate.
     let is_end = filling.len() + LAST > filling.directions() * settings.baseline_throws;
     let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };

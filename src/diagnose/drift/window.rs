@@ -307,13 +307,7 @@ impl<'a> Stream<'a> {
     /// T of the throws of `window` from their mean innovation, converted to a level, instead of their mean. An
     /// innovation is the part of a throw that the throw before it does not predict; each is clipped at `reach`. An
     /// outlier that affects the following throws too is a single innovation, so it counts once.
-    fn t_of_innovations(
-        &self,
-        window: &Window,
-        limit: f64,
-        reach: &Vector3<f64>,
-        scatter: &Scatter,
-    ) -> Option<f64> {
+    fn t_of_innovations(&self, window: &Window, limit: f64, reach: &Vector3<f64>, scatter: &Scatter) -> Option<f64> {
         let n = window.throws as f64;
         let (rho, inverse) = self.innovation(window, limit, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
@@ -462,7 +456,9 @@ impl<'a> Stream<'a> {
     /// Number of throws of the machine from the newest throw that has a value along `weights` to the newest of all.
     pub(crate) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
         let counted = self.throws.iter().find(|(_, throw)| throw.counts_along(weights));
-        counted.zip(self.throws.first()).map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
+        counted
+            .zip(self.throws.first())
+            .map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
     }
 
     /// Whether the last `throws` all have only ratios.

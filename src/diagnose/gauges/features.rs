@@ -108,6 +108,10 @@ pub(crate) struct FeatureWatch {
     pub(crate) season_pct: Option<f32>,
 }
 
+/// Usual running current, as part of the inrush, below which the load may change it by a multiple: a spring drives one
+/// direction.
+const LIGHT: f64 = 0.08;
+
 /// The departure of a feature in the last throws of a direction.
 struct JudgedChange {
     /// Size as a multiple of the least change that matters and is significant.
@@ -147,7 +151,8 @@ impl FeatureWatch {
             levels.iter().filter(|level| level.size > 1.0).map(|level| level.change).collect();
         let waits = self.is_new_fall(&changes, step.at) && self.reported == 0.0;
         if let Some(largest) = largest.filter(|_| !changes.is_empty() && !waits) {
-            let text = text::features(step.name, &changes, LEVEL, features.run_on_s.is_some());
+            let runs_light = (f64::EPSILON..LIGHT).contains(&gauges.running_of_inrush());
+            let text = text::features(step.name, &changes, LEVEL, [features.run_on_s.is_some(), runs_light]);
             let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
             if is_larger || self.reported == 0.0 {
                 self.reported = largest;

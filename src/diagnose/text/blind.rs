@@ -208,15 +208,18 @@ fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
 /// Text for a machine whose throws changed steadily while its baseline was taken, by `slopes` per throw.
 pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
     let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
-    let names = if of_ratios {
+    let [of_b0, of_a1, of_a0] = slopes;
+    let names = if of_ratios && of_b0 == 0.0 {
         ["b0", "a1/b0 (friction, or a weaker motor)", "a0/b0 (stiffness, or a weaker motor)"]
     } else {
         ["b0 (motor or inertia)", "a1 (friction)", "a0 (stiffness)"]
     };
     let changes: Vec<String> = slopes.into_iter().zip(names).filter_map(of).collect();
+    let is_wear = of_b0 < 0.0 || of_a1 > 0.0 || of_a0 > 0.0;
+    let (from, since) = if is_wear { ("wear or weather", "first") } else { ("running-in, grease or weather", "last") };
     format!(
-        "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \
-         provisional, and changes are measured from its first throw. Inspect the machine, then take a new baseline \
+        "Machine {name}: the baseline has a trend ({} a throw), from {from} while it was taken. It stays \
+         provisional, and changes are measured from its {since} throw. Inspect the machine, then take a new baseline \
          (rebaseline).",
         changes.join(", ")
     )

@@ -109,8 +109,14 @@ const LONG_RUN: f64 = 0.26;
 const LARGE_CHANGE: f64 = 0.53;
 
 /// Text for changed features of throws without coefficients, over `throws` throws of a direction; `has_position`: the
-/// duration ends with the arrival of the toe.
-pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize, has_position: bool) -> String {
+/// duration ends with the arrival of the toe; `runs_light`: the usual running current is so small that the load may
+/// change it by a multiple.
+pub(crate) fn features(
+    name: &str,
+    changes: &[GaugeChange],
+    throws: usize,
+    [has_position, runs_light]: [bool; 2],
+) -> String {
     let change = |change: &GaugeChange| {
         let what = match change.gauge {
             Gauge::Duration => "duration",
@@ -132,7 +138,7 @@ pub(crate) fn features(name: &str, changes: &[GaugeChange], throws: usize, has_p
         "The throws end sooner: check at once whether the points close and lock. Then check limit switches, adjustment of \
          the stroke, overload protection and clutch, a higher supply voltage, weaker magnets, and the logger's sampling \
          rate. A motor of another make does this too: then take a new baseline."
-    } else if duration.is_none() && running.is_some_and(|running| running.abs() > LARGE_CHANGE) {
+    } else if duration.is_none() && !runs_light && running.is_some_and(|running| running.abs() > LARGE_CHANGE) {
         "A change of the current this large at the usual speed comes rather from the current sensor, its range or its \
          unit than from the load: check these, then slide chairs, lubrication and drive."
     } else if is_easier {
@@ -162,7 +168,7 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
     let more = if gain.value < 0.0 { "less" } else { "more" };
     format!(
         "Machine {name}: the start of the movement has changed, over {throws} throws: {moves} after the start \
-         of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain \
+         of the current, and accelerates {:.0} % (±{:.0} %) {more}, as fitted over its first millimetres. The running current ({:+.0} %) does not explain \
          this, so no running part is named. Check the brake, which may release late, play and lost motion in drive \
          and rods, and whether the position sensor is loose or its values are late. Then look for added load.",
         gain.pct().abs(),
@@ -262,7 +268,7 @@ mod tests {
     fn a_fall_of_the_load_has_advice_of_its_own() {
         let text = |duration: f64, charge: f64| {
             let change = |gauge, value| GaugeChange { gauge, level: Level { value, sd: 0.01 } };
-            features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6, false)
+            features("21B", &[change(Gauge::Duration, duration), change(Gauge::Charge, charge)], 6, [false; 2])
         };
         let easier = "if it was cleaned or lubricated";
         assert!(
@@ -278,7 +284,7 @@ mod tests {
     #[test]
     fn a_current_of_half_the_size_at_the_usual_speed_is_that_of_its_sensor() {
         let change = |gauge| GaugeChange { gauge, level: Level { value: -0.69, sd: 0.01 } };
-        let text = features("21B", &[change(Gauge::Running), change(Gauge::Charge)], 6, false);
+        let text = features("21B", &[change(Gauge::Running), change(Gauge::Charge)], 6, [false; 2]);
         assert!(text.contains("rather from the current sensor"), "{text}");
     }
 }

@@ -29,11 +29,20 @@ const SCATTER_AT: [usize; 2] = [WINDOWS[2], MOST_ASIDE];
 impl Track {
     /// Takes the baseline from the learned throws; the known `changes` are subtracted from these.
     fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
+        // The slope of a ratio to b0.
+        let relative = |slopes: [f64; 3]| slopes.map(|slope| slope - slopes[0]);
+        let slopes = if self.of_ratios { changes.slopes.map(relative) } else { changes.slopes };
+        let changes = Changes { slopes, ..changes };
         let baseline = Baseline::learn(&self.learned, self.sensor, self.of_ratios, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
         self.recent.clear();
         record
+    }
+
+    /// The throws of the baseline, and those set aside.
+    fn filling(&self) -> impl Iterator<Item = &BaselineThrow> {
+        self.learned.iter().chain(&self.aside)
     }
 
     /// Keeps the ratios of a throw before the first baseline. If many of the kept throws are rough, changes the
@@ -138,15 +147,21 @@ impl Tracks {
     }
 
     /// Looks for a trend in the throws of both baselines and in the throws set aside while a drift is suspected. Stores
-    /// its slopes; `None` without a trend, or if only one direction is compared by ratios.
+    /// its slopes; `None` without a trend.
     fn follow_trend(&mut self, settings: &Settings) {
-        let slopes = if self.are_comparable() { trend(&self.filling(&self.wet), settings) } else { [0.0; 3] };
+        let mut slopes = trend(&self.filling(&self.wet), settings);
+        if !self.are_comparable() {
+            // These are slopes of the ratios, as in a trend without b0. One direction shows b0 too.
+            let throws = self.sides.each_ref().map(|track| track.filling().filter(|_| !track.of_ratios));
+            let own = trend(&filling(throws, Matrix3::zeros(), &self.wet, false), settings);
+            slopes = if own[0] == 0.0 { slopes } else { own };
+        }
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
     /// Looks for wet spells in these throws. Returns whether the spells changed.
     fn follow_wet_spells(&mut self) -> bool {
-        let wet = if self.are_comparable() { wet_spells(&self.filling(&[])).into() } else { Box::default() };
+        let wet: Box<[_]> = wet_spells(&self.filling(&[])).into();
         let is_changed = wet != self.wet;
         self.wet = wet;
         is_changed
@@ -158,13 +173,14 @@ impl Tracks {
         normal.of_ratios == reverse.of_ratios
     }
 
-    /// The throws of the baselines and those set aside; the effect of the spells `wet` is subtracted.
+    /// The throws of the baselines and those set aside, as ratios to b0 if a direction is compared by these; the effect
+    /// of the spells `wet` is subtracted.
     fn filling(&self, wet: &[WetSpell]) -> Filling {
-        let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
+        let of_ratios = self.any_of_ratios();
+        let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
         // Errors of ratios are mostly equal in every throw; differences are scatter of the machine.
-        let differing = |track: &Track| if track.of_ratios { Matrix3::zeros() } else { Matrix3::from(track.sensor) };
-        let sensor = self.sides.each_ref().map(differing);
-        filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
+        let sensor = if of_ratios { Matrix3::zeros() } else { 0.5 * (sensor[0] + sensor[1]) };
+        filling(self.sides.each_ref().map(Track::filling), sensor, wet, of_ratios)
     }
 
     /// Trend while a baseline is incomplete: slopes of ln b0, ln a1, ln a0 \[per throw of the machine\]; `None` without
