@@ -103,17 +103,36 @@ fn a_fault_while_the_baseline_of_ratios_fills_is_named_and_not_learned() {
 #[test]
 fn wear_from_the_first_throw_is_a_trend_of_the_ratios_too() {
     let wear: [fn(f64) -> State; 3] = [
-        |part| State { friction: part, ..OF_RATIOS },
-        |part| State { stiffness: part, ..OF_RATIOS },
-        |part| State { torque: 1.0 / part, back_emf: 1.0 / part, ..OF_RATIOS },
+        |part| State { friction: part, ..State::SOUND },
+        |part| State { stiffness: part, ..State::SOUND },
+        |part| State { torque: 1.0 / part, back_emf: 1.0 / part, ..State::SOUND },
     ];
-    for (worn, seed) in wear.into_iter().zip(41_000..) {
+    // Both directions have ratios only, or one of them.
+    for brakes in [[0.02, 0.02], [0.0, 0.02]] {
+        for (worn, seed) in wear.into_iter().zip(41_000..) {
+            let mut drive = Drive::new(seed, Voltage::Published);
+            let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|text| text.contains("has a trend"));
+            let found = (0..60_u32).find(|throw| {
+                let brake_s = brakes[*throw as usize % 2];
+                drive.feed(State { brake_s, ..worn(1.0 + 0.0025 * f64::from(*throw)) });
+                is_stated(&drive)
+            });
+            assert!(found.is_some(), "{brakes:?}: not stated before +15 %");
+        }
+    }
+}
+
+/// While a machine runs in, its friction falls. A later rise is one from the throws after that.
+#[test]
+fn a_fault_after_a_machine_has_run_in_is_named() {
+    for seed in 42_000..42_006 {
         let mut drive = Drive::new(seed, Voltage::Published);
-        let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|text| text.contains("has a trend"));
-        let found = (0..60).find(|throw| {
-            drive.feed(worn(1.0 + 0.0025 * f64::from(*throw)));
-            is_stated(&drive)
-        });
-        assert!(found.is_some(), "not stated before +15 %");
+        let run_in = |throw: u32| 1.0 + 0.2 * (-f64::from(throw) / 60.0).exp();
+        let raised = (0..250).flat_map(|throw| drive.feed(State { friction: run_in(throw), ..State::SOUND }).events);
+        assert_eq!(raised.count(), 0, "seed {seed}");
+        let events = drive.events(24, State { friction: 1.3, ..State::SOUND });
+        let [named, ..] = &events[..] else { panic!("seed {seed}: no alarm") };
+        assert_eq!(named.cause, Cause::Friction, "seed {seed}: {named:?}");
+        assert!(named.change_pct.unwrap() > 15.0, "seed {seed}: {named:?}");
     }
 }
