@@ -238,13 +238,15 @@ impl Drift {
     }
 
     /// Weights of the three logarithms in the size of `cause`, from the window with the largest size; `None` if a
-    /// window does not show the cause.
+    /// window does not show the cause. Where one direction has ratios only, the weights are of these, so that both
+    /// directions have a size.
     pub(super) fn weights(&self, cause: Cause, settings: &Settings) -> Option<Vector3<f64>> {
         let windows = self.levels.iter().chain(&self.last_few).flatten();
         if windows.clone().any(|window| !window.shows(cause)) {
             return None;
         }
-        let parts = windows.flat_map(|window| {
+        let any_without_scale = windows.clone().any(|window| !window.has_scale());
+        let parts = windows.filter(|window| !(any_without_scale && window.has_scale())).flat_map(|window| {
             let shown = alarm_causes(cause).filter(|part| window.shows(*part));
             shown.map(|part| window.single(part, settings))
         });

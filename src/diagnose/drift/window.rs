@@ -152,7 +152,12 @@ pub(crate) struct Tested {
 impl Window {
     /// Whether the window shows `cause`. The ratios of the coefficients do not depend on the inertia.
     pub(crate) fn shows(&self, cause: Cause) -> bool {
-        cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
+        cause != Cause::Inertia || self.has_scale()
+    }
+
+    /// Whether the common scale of its throws is known.
+    pub(crate) fn has_scale(&self) -> bool {
+        !matches!(self.scale, CommonScale::Unknown { .. })
     }
 
     /// Whether b0 changed by more than `motor`, a logarithm, and scatter.
