@@ -481,8 +481,12 @@ fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &S
         return None;
     }
     // The course contains the error of the model in proportion to the size, so the limit is scaled as much.
-    let of_course = course.now().0.ln_1p() / now.size;
-    course.reaches(if MODEL_ERROR.contains(&of_course) { (of_course * limit.ln_1p()).exp_m1() } else { limit })
+    let (size, sd) = course.now();
+    let of_course = size.ln_1p() / now.size;
+    let scaled = if MODEL_ERROR.contains(&of_course) { (of_course * limit.ln_1p()).exp_m1() } else { limit };
+    // The size has uncertainties that the course does not have, and that grow with it.
+    let more_sd = (now.size_sd.powi(2) - (sd / (1.0 + size)).powi(2)).max(0.0).sqrt();
+    course.reaches(scaled, more_sd / now.size.abs() * scaled.abs())
 }
 
 /// Sorts drifts, with their severity and size relative to the limit, into the order in which they are shown: named

@@ -145,12 +145,14 @@ impl Course {
     }
 
     /// Number of throws until the drift reaches `limit` if it goes on; `limit` is a part of the normal value, with the
-    /// sign of the drift. `None` if it probably does not, or has reached the limit.
-    pub(crate) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
+    /// sign of the drift, and has the standard deviation `limit_sd`. `None` if it probably does not, or has reached the
+    /// limit.
+    pub(crate) fn reaches(&self, limit: f64, limit_sd: f64) -> Option<LimitForecast> {
+        let constant = self.offset_variance + limit_sd * limit_sd;
         let above = |ahead: f64| -> f64 {
             let part = |stage: &Stage| {
                 let (mean, variance) = stage.level(-ahead);
-                stage.weight * normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
+                stage.weight * normal_below((mean - limit) * limit.signum() / (variance + constant).sqrt())
             };
             self.last.iter().map(part).sum()
         };
@@ -482,12 +484,12 @@ mod tests {
     #[test]
     fn a_ramp_reaches_its_limit_when_it_does_and_a_step_does_not() {
         let ramp = Course::of(&series(|t| (0.004 * (t - 20.0).max(0.0)).ln_1p()), NOISE).unwrap();
-        let found = ramp.reaches(0.15).unwrap();
+        let found = ramp.reaches(0.15, 0.0).unwrap();
         assert!(
             found.low < 10.5 && 10.5 < found.high && found.low <= found.mid && found.mid <= found.high,
             "{found:?}"
         );
         let step = Course::of(&series(|t| if t < 20.0 { 0.0 } else { 0.1 }), NOISE).unwrap();
-        assert_eq!(step.reaches(0.15), None);
+        assert_eq!(step.reaches(0.15, 0.0), None);
     }
 }
