@@ -89,24 +89,14 @@ impl Fault {
     }
 }
 
-/// Condition of the parts, as ratios of the coefficients to those of a new machine; 1 means unchanged.
+/// Condition of the parts, for each [`Part`] as ratio of its coefficient to that of a new machine; 1 means unchanged. By
+/// the inertia all three coefficients are divided.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Condition {
-    /// Ratio of b0 because of the torque per ampere.
-    pub kt: f64,
-    /// Ratio of a1 because of friction.
-    pub friction: f64,
-    /// Ratio of a0 because of the stiffness of the drive.
-    pub stiffness: f64,
-    /// Ratio of a0 because of the stiffness of the rails.
-    pub rail_stiffness: f64,
-    /// Ratio of the total inertia at the screw, by which all three coefficients are divided.
-    pub inertia: f64,
-}
+pub struct Condition([f64; 5]);
 
 impl Default for Condition {
     fn default() -> Self {
-        Self { kt: 1.0, friction: 1.0, stiffness: 1.0, rail_stiffness: 1.0, inertia: 1.0 }
+        Self([1.0; 5])
     }
 }
 
@@ -114,14 +104,7 @@ impl Condition {
     /// Changes `part` by `size_pct` \[%\], beside its changes so far: by a fault, or as a healthy machine differs from
     /// others. A loss is limited to 95 %, as the simulation needs positive coefficients.
     pub fn change(&mut self, part: Part, size_pct: f64) {
-        let ratio = (1.0 + size_pct / 100.0).max(0.05);
-        match part {
-            Part::Kt => self.kt *= ratio,
-            Part::Friction => self.friction *= ratio,
-            Part::Stiffness => self.stiffness *= ratio,
-            Part::RailStiffness => self.rail_stiffness *= ratio,
-            Part::Inertia => self.inertia *= ratio,
-        }
+        self.0[part as usize] *= (1.0 + size_pct / 100.0).max(0.05);
     }
 }
 
@@ -133,21 +116,22 @@ impl Parameters {
     /// When a parameter is out of its range.
     pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
+        let Condition([kt, friction, stiffness, rail_stiffness, inertia]) = *condition;
         let loads = self.loads();
         let mut worn = self.clone();
-        worn.add_friction(condition.friction, &loads);
-        worn.torque_constant *= condition.kt;
-        worn.back_emf_constant *= condition.kt;
+        worn.add_friction(friction, &loads);
+        worn.torque_constant *= kt;
+        worn.back_emf_constant *= kt;
         let n2 = self.gear_ratio.powi(2);
-        worn.load_inertia_kg_m2 += (condition.inertia - 1.0) * loads.inertia / n2;
+        worn.load_inertia_kg_m2 += (inertia - 1.0) * loads.inertia / n2;
         // A loss larger than the inertia of the couplings reduces the rotor's inertia.
         if worn.load_inertia_kg_m2 < 0.0 {
             worn.rotor_inertia_kg_m2 += worn.load_inertia_kg_m2;
             worn.load_inertia_kg_m2 = 0.0;
         }
-        worn.screw_stiffness_nm += (condition.stiffness - 1.0) * loads.stiffness;
+        worn.screw_stiffness_nm += (stiffness - 1.0) * loads.stiffness;
         let rails = loads.stiffness - self.screw_stiffness_nm;
-        worn.rails.bending_stiffness_n_m2 *= 1.0 + (condition.rail_stiffness - 1.0) * loads.stiffness / rails;
+        worn.rails.bending_stiffness_n_m2 *= 1.0 + (rail_stiffness - 1.0) * loads.stiffness / rails;
         worn.check()?;
         Ok(worn)
     }
