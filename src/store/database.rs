@@ -69,7 +69,8 @@ impl Store {
             reader: reader.clone(),
             broken: false,
             identity: None,
-            files_checked: None,
+            next_file_check: None,
+            foreign: None,
             max_log_bytes: settings.max_wal_mib * MIB,
             failed_log_bytes: 0,
         });
