@@ -136,6 +136,11 @@ impl Store {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
+    /// Begins the wait of the judge for all backlogs anew, at the start of the daemon: the loggers have to connect again.
+    pub async fn renew_backlogs(&self, at: Timestamp) -> Result<(), StoreError> {
+        self.writer.write(Statement(sql::RENEW_BACKLOGS, at.as_microsecond())).await
+    }
+
     /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. A throw that was
     /// judged before keeps its judgement.
     pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<(), StoreError> {
