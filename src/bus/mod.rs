@@ -22,7 +22,7 @@ pub(crate) use message::Message;
 pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
-pub(crate) use presence::{Token, watch_tokens};
+pub(crate) use presence::watch_tokens;
 pub use queries::QueryQueue;
 pub use session::open;
 pub(crate) use session::{declare_alive, declare_publisher, intersect, is_client, is_connected};

@@ -30,10 +30,10 @@ pub enum OperatorError {
     NoDaemon,
     /// Other daemons run behind the session than that of the configuration.
     #[error(
-        "nothing was sent: the daemon there is {found}, and the configuration is that of {expected}. Is {expected} running?"
+        "nothing was sent: the configuration is that of {expected}, but only {found} connected there. Is {expected} running?"
     )]
     AnotherDaemon {
-        /// Names of the running daemons.
+        /// Names of the running daemons, with "is" or "are".
         found: String,
         /// Name of the daemon of the configuration.
         expected: String,
@@ -163,7 +163,7 @@ pub(crate) async fn command(
         Err(_) => return Err(OperatorError::NotServed(machine.clone())),
     };
     if let Some(expected) = expected.map(ToString::to_string).filter(|expected| *expected != commander.monitor) {
-        return Err(OperatorError::AnotherDaemon { found: commander.monitor, expected });
+        return Err(OperatorError::AnotherDaemon { found: format!("{} is", commander.monitor), expected });
     }
     let gone = || OperatorError::Gone(commander.monitor.clone());
     let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), ANSWER_TIMEOUT).await?;
@@ -203,8 +203,10 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
     } else if found.is_empty() {
         Err(OperatorError::NoDaemon)
     } else {
+        let are = if found.len() == 1 { "is" } else { "are" };
         let found: Vec<String> = found.iter().map(ToString::to_string).collect();
-        Err(OperatorError::AnotherDaemon { found: found.join(" and "), expected: expected.to_string() })
+        let found = format!("{} {are}", found.join(" and "));
+        Err(OperatorError::AnotherDaemon { found, expected: expected.to_string() })
     }
 }
 

@@ -73,13 +73,14 @@ impl QueryQueue {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. Queries that waited for longer than the programs of operators
-    /// do are refused: nobody would receive their answer, and an expired command must not be applied. Cancel safe.
-    pub async fn next(&mut self) -> Option<Query> {
+    /// The next query with the time of its arrival; `None` when the session is closed. Queries that waited for longer
+    /// than the programs of operators do are refused: nobody would receive their answer, and an expired command must
+    /// not be applied. Cancel safe.
+    pub async fn next(&mut self) -> Option<(Instant, Query)> {
         loop {
             let (arrived, query) = self.waiting.recv().await?;
             if arrived.elapsed() < ANSWER_TIMEOUT {
-                return Some(query);
+                return Some((arrived, query));
             }
             self.dropped.fetch_add(1, Relaxed);
             refuse(&Handle::current(), query, &self.sending);
@@ -168,7 +169,7 @@ mod tests {
         sender.try_send((arrived.checked_sub(ANSWER_TIMEOUT).unwrap(), query)).unwrap();
         let fresh = ask("points/v1/north/21B/health?fresh").await;
         sender.try_send(arriving.recv().await.unwrap()).unwrap();
-        assert_eq!(queue.next().await.unwrap().parameters().as_str(), "fresh");
+        assert_eq!(queue.next().await.unwrap().1.parameters().as_str(), "fresh");
         let reply = late.recv_async().await.unwrap();
         assert_eq!(reply.result().unwrap_err().payload().try_to_string().unwrap(), BUSY);
         assert!(fresh.is_empty() && queue.take_dropped() == 1);

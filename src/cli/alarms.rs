@@ -17,7 +17,7 @@ use crate::{
     store::Window,
     throw::{MachineId, utc},
     web,
-    wire::{self, Alarm, Health, Kind, MAX_HISTORY, Scope},
+    wire::{self, Alarm, EVERY_MONITOR_STATUS, Health, Kind, MAX_HISTORY, Scope},
 };
 
 /// Least number of similar open alarms about machines not monitored or lost data that are printed as one entry. A cut
@@ -70,7 +70,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         if answers.is_empty() {
             bus::require_monitored(&client.session, arguments.machine.as_ref()).await?;
         }
-        let daemons = client.ask(operator::EVERY_STATUS).await?;
+        let daemons = client.ask(EVERY_MONITOR_STATUS).await?;
         let is_history = arguments.since.is_some() || arguments.limit.is_some();
         let shows_open = !arguments.json && !is_history;
         let health = if shows_open {

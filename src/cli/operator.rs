@@ -15,9 +15,6 @@ use crate::{
     wire::{Reply, json, json_bytes, parse_monitor_key},
 };
 
-/// Key expression of the status of every daemon.
-pub(super) const EVERY_STATUS: &str = "points/v1/*/monitor/*/status";
-
 /// Time after which an attempt to connect fails \[ms\].
 const CONNECT_TIMEOUT_MS: u32 = 5_000;
 

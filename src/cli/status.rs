@@ -24,7 +24,7 @@ use crate::{
     diagnose::{Cause, MachineState},
     store::{WORST_FIRST, Window},
     throw::{Direction, MachineId, Name, counted},
-    wire::{self, Alarm, Health, Kind, Scope},
+    wire::{self, Alarm, EVERY_MONITOR_STATUS, Health, Kind, Scope},
 };
 
 /// Largest fleet of which every machine is listed by default: one screen.
@@ -115,7 +115,7 @@ struct Fleet {
 async fn gather(client: &Client, site: Option<&Name>) -> Result<Fleet, Failure> {
     let session = &client.session;
     let present = bus::monitors(session).await?;
-    let daemons = client.ask(operator::EVERY_STATUS).await?;
+    let daemons = client.ask(EVERY_MONITOR_STATUS).await?;
     let of_machines = client.ask(&Scope::default().key_expression(Kind::Health)).await?;
     let events = client.ask(&Scope::default().key_expression(Kind::Alarm)).await?;
     if daemons.is_empty() {

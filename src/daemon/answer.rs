@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use tokio::time::Instant;
 use zenoh::{bytes::ZBytes, query::Query};
 
 use super::{judge::commands::CommandSender, shared::Shared, supervision::status::Status};
@@ -29,7 +30,7 @@ pub(super) enum Responder {
 impl Responder {
     /// Answers until the session is closed.
     pub(super) async fn run(self, mut questions: QueryQueue) {
-        while let Some(question) = questions.next().await {
+        while let Some((arrived, question)) = questions.next().await {
             let dropped = questions.take_dropped();
             if dropped > 0 {
                 seldom!(
@@ -38,12 +39,12 @@ impl Responder {
                     "queries refused: the queue is full, they waited too long, or they are too large"
                 );
             }
-            let replies = self.replies(&question).await;
+            let replies = self.replies(&question, arrived).await;
             questions.answer(question, replies).await;
         }
     }
 
-    async fn replies(&self, question: &Query) -> Replies {
+    async fn replies(&self, question: &Query, arrived: Instant) -> Replies {
         match self {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
@@ -53,7 +54,7 @@ impl Responder {
                 wire::check_parameters(question.parameters().as_str(), &["session"])?;
                 match question.parameters().get("session") {
                     Some(other) if other != itself.session => Ok(Vec::new()),
-                    _ => command_reply(question, sender, itself).await,
+                    _ => command_reply(question, arrived, sender, itself).await,
                 }
             }
             // As `points/v1/**?since=…`, a query for the history of health and alarms.
@@ -82,7 +83,7 @@ fn is_about_others(question: &Query) -> bool {
 async fn health_replies(question: &Query, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters().as_str())? {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
-        HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
+        HistoryQuery::History { since, limit } => reader.health_history(&past(question)?, since, limit).await,
     };
     let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(&health));
     messages(question, rows, message)
@@ -93,7 +94,7 @@ async fn alarm_replies(question: &Query, reader: &Reader, status: &Status) -> Re
         HistoryQuery::Current => {
             reader.open_alarms(&selector(question)).await.map(|stored| status.with_uncommitted(stored))
         }
-        HistoryQuery::History { since, limit } => reader.alarm_history(&selector(question), since, limit).await,
+        HistoryQuery::History { since, limit } => reader.alarm_history(&past(question)?, since, limit).await,
     };
     let message = |alarm: Alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message());
     messages(question, rows, message)
@@ -109,7 +110,7 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| asks_about(question, key)).collect())
 }
 
-async fn command_reply(question: &Query, sender: &CommandSender, itself: &CommandTarget) -> Replies {
+async fn command_reply(question: &Query, arrived: Instant, sender: &CommandSender, itself: &CommandTarget) -> Replies {
     let payload = question.payload().map(ZBytes::to_bytes).unwrap_or_default();
     let (machine, _) = wire::parse_key(question.key_expr())
         .map_err(|error| format!("a command goes to one machine, so its key has no wildcard: {error}"))?;
@@ -117,8 +118,16 @@ async fn command_reply(question: &Query, sender: &CommandSender, itself: &Comman
     if payload.is_empty() {
         return Ok(vec![(key, wire::json_bytes(itself))]);
     }
-    let reply = sender.apply(machine, wire::decode_command(&payload)?).await?;
+    let reply = sender.apply(machine, wire::decode_command(&payload)?, arrived).await?;
     Ok(vec![(key, wire::json_bytes(&reply))])
+}
+
+/// Selects the machines of a query for the history. Its limit is applied before [`messages`] filters, so each key
+/// expression must be a pattern.
+fn past(question: &Query) -> Result<Selector, String> {
+    let patterns = wire::machine_patterns(question.key_expr());
+    let [site, machine] = patterns.ok_or("a query for the history has `**` at most once in its key expression")?;
+    Ok(Selector { site, machine })
 }
 
 /// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]

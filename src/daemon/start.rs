@@ -133,6 +133,7 @@ impl Daemon {
         if let Some(notifier) = Notifier::new(Arc::clone(&shared)).await? {
             start.tasks.spawn("webhook", notifier.run());
         }
+        store.renew_backlogs(clock::now()).await?;
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;

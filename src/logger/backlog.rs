@@ -38,7 +38,6 @@ pub(super) struct Backlog {
 
 /// The thread that sends the replies: a reply blocks on a slow link, and a callback of zenoh must not block. It gets
 /// each query with the throws of its machine.
-#[derive(Clone)]
 pub(super) struct AnswerThread(mpsc::SyncSender<(Query, Arc<Mutex<Kept>>)>);
 
 impl AnswerThread {

@@ -23,7 +23,7 @@ use zenoh::{
 
 use super::{
     error::LoggerError,
-    publish::{has_subscriber, publisher},
+    publish::{publisher, until_subscribed},
 };
 use crate::{
     bus::BusError,
@@ -167,13 +167,9 @@ impl LoadTest {
     /// all others, which took minutes for 20,000 machines.
     fn keys(&self, session: &Session, patience: Duration) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
         if let Some(first) = self.machines.first() {
-            let publisher = publisher(session, first)?;
             let start = clock::monotonic();
-            while !has_subscriber(&publisher)? {
-                if start.elapsed() >= patience {
-                    return Err(LoggerError::NoSubscriber(first.clone()));
-                }
-                thread::sleep(Duration::from_millis(10));
+            if !until_subscribed(&publisher(session, first)?, || start.elapsed() >= patience)? {
+                return Err(LoggerError::NoSubscriber(first.clone()));
             }
         }
         let keys = self.machines.iter().map(|machine| KeyExpr::try_from(wire::machine_key(machine, Kind::Throw)));

@@ -54,17 +54,22 @@ pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'
     publisher.wait().map_err(BusError::new("declare a publisher of throws"))
 }
 
-/// Whether a daemon subscribes to the throws of a publisher.
-pub(super) fn has_subscriber(publisher: &Publisher<'_>) -> Result<bool, BusError> {
-    let status = publisher.matching_status().wait();
-    status.map(|status| status.matching()).map_err(BusError::new("ask for the subscribers of throws"))
+/// Waits until a daemon subscribes to the throws of a publisher; false if `is_over` ended the wait.
+pub(super) fn until_subscribed(publisher: &Publisher<'_>, is_over: impl Fn() -> bool) -> Result<bool, BusError> {
+    loop {
+        let status = publisher.matching_status().wait().map_err(BusError::new("ask for the subscribers of throws"))?;
+        if status.matching() || is_over() {
+            return Ok(status.matching());
+        }
+        thread::sleep(POLL_INTERVAL);
+    }
 }
 
 impl Publishing {
     /// Publishes the throws of all machines in turn. Returns the number of throws of each machine.
     pub(super) fn run(&self, sources: &mut [Source]) -> Result<u64, LoggerError> {
-        if self.settings.wait_for_monitor {
-            self.wait_for_monitor(sources)?;
+        for source in sources.iter().filter(|_| self.settings.wait_for_monitor) {
+            until_subscribed(&source.publisher, || self.stop.is_cancelled())?;
         }
         let started_at = self.settings.first_throw_at(clock::now());
         let start = clock::monotonic();
@@ -87,15 +92,6 @@ impl Publishing {
             }
         }
         Ok(last)
-    }
-
-    fn wait_for_monitor(&self, sources: &[Source]) -> Result<(), LoggerError> {
-        for source in sources {
-            while !has_subscriber(&source.publisher)? && !self.stop.is_cancelled() {
-                thread::sleep(POLL_INTERVAL);
-            }
-        }
-        Ok(())
     }
 
     /// Waits until `moment`; false if the logger was stopped.

@@ -69,7 +69,8 @@ impl Store {
             reader: reader.clone(),
             broken: false,
             identity: None,
-            files_checked: None,
+            next_file_check: None,
+            foreign: None,
             max_log_bytes: settings.max_wal_mib * MIB,
             failed_log_bytes: 0,
         });
@@ -133,6 +134,11 @@ impl Store {
     /// does not have them.
     pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
+    }
+
+    /// Begins the wait of the judge for all backlogs anew, at the start of the daemon: the loggers have to connect again.
+    pub async fn renew_backlogs(&self, at: Timestamp) -> Result<(), StoreError> {
+        self.writer.write(Statement(sql::RENEW_BACKLOGS, at.as_microsecond())).await
     }
 
     /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction. A throw that was

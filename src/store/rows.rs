@@ -187,6 +187,15 @@ pub(super) fn json<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> sqlx::
     Ok(json.and_then(|json| serde_json::from_str(json).ok()))
 }
 
+pub(super) fn baseline(row: &SqliteRow) -> sqlx::Result<Option<BaselineProgress>> {
+    let [so_far, needed] = ["baseline_throws", "baseline_needed"].map(|column| row.try_get::<Option<i64>, _>(column));
+    let progress = |(so_far, needed): (i64, i64)| BaselineProgress {
+        so_far: so_far.cast_unsigned(),
+        needed: needed.cast_unsigned(),
+    };
+    Ok(so_far?.zip(needed?).map(progress))
+}
+
 fn three(row: &SqliteRow, columns: [&str; 3]) -> sqlx::Result<Option<[f64; 3]>> {
     let [b0, a1, a0] = columns.map(|column| row.try_get::<Option<f64>, _>(column));
     Ok(b0?.zip(a1?).zip(a0?).map(|((b0, a1), a0)| [b0, a1, a0]))
@@ -255,8 +264,6 @@ impl FromRow<'_, SqliteRow> for StoredThrow {
 
 impl FromRow<'_, SqliteRow> for Health {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let baseline = [row.try_get("baseline_throws")?, row.try_get("baseline_needed")?];
-        let [so_far, needed] = baseline.map(|count: Option<i64>| count.map(i64::cast_unsigned));
         Ok(Self {
             schema: Self::SCHEMA.to_owned(),
             machine: MachineId::from_row(row)?,
@@ -282,7 +289,7 @@ impl FromRow<'_, SqliteRow> for Health {
             drifts: json(row, "drifts")?.unwrap_or_default(),
             caveats: json(row, "caveats")?.unwrap_or_default(),
             detail: row.try_get("detail")?,
-            baseline: so_far.zip(needed).map(|(so_far, needed)| BaselineProgress { so_far, needed }),
+            baseline: baseline(row)?,
             throws_since_baseline: unsigned(row, "throws_since_baseline")?,
         })
     }

@@ -26,7 +26,8 @@ pub struct Statistics {
     pub pending: u64,
     /// Alarm events that the webhook has not accepted yet.
     pub notifications: u64,
-    /// Number of missing throws, without throws from before the first contact.
+    /// Number of missing throws as in the view `data_gaps`: without throws that a backlog may still have, and without
+    /// throws from before the first contact.
     pub missing_throws: u64,
     /// Messages in quarantine.
     pub quarantined: u64,

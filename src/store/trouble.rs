@@ -33,8 +33,13 @@ impl Store {
         let set_aside = self.files.set_aside_before().map(|file| {
             let saved = DatabaseFiles::saved_from(&file);
             let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
+            let was = if file.as_os_str().as_encoded_bytes().ends_with(b"-log") {
+                "was missing; its write-ahead log"
+            } else {
+                "was broken and"
+            };
             let text = format!(
-                "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
+                "its database {was} was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
                  later recovery",
                 file.display()
             );
@@ -64,8 +69,8 @@ impl Store {
             (
                 Dropped::PendingThrows,
                 "throw",
-                "before judging: pending throws fill store.max_size_mib or are more than store.max_traces, mostly of one \
-                 machine. Check the logger that sends so many",
+                "before judging: pending throws fill store.max_size_mib, or are more than store.max_traces or \
+                 store.max_throws, mostly of one machine. Check the logger that sends so many",
             ),
             (Dropped::Messages, "alarm event", "before publishing, as too many were waiting. Check the link of zenoh"),
             (

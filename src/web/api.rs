@@ -11,7 +11,7 @@
 //! when it was raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw,
 //! `change_now_pct` and `change_now_pct_sd`, which is null if the drift has ended.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 use axum::{
     extract::{Path, RawQuery, State, rejection::PathRejection},
@@ -25,7 +25,7 @@ use super::{
     page::{self, Failure},
 };
 use crate::{
-    diagnose::{MachineState, Present},
+    diagnose::Present,
     store::{CommonAlarm, Fault, FleetQuery},
     throw::MachineId,
 };
@@ -56,11 +56,10 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let reader = web.reader();
     let tally = reader.tally(&query, &itself).await?;
     let matching = query.state.map_or_else(|| tally.total(), |state| tally.of(state));
-    let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
     let machines = reader.fleet(&query, &itself).await?;
     let has_more = u64::from(query.offset) + (machines.len() as u64) < matching;
     let next_page = has_more.then(|| fleet::page_number(&query) + 1);
-    Ok(page::json(&json!({"tally": tally, "machines": machines, "next_page": next_page})))
+    Ok(page::json(&json!({"tally": tally.states, "machines": machines, "next_page": next_page})))
 }
 
 pub(super) async fn machine(
@@ -72,12 +71,11 @@ pub(super) async fn machine(
     takes_none(query.as_deref())?;
     let _permit = web.read_permit().await?;
     let reader = web.reader();
-    let throws = reader.newest_throws_of(&machine, THROWS).await?;
-    let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
-    let is_new = throws.is_empty() && state == MachineState::Learning;
-    if is_new && reader.alarm_events_of(&machine, 1).await?.is_empty() {
+    if !reader.is_known(&machine).await? {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
+    let throws = reader.newest_throws_of(&machine, THROWS).await?;
+    let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
     Ok(page::json(&json!({
         "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts, "caveats": caveats,
         "alarms": reader.open_alarms(&(&machine).into()).await?,

@@ -10,7 +10,7 @@ use axum::{
     response::{IntoResponse, Redirect, Response},
 };
 use jiff::{SignedDuration, Timestamp};
-use tokio::time;
+use tokio::time::{self, Instant};
 
 use super::{
     connection::Progress,
@@ -54,7 +54,7 @@ async fn apply(web: &Web, machine: &MachineId, fields: &HashMap<String, String>)
         ));
     }
     let command = command(fields, clock::now()).map_err(Failure::bad_request)?;
-    let reply = web.view.commands.apply(machine.clone(), command).await;
+    let reply = web.view.commands.apply(machine.clone(), command, Instant::now()).await;
     let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, format!("{problem}.")))?;
     if !reply.done {
         return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));

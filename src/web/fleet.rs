@@ -12,6 +12,7 @@ use axum::{
     extract::{RawQuery, State},
     response::Response,
 };
+use indicatif::HumanBytes;
 use strum::VariantArray as _;
 
 use super::{
@@ -23,7 +24,7 @@ use super::{
 };
 use crate::{
     daemon::{StatusReport, View, clock},
-    diagnose::{Cause, MachineState, Severity},
+    diagnose::{AlarmState, Cause, MachineState, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, StateCounts, WORST_FIRST, Window},
     throw::{MachineId, Name, counted, utc},
     wire::{self, BaselineProgress},
@@ -200,6 +201,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         rows: rows.iter().map(|row| table_row(row, &windows, limit_pct)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
+            0 if query.offset > 0 => "This page is beyond the last one.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
@@ -237,12 +239,13 @@ fn tally_links(tally: &StateCounts, filters: &FleetQuery) -> Vec<(Badge, String,
 
 /// Groups the alarms about machines not monitored and lost data into entries, those about lost data by their kind.
 fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
-    let mut kinds: BTreeMap<(Cause, bool, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
+    let mut kinds: BTreeMap<(&str, Cause, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
     for alarm in alarms {
         let kind = alarm.text.as_deref().map(wire::kind_of);
-        kinds.entry((alarm.cause, alarm.is_over, kind)).or_default().push(alarm);
+        let state = if alarm.state == AlarmState::ActiveUnacknowledged { "" } else { alarm.state.words() };
+        kinds.entry((state, alarm.cause, kind)).or_default().push(alarm);
     }
-    let entry = |((cause, is_over, _), alarms): ((Cause, bool, _), Vec<&CommonAlarm>)| {
+    let entry = |((state, cause, _), alarms): ((&str, Cause, _), Vec<&CommonAlarm>)| {
         let mut sites: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
         for alarm in &alarms {
             sites.entry(&alarm.site).or_insert((0, &alarm.machine)).0 += alarm.count;
@@ -267,7 +270,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
                 ("with data loss", format!(", for example {site}/{machine}: {text}"))
             }
         };
-        let over = if is_over { ", over and not acknowledged" } else { "" };
+        let state = if state.is_empty() { String::new() } else { format!(" ({state})") };
         let at_site = |(site, (count, machine)): (&str, (u64, &str))| match count {
             1 => format!("{site}/{machine}"),
             count => format!("{site} {}", page::count(count)),
@@ -276,7 +279,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         sites.sort_by_key(|(_, (count, _))| Reverse(*count));
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
-            summary: format!("{} {machines} {what}{over}, {}", page::count(count), times.unwrap_or_default()),
+            summary: format!("{} {machines} {what}{state}, {}", page::count(count), times.unwrap_or_default()),
             example,
             sites: named(sites.into_iter().map(at_site).collect()),
             address: address(&FleetQuery { cause: Some(cause), ..FleetQuery::default() }, 0),
@@ -350,13 +353,13 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
 
 fn daemon(report: &StatusReport, overview: &Overview) -> Vec<(&'static str, String)> {
     let statistics = &overview.statistics;
-    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::bytes(free))).unwrap_or_default();
+    let space = statistics.free_disk_bytes.map(|free| format!(", {} free", HumanBytes(free))).unwrap_or_default();
     vec![
         ("version", report.version.clone()),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk.as_ref())),
-        ("database", page::bytes(statistics.data_bytes)),
+        ("database", HumanBytes(statistics.data_bytes).to_string()),
         ("throws kept", page::count(statistics.throws)),
         ("pending", page::count(statistics.pending)),
         ("to publish", page::count(statistics.outbox)),
@@ -413,13 +416,18 @@ mod tests {
             first: jiff::Timestamp::UNIX_EPOCH,
             last: jiff::Timestamp::UNIX_EPOCH,
             text: text.map(str::to_owned),
-            is_over: machine == "e",
+            state: match machine {
+                "e" => AlarmState::ClearedUnacknowledged,
+                "f" => AlarmState::Shelved,
+                _ => AlarmState::ActiveUnacknowledged,
+            },
         };
         let alarms = [
             alarm(Cause::NotMonitored, "a", 12, None),
             alarm(Cause::DataLoss, "b", 1, Some("Machine b: 2 throws never arrived.")),
             alarm(Cause::DataLoss, "c", 1, Some("Machine c: 9 throws never arrived.")),
             alarm(Cause::DataLoss, "e", 1, Some("Machine e: 7 throws never arrived.")),
+            alarm(Cause::NotMonitored, "f", 2, None),
             alarm(Cause::DataLoss, "d", 1, Some("Machine d: the clock of the logger is wrong.")),
         ];
         let shown: Vec<_> = common(&alarms).into_iter().map(|it| [it.summary, it.example, it.sites]).collect();
@@ -428,7 +436,8 @@ mod tests {
             ("12 machines not monitored", "", "north 12"),
             ("2 machines with data loss", ", for example north/b: 2 throws never arrived.", "north 2"),
             ("1 machine with data loss", ": the clock of the logger is wrong.", "north/d"),
-            ("1 machine with data loss, over and not acknowledged", ": 7 throws never arrived.", "north/e"),
+            ("1 machine with data loss (over, not acknowledged)", ": 7 throws never arrived.", "north/e"),
+            ("2 machines not monitored (shelved)", "", "north 2"),
         ];
         let expected =
             expected.map(|(summary, example, sites)| [format!("{summary}, {since}"), example.into(), sites.into()]);

@@ -1,7 +1,7 @@
 //! `/machines/{site}/{machine}`: state, present drifts, trends, alarms and last throws of one machine.
 
 use std::{
-    collections::{BTreeMap, HashMap, hash_map::Entry},
+    collections::{BTreeMap, HashMap},
     sync::Arc,
 };
 
@@ -24,7 +24,7 @@ use crate::{
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, is_possible_date},
     estimate::Grade,
     store::{CommandRow, Reader, StoreError, ThrowSelection, Window},
-    throw::{Direction, MachineId, counted, utc, without_digits},
+    throw::{Direction, MachineId, counted, utc},
     wire::{Alarm, BaselineProgress, Health},
 };
 
@@ -94,7 +94,7 @@ struct Page {
     events: Vec<Alarm>,
     commands: Vec<CommandRow>,
     /// The last throws, each with its quality in words.
-    throws: Vec<(Health, String)>,
+    throws: Vec<Health>,
     takes_commands: bool,
     form: Form,
     /// Longest window in the form \[h\].
@@ -188,12 +188,12 @@ async fn read(
     span: Span,
     settings: &Settings,
 ) -> Result<Option<Page>, StoreError> {
+    if !reader.is_known(machine).await? {
+        return Ok(None);
+    }
     let throws = reader.newest_throws_of(machine, THROWS).await?;
     let events = reader.alarm_events_of(machine, EVENTS).await?;
     let Present { state: now_state, caveats, .. } = reader.state_of(machine).await?;
-    if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
-        return Ok(None);
-    }
     let mut both = [
         (Direction::NormalToReverse, rows(reader, machine, Direction::NormalToReverse, span).await?),
         (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
@@ -219,7 +219,7 @@ async fn read(
         spans: Span::CHOICES.into_iter().map(|(choice, word, text)| (word, text, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         features: trend::features(&both, &of_baseline, &marks),
-        throws: with_qualities(throws),
+        throws,
         events,
         commands,
         takes_commands: false,
@@ -237,7 +237,7 @@ async fn read(
 
 /// Reason why the charts of the coefficients are empty.
 fn no_trends(both: &Directions, baselines: &[BaselineRecord]) -> &'static str {
-    let mut rows = both.iter().flat_map(|(_, rows)| rows).peekable();
+    let mut rows = trend::all(both).peekable();
     if rows.peek().is_some() && rows.all(|row| row.grade() == Some(Grade::CurrentOnly) && row.coefficients.is_none()) {
         "These throws have no toe position or a three-phase motor, and so no coefficients. Their duration and currents, below, are compared with \
          those of the first throws."
@@ -277,7 +277,7 @@ fn leave_out_misdated(both: &mut Directions) -> usize {
     let is_possible = |row: &Health| is_possible_date(row.started_at, now);
     let count = |both: &Directions| both.iter().map(|(_, rows)| rows.len()).sum::<usize>();
     let before = count(both);
-    if both.iter().flat_map(|(_, rows)| rows).any(is_possible) {
+    if trend::all(both).any(is_possible) {
         for (_, rows) in both.iter_mut() {
             rows.retain(is_possible);
         }
@@ -347,7 +347,7 @@ fn without(row: &Health) -> String {
         return if row.coefficients.is_some() { ratios } else { format!("{ratios}; {}", quality(row)) };
     }
     match row.grade() {
-        _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
+        _ if row.coefficients.is_some() => "not compared with a baseline".to_owned(),
         Some(Grade::Rough) => {
             format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row))
         }
@@ -375,31 +375,9 @@ fn changes(row: &Health) -> Option<[String; 3]> {
     row.change_pct.map(|change| change.map(|change| state::signed(change, 1)))
 }
 
-/// The throws with their qualities, newest first. A long reason that differs only in its numbers from that of a newer
-/// throw is not repeated.
-fn with_qualities(throws: Vec<Health>) -> Vec<(Health, String)> {
-    /// Longest reason that is always repeated \[characters\].
-    const LONG: usize = 60;
-    let mut before: HashMap<String, u64> = HashMap::new();
-    let with_quality = |throw: Health| {
-        let mut quality = quality(&throw);
-        if quality.chars().count() > LONG {
-            match before.entry(without_digits(&quality)) {
-                Entry::Occupied(newer) => {
-                    let word = quality.split(':').next().unwrap_or_default();
-                    quality = format!("{word}: as throw {}", newer.get());
-                }
-                Entry::Vacant(first) => drop(first.insert(throw.throw.throw_no)),
-            }
-        }
-        (throw, quality)
-    };
-    throws.into_iter().map(with_quality).collect()
-}
-
 /// "2026-05-04 … to 2026-05-06 …; drawn are 250 throws normal to reverse and 250 back."
 fn drawn(directions: &Directions) -> String {
-    let times = || directions.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
+    let times = || trend::all(directions).map(|row| row.started_at);
     let (Some(first), Some(last)) = (times().min(), times().max()) else {
         return "No throw with a known direction.".to_owned();
     };
@@ -420,14 +398,14 @@ fn left_out(misdated: usize) -> String {
 }
 
 fn drawn_throws(directions: &Directions) -> String {
-    let rows = directions.iter().flat_map(|(_, rows)| rows);
+    let rows = trend::all(directions);
     page::data(&rows.map(|row| (trend::x(row.started_at), page::throw_path(&row.throw))).collect::<Vec<_>>())
 }
 
 /// "Rejected among these: 12 supply sagged, 3 no movement."
 fn rejected(directions: &Directions) -> String {
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
-    for row in directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected()) {
+    for row in trend::all(directions).filter(|row| row.is_rejected()) {
         *reasons.entry(&row.quality).or_default() += 1;
     }
     let reasons: Vec<String> =

@@ -140,16 +140,6 @@ pub(super) fn duration(seconds: u64) -> String {
     }
 }
 
-/// A size \[bytes\] as "1.5 MiB".
-pub(super) fn bytes(bytes: u64) -> String {
-    let kib = bytes as f64 / 1024.0;
-    match kib {
-        ..1024.0 => format!("{kib:.0} KiB"),
-        ..1_048_576.0 => format!("{:.1} MiB", kib / 1024.0),
-        _ => format!("{:.1} GiB", kib / 1_048_576.0),
-    }
-}
-
 /// A number with separators, as "1,234,567".
 pub(super) fn count(number: u64) -> String {
     indicatif::HumanCount(number).to_string()
@@ -163,6 +153,5 @@ mod tests {
     fn numbers_read_well() {
         assert_eq!([0, 999, 1_000, 1_234_567].map(count), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([59, 60, 7_500, 270_000].map(duration), ["59 s", "1 min", "2 h 5 min", "3 d 3 h"]);
-        assert_eq!([2_048, 3 << 19, 5 << 29].map(bytes), ["2 KiB", "1.5 MiB", "2.5 GiB"]);
     }
 }

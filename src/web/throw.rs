@@ -25,7 +25,7 @@ use crate::{
 
 /// Largest trace as CSV \[bytes\]. Only a throw of some minutes has a larger one.
 const LARGEST_CSV: usize = 16 << 20;
-/// Largest number of baselines read; the newest of each direction is among them.
+/// Largest number of baselines read; the newest of each direction is usually among them.
 const BASELINES: u32 = 8;
 
 #[derive(Template)]
@@ -68,7 +68,7 @@ impl Page {
         let (Some(values), Some(sd)) = (health.coefficients, health.sd) else { return Vec::new() };
         let change = |at: usize| {
             let change = health.change_pct.map(|change| format!("{} %", state::signed(change[at], 1)));
-            change.unwrap_or_else(|| "no baseline yet".to_owned())
+            change.unwrap_or_else(|| "not compared with a baseline".to_owned())
         };
         let names = ["b0, motor (rad/s² per A)", "a1, friction (1/s)", "a0, stiffness (1/s²)"];
         (0..3).map(|at| (names[at], rounded(values[at], 2.0 * sd[at]), change(at))).collect()
@@ -142,9 +142,7 @@ async fn typical(
     let reader = web.reader();
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     let Some(baseline) = trend::newest(&baselines, direction) else { return Ok(None) };
-    let found = reader.typical_of(machine, direction, baseline.taken_at).await?;
-    let Some(found) = found.filter(|found| found != throw) else { return Ok(None) };
-    Ok(reader.throw_of(machine, &found).await?.map(|(stored, _)| stored))
+    Ok(reader.typical_of(machine, direction, baseline.taken_at).await?.filter(|typical| typical.id != *throw))
 }
 
 /// The response with the trace as CSV, in the columns that `pointsd identify` and `pointsd import` read.

@@ -14,6 +14,8 @@ use crate::{
 pub(super) const POINTS: usize = 250;
 /// A long trace is divided into this number of stretches. Only the least and the greatest sample of each are drawn.
 const STRETCHES: usize = 300;
+/// Longest time without a sample that a curve crosses \[s\]: a toe sensor may be sampled less often than the current.
+const GAP_S: f64 = 0.1;
 /// Width and height of a chart \[px\].
 const SIZE: (f64, f64) = (420.0, 290.0);
 
@@ -40,6 +42,11 @@ pub(super) struct Mark {
 
 /// The throws of each direction, oldest first.
 pub(super) type Directions = [(Direction, Vec<Health>); 2];
+
+/// The throws of both directions.
+pub(super) fn all(directions: &Directions) -> impl Iterator<Item = &Health> {
+    directions.iter().flat_map(|(_, rows)| rows)
+}
 
 /// Every n-th row up to the last, at most [`POINTS`].
 pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
@@ -68,7 +75,7 @@ pub(super) fn coefficients(
     baselines: &[BaselineRecord],
     settings: &Settings,
 ) -> Vec<Picture> {
-    if !directions.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
+    if !all(directions).any(|row| row.change_pct.is_some()) {
         return Vec::new();
     }
     // The larger scatter of both directions.
@@ -145,7 +152,9 @@ fn since_baseline(rows: &[Health], value: impl Fn(&Health) -> Option<f64>) -> Ve
             let is_last = row.baseline.is_some_and(|baseline| !baseline.has_begun());
             let throws = if is_last { u64::MAX } else { row.throws_since_baseline };
             if before.replace(throws).is_some_and(|before| throws < before) {
-                points.push((at, f64::NAN));
+                // Between the throws: a script that joins the curves has one value at each time.
+                let last: f64 = points.last().map_or(at, |(last, _)| *last);
+                points.push((f64::midpoint(last, at), f64::NAN));
             }
         }
         points.push((at, value.unwrap_or(f64::NAN)));
@@ -173,7 +182,7 @@ pub(super) fn features(directions: &Directions, of_baseline: &[Vec<Health>; 2], 
         ("Peak current", "A", ALL_THROWS, |row| row.peak_current_a),
     ];
     let is_rough = |row: &Health| row.coefficients.is_none() && row.a1_per_b0.is_some();
-    let ratios = if directions.iter().flat_map(|(_, rows)| rows).any(is_rough) { &ratios[..] } else { &[] };
+    let ratios = if all(directions).any(is_rough) { &ratios[..] } else { &[] };
     let picture = |(title, unit, of, value): (&str, &str, &str, Feature)| {
         let mut panel = Panel::history(title, unit);
         let mut least = f64::INFINITY;
@@ -220,13 +229,13 @@ pub(super) fn x(at: Timestamp) -> f64 {
 
 /// Times of the first and the last throw in the chart.
 fn ends(directions: &Directions) -> Option<(f64, f64)> {
-    let times = || directions.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
+    let times = || all(directions).map(|row| row.started_at);
     Some((x(times().min()?), x(times().max()?)))
 }
 
 /// Points of the dots for rejected throws, at `height`.
 fn rejected_at(directions: &Directions, height: f64) -> Vec<(f64, f64)> {
-    let rows = directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
+    let rows = all(directions).filter(|row| row.is_rejected());
     let mut dots: Vec<f64> = rows.map(|row| x(row.started_at)).collect();
     dots.sort_by(f64::total_cmp);
     // A NaN after each dot interrupts the line.
@@ -260,19 +269,27 @@ pub(super) fn caption(title: &str, trace: &Trace) -> String {
     format!("{title} over the time of the throw, {samples} samples at {} Hz.", trace.sample_rate_hz())
 }
 
-/// The points of a curve. Of a long trace only the first and the last sample, and the extremes of each stretch.
+/// The points of a curve. Of a long trace only the first and the last sample, and the extremes of each stretch. A NaN
+/// interrupts the curve where no sample is known for longer than [`GAP_S`].
 fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
-    let stretch = values.len().div_ceil(STRETCHES).max(2);
-    let mut kept = vec![0];
-    for (number, chunk) in values.chunks(stretch).enumerate() {
-        let (low, high) = (0..chunk.len()).fold((0, 0), |(low, high), at| {
-            (if chunk[at] < chunk[low] { at } else { low }, if chunk[at] > chunk[high] { at } else { high })
-        });
-        kept.extend([low.min(high), low.max(high)].map(|at| number * stretch + at));
+    let known: Vec<usize> = (0..values.len()).filter(|at| values[*at].is_finite()).collect();
+    let stretch = known.len().div_ceil(STRETCHES).max(2);
+    let mut points: Vec<(f64, f64)> = Vec::new();
+    for run in known.chunk_by(|one, next| (next - one) as f64 <= (GAP_S * sample_rate_hz).max(1.0)) {
+        let mut kept = vec![run[0]];
+        for chunk in run.chunks(stretch) {
+            let (low, high) = chunk.iter().fold((chunk[0], chunk[0]), |(low, high), at| {
+                (if values[*at] < values[low] { *at } else { low }, if values[*at] > values[high] { *at } else { high })
+            });
+            kept.extend([low.min(high), low.max(high)]);
+        }
+        kept.extend(run.last());
+        kept.dedup();
+        let first = kept[0] as f64 / sample_rate_hz;
+        points.extend(points.last().map(|(last, _)| (f64::midpoint(*last, first), f64::NAN)));
+        points.extend(kept.into_iter().map(|at| (at as f64 / sample_rate_hz, values[at])));
     }
-    kept.push(values.len().saturating_sub(1));
-    kept.dedup();
-    kept.into_iter().filter_map(|at| Some((at as f64 / sample_rate_hz, *values.get(at)?))).collect()
+    points
 }
 
 #[cfg(test)]
@@ -295,6 +312,21 @@ mod tests {
         assert_eq!(drawn(1_000.0, &values)[0], (0.0, 500.5), "the axis begins with the first sample");
         assert_eq!(drawn(10.0, &[]), []);
         assert_eq!(drawn(10.0, &[1.0, 2.0, 3.0]), [(0.0, 1.0), (0.1, 2.0), (0.2, 3.0)]);
+        assert_eq!(drawn(1.0, &[1.0, 2.0]), [(0.0, 1.0), (1.0, 2.0)]);
+    }
+
+    /// As of a toe sensor that is sampled ten times less often than the current, and is silent for a while.
+    #[test]
+    fn a_curve_with_missing_samples_keeps_the_others() {
+        let is_missing = |at: usize| !at.is_multiple_of(10) || (2_000..2_200).contains(&at);
+        let mut values: Vec<f64> = (0..6_000).map(|at| if is_missing(at) { f64::NAN } else { at as f64 }).collect();
+        let points = drawn(1_000.0, &values);
+        let (known, gaps): (Vec<_>, Vec<_>) = points.iter().partition(|(_, value)| value.is_finite());
+        assert!(known.len() >= STRETCHES, "{} points", known.len());
+        assert!(matches!(gaps[..], [(at, _)] if (1.99..2.2).contains(&at)), "{gaps:?}");
+        assert!(points.is_sorted_by(|one, next| one.0 < next.0));
+        values[..3_000].fill(f64::NAN);
+        assert_eq!(drawn(1_000.0, &values)[0], (3.0, 3_000.0));
     }
 
     fn row(at: i64, throws_since_baseline: u64, so_far: u64) -> Health {
@@ -329,6 +361,8 @@ mod tests {
         };
         let is = |found: Vec<f64>, expected: &[f64]| assert_eq!(format!("{found:?}"), format!("{expected:?}"));
         is(times(&[row(1, 8, 50), row(2, 9, 50), row(3, 3, 50)]), &[1.0, 2.0, f64::NAN, 3.0]);
+        let points = since_baseline(&[row(1, 8, 50), row(3, 3, 50)], |_| Some(0.0));
+        assert!((points[1].0 - 2.0).abs() < 1e-9, "at the time of a throw: {points:?}");
         is(times(&[row(1, 8, 50), row(2, 0, 0), row(3, 3, 50), row(4, 4, 50)]), &[1.0, 2.0, f64::NAN, 3.0, 4.0]);
     }
 

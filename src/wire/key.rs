@@ -45,6 +45,9 @@ pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
     MachineId::new(site, id).ok()
 }
 
+/// Key expression of the status of every daemon.
+pub const EVERY_MONITOR_STATUS: &str = "points/v1/*/monitor/*/status";
+
 /// The key of a daemon's status: `points/v1/{site}/monitor/{id}/status`.
 pub fn monitor_status_key(monitor: &MachineId) -> String {
     monitor_key(monitor, "status")

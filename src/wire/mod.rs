@@ -20,8 +20,8 @@ pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{CommandTarget, Reply, decode_command};
 pub use health::{BaselineProgress, Health, is_rejection};
 pub use key::{
-    EVERY_MONITOR_ALIVE, Kind, Scope, machine_key, machine_patterns, monitor_alive_key, monitor_status_key, parse_key,
-    parse_monitor_key,
+    EVERY_MONITOR_ALIVE, EVERY_MONITOR_STATUS, Kind, Scope, machine_key, machine_patterns, monitor_alive_key,
+    monitor_status_key, parse_key, parse_monitor_key,
 };
 pub use query::{HistoryQuery, MAX_HISTORY, check_parameters};
 pub use text::{Invalid, json, json_bytes, without_byte_order_mark};

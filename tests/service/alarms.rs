@@ -132,6 +132,20 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
     let events = rig.sql("SELECT state FROM alarm_events ORDER BY event_no");
     let states: Vec<&str> = events.iter().map(|event| event["state"].as_str().unwrap()).collect();
     assert_eq!(states, ["active_unacknowledged", "active_acknowledged"]);
+
+    // Under another name its former one is no machine of the fleet.
+    let renamed = Rig::with("[subscribe]\nkey = \"points/v1/north/**\"\n").in_folder(rig.folder());
+    renamed.start().until_status("a new own alarm", |status| status["own_alarms"] == 1).await;
+    renamed.until_sql("SELECT 1 FROM operator_commands WHERE machine = 'c7' AND command = 'retire'").await;
+    let daemon = renamed.start();
+    daemon.until_status("the own alarm", |status| status["own_alarms"] == 1).await;
+    let status = daemon.status();
+    assert_eq!(
+        (&status["machines"], &status["not_served"]),
+        (&serde_json::json!({}), &serde_json::json!([])),
+        "{status}"
+    );
+    assert!(renamed.sql("SELECT * FROM active_alarms WHERE machine = 'c7'").is_empty());
 }
 
 /// Otherwise a logger with this name could clear the alarms of the daemon about itself, which are stored as alarms of a
@@ -145,8 +159,13 @@ async fn no_logger_publishes_under_the_name_of_the_daemon() {
     daemon.terminate();
     let daemon = rig.start();
     let logger = daemon.logger("points/v1/fleet/pointsd/throw").await;
-    logger.send([&stub("boot", 1)]).await;
+    logger.send((1..=6).map(|throw_no| stub("boot", throw_no))).await;
     rig.until_sql("SELECT 1 AS n FROM quarantine WHERE reason LIKE '%the name of pointsd itself%'").await;
+    daemon
+        .until_status("the refused name", |status| {
+            status["refused"].to_string().contains("fleet/pointsd (this is the name of pointsd itself")
+        })
+        .await;
 }
 
 #[test]

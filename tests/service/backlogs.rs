@@ -213,6 +213,7 @@ async fn a_message_that_the_quarantine_could_not_take_is_counted_and_taken_later
     // The daemon queries the logger again.
     Sender::of(&session, KEY).await.send([stub("boot", 5)]).await;
     rig.until_sql("SELECT 1 AS n FROM quarantined_messages").await;
+    assert_eq!(daemon.status()["lost"], 1, "each query counted it");
 }
 
 /// A backlog on the throw key is all that a logger needs.

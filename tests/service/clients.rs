@@ -43,7 +43,7 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     for waiting in &queries[..64] {
         assert!(waiting.is_empty(), "the others wait");
     }
-    let first = questions.next().await.unwrap();
+    let (_, first) = questions.next().await.unwrap();
     assert_eq!(first.key_expr().as_str(), KEY);
 }
 

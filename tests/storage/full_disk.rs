@@ -5,7 +5,8 @@ use std::{fs, process::Command};
 use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
-    given::{at, fresh, judge, judgement, machine, open, settings, spooled, throw},
+    given::{at, change, files_with, fresh, judge, judgement, machine, open, received, settings, spooled, throw},
+    keeping::until_trouble,
     small_disk::SmallDisk,
 };
 
@@ -66,6 +67,34 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     assert!(disk.folder().join("points.db-ballast").exists(), "the ballast is back");
     assert_eq!(store.statistics().await.unwrap().missing_throws, 0);
     store.close().await.unwrap();
+}
+
+/// The open connection has the only copy. A copy that does not fit on the disk would make its next write fail.
+#[tokio::test]
+async fn a_deleted_database_that_cannot_be_written_again_stays_open() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let store = open(disk.folder()).await.store;
+    let throws: Vec<_> = (1..=1000).map(|throw_no| received("21B", "b1", throw_no, 0)).collect();
+    for page in throws.chunks(100) {
+        store.spool_all(page).await.unwrap();
+    }
+    change(store.path(), ["PRAGMA wal_checkpoint(TRUNCATE)"]).await;
+    store.outbox_sent(&[]).await.unwrap();
+    // The free space is half of the database.
+    let size = |name: &str| fs::metadata(disk.folder().join(name)).map_or(0, |file| file.len());
+    let used: u64 = files_with(disk.folder(), &["points.db"]).iter().map(|name| size(name)).sum();
+    let filler = (12 << 20) - used - size("points.db") / 2;
+    fs::write(disk.folder().join("filler"), vec![1; usize::try_from(filler).unwrap()]).unwrap();
+    for suffix in ["", "-wal", "-shm"] {
+        fs::remove_file(disk.folder().join(format!("points.db{suffix}"))).unwrap();
+    }
+    until_trouble(&store).await;
+    let (_, said) = store.trouble(None).unwrap();
+    assert!(said.contains("cannot be written again"), "{said}");
+    assert_eq!(files_with(disk.folder(), &["-copy"]), Vec::<String>::new());
+    spooled(&store, "21B", "b1", 1001).await;
+    let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
+    assert_eq!(again, Spooled::Duplicate, "its rows are lost");
 }
 
 #[tokio::test]

@@ -47,6 +47,18 @@ async fn traces_are_dropped_before_throws_and_pending_throws_never() {
 }
 
 #[tokio::test]
+async fn the_trace_of_a_throw_that_was_pending_is_dropped_after_newer_ones() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
+    let waits = spooled(&store, "21B", "b1", 1).await;
+    judged(&store, 2, 150).await;
+    store.keep_bounds(Some(at(0))).await.unwrap();
+    judge(&store, judgement(waits, "21B")).await.unwrap();
+    judged(&store, 151, 160).await;
+    store.keep_bounds(Some(at(0))).await.unwrap();
+    assert_eq!(query::<(i64, i64)>(&store, "SELECT count(*), min(throw_row) FROM trace").await, [(100, 61)]);
+}
+
+#[tokio::test]
 async fn bytes_are_bounded_and_alarms_outlive_throws() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     store.record(alarm(1, AlarmState::Normal)).await.unwrap();
@@ -356,6 +368,17 @@ fn remove_database(folder: &Path) {
     }
 }
 
+/// Writes until a problem shows. The daemon writes at least every 5 s.
+pub(crate) async fn until_trouble(store: &Store) {
+    let noticed = async {
+        while store.trouble(None).is_none() {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            store.outbox_sent(&[]).await.unwrap();
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), noticed).await.unwrap();
+}
+
 /// The writer still has the deleted files open, with all commits, and writes the rows to a new file.
 #[tokio::test]
 async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
@@ -368,14 +391,7 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         if replaced {
             fs::write(&path, "a backup of the operator").unwrap();
         }
-        // The daemon writes at least every 5 s, like this.
-        let noticed = async {
-            while store.trouble(None).is_none() {
-                tokio::time::sleep(Duration::from_millis(100)).await;
-                store.outbox_sent(&[]).await.unwrap();
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(10), noticed).await.unwrap();
+        until_trouble(&store).await;
         let (severity, said) = store.trouble(None).unwrap();
         let happened = if replaced { "was replaced during operation" } else { "was deleted during operation" };
         assert!(severity == pointsd::diagnose::Severity::Critical && said.contains(happened), "{said}");
@@ -388,6 +404,48 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         assert_eq!(opened.store.reader().throws(ThrowRow::START, 100).await.unwrap().len(), 40);
         let strangers = files_with(folder.path(), &["-replaced-"]);
         assert_eq!(strangers.len(), usize::from(replaced), "the foreign file is kept");
+    }
+}
+
+/// After a move the configured path is a link. The log of a deleted file behind it belongs to no other file.
+#[tokio::test]
+async fn a_moved_database_that_is_deleted_is_written_anew_or_its_log_set_aside() {
+    for is_running in [true, false] {
+        let (folder, store) = fresh_with(|settings| Settings { max_wal_mib: 1, ..settings }).await;
+        let holder = reading(&store).await;
+        let mut last = 0;
+        while !store.path().is_symlink() {
+            judged(&store, last + 1, last + 20).await;
+            last += 20;
+        }
+        holder.close().await.unwrap();
+        judged(&store, last + 1, last + 5).await;
+        let moved = fs::canonicalize(store.path()).unwrap();
+        if is_running {
+            fs::remove_file(&moved).unwrap();
+            until_trouble(&store).await;
+            assert!(store.trouble(None).unwrap().1.contains("was deleted during operation"));
+            judged(&store, last + 6, last + 10).await;
+            store.close().await.unwrap();
+            let opened = open(folder.path()).await;
+            assert_eq!(opened.report.found, Found::Clean);
+            assert_eq!(
+                query::<(i64,)>(&opened.store, "SELECT count(*) FROM throw").await,
+                [(i64::try_from(last).unwrap() + 10,)]
+            );
+        } else {
+            let log = moved.with_file_name("points.db-moved-1-wal");
+            let written = fs::read(&log).unwrap();
+            assert!(!written.is_empty());
+            store.close().await.unwrap();
+            fs::remove_file(&moved).unwrap();
+            fs::write(&log, &written).unwrap();
+            let opened = open(folder.path()).await;
+            let Found::SetAside { to, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
+            assert_eq!(fs::read(to).unwrap(), written);
+            let (_, said) = opened.store.trouble(None).unwrap();
+            assert!(said.contains("its database was missing; its write-ahead log was set aside as"), "{said}");
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use tokio::time::timeout;
 use crate::{
     given::{
         PAGE, alarm, at, change, event, files_with, fresh, judge, judged, judgement, machine, open, outcome, outsider,
-        overwrite, settings, spooled,
+        overwrite, query, settings, spooled,
     },
     small_disk::SmallDisk,
 };
@@ -164,6 +164,27 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     // A saved throw that arrives again is a duplicate.
     let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, pointsd::store::Spooled::Duplicate);
+}
+
+/// A machine from the index is copied after its throws, whose triggers count the rows and note the latest throw. Throw 3
+/// arrived last, from the backlog.
+#[tokio::test]
+async fn a_machine_from_the_index_has_its_counters_and_its_latest_throw() {
+    const COUNTERS: &str = "SELECT throws, traces, stored_bytes, throw_no FROM machine \
+                            JOIN latest USING (machine_row) JOIN throw USING (throw_row)";
+    let (folder, store) = fresh().await;
+    for throw_no in [1, 2, 4, 3] {
+        judged(&store, "21B", "b1", throw_no).await;
+    }
+    let before = query::<(i64, i64, i64, i64)>(&store, COUNTERS).await;
+    assert!(matches!(before[..], [(4, 4, _, 4)]), "{before:?}");
+    let root = query::<(i64,)>(&store, "SELECT rootpage FROM sqlite_schema WHERE name = 'machine'").await[0].0;
+    store.close().await.unwrap();
+    let root = root.cast_unsigned();
+    overwrite(&folder.path().join("points.db"), root - 1..root);
+    let (store, salvaged) = salvaged(folder.path()).await;
+    assert!(salvaged.lost("machine") > 0, "{salvaged:?}");
+    assert_eq!(query::<(i64, i64, i64, i64)>(&store, COUNTERS).await, before);
 }
 
 /// A kill or a full disk interrupted the copy: the broken file is renamed, and there is no new database yet.

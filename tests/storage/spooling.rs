@@ -103,6 +103,7 @@ async fn gaps_open_split_and_close() {
         spooled(&store, "21B", "b1", throw_no).await;
     }
     assert!(gaps(&store).await.is_empty(), "they may be in the backlog");
+    assert_eq!(store.statistics().await.unwrap().missing_throws, 0);
     write_off(&store).await;
     assert_eq!(gaps(&store).await, [("b1".to_owned(), 4, 4), ("b1".to_owned(), 9, 11)]);
     spooled(&store, "21B", "b1", 4).await;
@@ -181,10 +182,10 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
         spooled(&store, "21B", boot_id, 3).await;
     }
     assert_eq!(pending(&store).await, 9);
+    write_off(&store).await;
     // Each gap counts at most 2^40 throws, as in the view.
     assert!((3 << 40..4 << 40).contains(&store.statistics().await.unwrap().missing_throws));
     // The sum of the gaps fits into 64 bits in SQL too.
-    write_off(&store).await;
     let missing = query::<(i64,)>(&store, "SELECT sum(missing_throws) FROM data_gaps").await;
     assert!(missing[0].0 > 1 << 40, "{missing:?}");
 }
@@ -370,6 +371,9 @@ async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
     assert_eq!(judged(70, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
     // If the clock was set back after the gap was found, no throw waits until that time.
     assert_eq!(judged(-1000, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
+    // After a start of the daemon the wait begins anew: the logger has to connect again.
+    store.renew_backlogs(at(1000)).await.unwrap();
+    assert_eq!(judged(1010, 60).await, of(&[("21B", 1), ("22A", 1)]));
 }
 
 /// Writes that arrive together share a transaction. If the database refuses one of them, the others are still stored.

@@ -91,7 +91,7 @@ settings! {
         /// publish on any number of keys.
         pub max_machines: usize = 10_000, Within(1.0, 100_000.0, "machines");
         /// Longest time \[s\] that the throws after a gap wait for missing throws from the backlog, 0 to 86,400. The
-        /// time starts again with each missing throw that arrives.
+        /// time starts again with each missing throw that arrives, and at the start of pointsd.
         pub backlog_wait_s: f64 = 60.0, Within(0.0, 86_400.0, "s");
     }
 }

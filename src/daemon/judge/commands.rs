@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use tokio::{
     sync::{mpsc, oneshot},
-    time,
+    time::{self, Instant},
 };
 
-use crate::{diagnose::Command, throw::MachineId, wire::Reply};
+use crate::{bus::ANSWER_TIMEOUT, diagnose::Command, throw::MachineId, wire::Reply};
 
 /// Capacity of the queue. A sender waits while it is full.
 const CAPACITY: usize = 16;
@@ -31,13 +31,15 @@ impl CommandSender {
         (Self(sender), receiver)
     }
 
-    /// Sends a command and waits until it is applied and committed.
+    /// Sends a command, which arrived at `arrived`, and waits until it is applied and committed.
     ///
     /// # Errors
     /// A sentence, if the loop does not answer in time. The loop then drops the command, unless it is applying it.
-    pub(crate) async fn apply(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
+    pub(crate) async fn apply(&self, machine: MachineId, command: Command, arrived: Instant) -> Result<Reply, String> {
         let (reply, answer) = oneshot::channel();
-        let answer = time::timeout(LIMIT, async {
+        // Its operator gives it up then.
+        let limit = ANSWER_TIMEOUT.saturating_sub(arrived.elapsed()).min(LIMIT);
+        let answer = time::timeout(limit, async {
             self.0.send(PendingCommand { machine, command, reply }).await.ok()?;
             answer.await.ok()
         });

@@ -24,7 +24,7 @@ use crate::{
         supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
     diagnose::{AlarmEvent, Away, Command, Irregularity, MachineMonitor, Missing},
-    store::{ALL_MACHINES, Judgement, Outcome, Store, StoreError, seldom},
+    store::{ALL_MACHINES, Judgement, Outcome, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
@@ -75,24 +75,6 @@ enum NotApplied {
     /// The daemon must end.
     #[error(transparent)]
     Store(#[from] StoreError),
-}
-
-/// Changes that are stored in one transaction, with retries.
-#[derive(strum::AsRefStr)]
-enum Changes {
-    #[strum(serialize = "judgements")]
-    Judgements(Arc<[Judgement]>),
-    #[strum(serialize = "changes of monitors")]
-    Outcomes(Arc<[Outcome]>),
-}
-
-impl Changes {
-    async fn store(&self, store: &Store) -> Result<(), StoreError> {
-        match self {
-            Self::Judgements(judgements) => store.judge_all(Arc::clone(judgements)).await,
-            Self::Outcomes(outcomes) => store.record_all(Arc::clone(outcomes)).await,
-        }
-    }
 }
 
 /// Channels and handles to the other tasks of the daemon.
@@ -183,7 +165,7 @@ impl JudgeLoop {
         self.report_gaps().await?;
         let judgements = self.judge.judge(&throws).await;
         self.shared.status.heartbeats.beat(TaskName::Identify);
-        match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
+        match self.until_judged(&judgements).await {
             Ok(true) => self.publish(judgements),
             Ok(false) => {}
             Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
@@ -215,7 +197,7 @@ impl JudgeLoop {
     /// Stores and publishes a single judgement; returns the reason if the database rejects it.
     async fn refusal(&mut self, judgement: Judgement) -> Result<Option<String>, StoreError> {
         let alone: Arc<[Judgement]> = Arc::new([judgement]);
-        match self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await {
+        match self.until_judged(&alone).await {
             Ok(true) => self.publish(alone),
             Ok(false) => {}
             Err(StoreError::Refused(problem)) => return Ok(Some(problem)),
@@ -224,15 +206,24 @@ impl JudgeLoop {
         Ok(None)
     }
 
+    async fn until_judged(&mut self, judgements: &Arc<[Judgement]>) -> Result<bool, StoreError> {
+        let store = self.judge.store.clone();
+        self.until_stored("judgements", || store.judge_all(Arc::clone(judgements))).await
+    }
+
     /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end before. The
     /// next start then continues with the older monitors of the database.
-    async fn until_stored(&mut self, changes: &Changes) -> Result<bool, StoreError> {
+    async fn until_stored<W: Future<Output = Result<(), StoreError>>>(
+        &mut self,
+        what: &str,
+        write: impl Fn() -> W,
+    ) -> Result<bool, StoreError> {
         loop {
             self.shared.status.heartbeats.beat(TaskName::Identify);
-            match changes.store(&self.judge.store).await {
+            match write().await {
                 Ok(()) => return Ok(true),
                 Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
-                Err(error) => seldom!(warn, %error, what = changes.as_ref(), "storing failed; retrying"),
+                Err(error) => seldom!(warn, %error, what, "storing failed; retrying"),
             }
             // The call below may store a newer monitor of the daemon, which the retry then replaces by an older one.
             self.judge.monitors.store_again(&self.own_machine);
@@ -251,7 +242,9 @@ impl JudgeLoop {
 
     /// Stores outcomes in one transaction, like [`Self::record`].
     async fn record_all(&mut self, outcomes: Arc<[Outcome]>) -> Result<bool, StoreError> {
-        match self.until_stored(&Changes::Outcomes(Arc::clone(&outcomes))).await {
+        let store = self.judge.store.clone();
+        let write = || store.record_all(Arc::clone(&outcomes));
+        match self.until_stored("changes of monitors", write).await {
             Ok(stored) => {
                 outcomes.iter().filter(|_| stored).for_each(|outcome| self.announce(outcome));
                 Ok(stored)
@@ -325,7 +318,7 @@ impl JudgeLoop {
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
-            if self.judge.monitors.knows(&machine) {
+            if is_judged(&self.judge, &config, &machine) {
                 let invalid = Irregularity::Invalid { count, reason: &reason };
                 let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
                 if let Some(outcome) = self.judge.monitors.update(&machine, now, report) {
@@ -389,7 +382,8 @@ impl JudgeLoop {
         // A logger need not have a token. Without one its machine is removed some time after the last message, as any
         // sender can invent machines.
         self.refused.retain(|machine, (_, last)| {
-            !self.judge.monitors.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
+            !is_judged(&self.judge, &self.shared.config, machine)
+                && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
         let mut status = self.shared.status.edit();
         status.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
@@ -488,6 +482,9 @@ impl JudgeLoop {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
             return Err(NotApplied::Refused(text));
         }
+        if *machine == self.own_machine && !self.judge.monitors.knows(machine) {
+            return Err(NotApplied::Refused("this daemon has no alarm about itself".to_owned()));
+        }
         if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
@@ -499,7 +496,8 @@ impl JudgeLoop {
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
-            let text = "the database did not store the command, which is in effect until the daemon restarts";
+            let text = "the database did not store the command. It is in effect, but is missing in operator_commands: look in \
+                        the log";
             return Err(NotApplied::Refused(text.to_owned()));
         }
         tracing::info!(%machine, ?command, "operator's command applied");
@@ -531,6 +529,11 @@ impl JudgeLoop {
             () = self.shared.stops.give_up.cancelled() => {}
         }
     }
+}
+
+/// Whether throws of a machine are judged. A monitor with a reserved name is that of the daemon or of a site.
+fn is_judged(judge: &Judge, config: &Config, machine: &MachineId) -> bool {
+    judge.monitors.knows(machine) && config.monitor.reserves(machine).is_none()
 }
 
 #[cfg(test)]

@@ -62,11 +62,18 @@ impl Judge {
         Ok(Self { store, monitors, threads, config, last: None })
     }
 
-    /// Adopts the open alarms that no monitor has, and clears those of the daemon under a former name; returns the
-    /// outcomes to store.
+    /// Adopts the open alarms that no monitor has, and retires former names of the daemon; returns the outcomes to store.
     pub(super) async fn adopt(&mut self, own_machine: &MachineId) -> Result<Vec<Outcome>, StoreError> {
-        let open = self.store.reader().open_alarms(&Selector::default()).await?;
-        Ok(self.monitors.adopt(open, own_machine, clock::now()))
+        let reader = self.store.reader();
+        let mut former = Vec::new();
+        for machine in self.monitors.without_logger(own_machine) {
+            // Otherwise the monitor of a machine was lost, and has no throw yet.
+            if reader.latest_health(&(&machine).into()).await?.is_empty() {
+                former.push(machine);
+            }
+        }
+        let open = reader.open_alarms(&Selector::default()).await?;
+        Ok(self.monitors.adopt(open, &former, own_machine, clock::now(), &self.config().diagnosis))
     }
 
     /// The present configuration.

@@ -1,10 +1,10 @@
 //! The monitors of all machines. Turns their changes into outcomes, which the judge loop stores. Does no I/O.
 
 use std::{
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
     mem,
     panic::{AssertUnwindSafe, catch_unwind},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use jiff::Timestamp;
@@ -48,6 +48,8 @@ pub(crate) struct Monitors {
     of_machines: BTreeMap<MachineId, Box<MachineMonitor>>,
     /// Machines whose stored monitor may differ from the monitor in memory. They are stored again at the next tick.
     to_store: HashSet<MachineId>,
+    /// The disconnections of loggers that the monitors know: each is applied once, as a logger may go on without token.
+    gone_before: HashMap<MachineId, Instant>,
     /// Number of ticks since the start, modulo [`TICKS_AN_HOUR`].
     ticks: u64,
     /// Comparison of this computer's clock with those of the loggers.
@@ -106,9 +108,15 @@ impl Monitors {
     }
 
     /// At the start, adopts or ends the alarms that nothing else would ever clear. Adds the `open` alarms that no monitor
-    /// has, as after the loss of a snapshot, to the monitors of their machines. Clears the alarms of the daemon under a
-    /// former name, after a change of `monitor.site` or `monitor.id`.
-    pub(crate) fn adopt(&mut self, open: Vec<Alarm>, own_machine: &MachineId, now: Timestamp) -> Vec<Outcome> {
+    /// has, as after the loss of a snapshot, to the monitors of their machines. Retires the `former` names of the daemon.
+    pub(crate) fn adopt(
+        &mut self,
+        open: Vec<Alarm>,
+        former: &[MachineId],
+        own_machine: &MachineId,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Vec<Outcome> {
         let mut outcomes = Vec::new();
         for Alarm { machine, event, .. } in open {
             let monitor = self.monitor(&machine);
@@ -118,14 +126,19 @@ impl Monitors {
                 outcomes.push(outcome(&machine, Some(monitor), now, events));
             }
         }
-        let is_other = |machine: &MachineId| machine != own_machine && machine.machine.as_str() != ALL_MACHINES;
-        for (machine, monitor) in self.of_machines.iter_mut().filter(|(machine, _)| is_other(machine)) {
-            let events = if monitor.has_no_logger() { monitor.renamed(own_machine, now) } else { Vec::new() };
-            if !events.is_empty() {
-                outcomes.push(outcome(machine, Some(monitor), now, events));
-            }
-        }
+        let why = format!("the daemon has the name {own_machine} now");
+        let retire = Command::Retire { by: "pointsd".to_owned(), why };
+        let retired = former.iter().filter_map(|name| self.apply_command(name, &retire, now, settings).ok());
+        outcomes.extend(retired.map(|(outcome, _)| outcome));
         outcomes
+    }
+
+    /// The machines of which nothing of a logger was ever received: usually former names of the daemon, from before a
+    /// change of `monitor.site` or `monitor.id`.
+    pub(crate) fn without_logger(&self, own_machine: &MachineId) -> Vec<MachineId> {
+        let is_other = |machine: &MachineId| machine != own_machine && machine.machine.as_str() != ALL_MACHINES;
+        let others = self.of_machines.iter().filter(|(machine, monitor)| is_other(machine) && monitor.has_no_logger());
+        others.map(|(machine, _)| machine.clone()).collect()
     }
 
     /// Diagnoses a throw; returns the judgement to store. A throw that makes the diagnosis panic counts as not
@@ -248,8 +261,12 @@ impl Monitors {
         for (index, (machine, monitor)) in self.of_machines.iter_mut().enumerate() {
             let before = (monitor.is_announced(), monitor.state());
             let mut events = Vec::new();
-            if !monitor.is_announced() && loggers.gone.contains(machine) {
-                events.extend(monitor.logger(true, now, settings));
+            let gone_at = loggers.gone.get(machine);
+            if gone_at != self.gone_before.get(machine) {
+                self.gone_before.extend(gone_at.map(|at| (machine.clone(), *at)));
+                if !monitor.is_announced() && gone_at.is_some() {
+                    events.extend(monitor.logger(true, now, settings));
+                }
             }
             events.extend(monitor.logger(loggers.alive.contains(machine), now, settings));
             events.extend(monitor.tick(now, settings));
@@ -260,6 +277,7 @@ impl Monitors {
             }
         }
         self.to_store.clear();
+        self.gone_before.retain(|machine, _| loggers.gone.contains_key(machine));
         let mut sites: Vec<&Name> = self.of_machines.keys().map(|machine| &machine.site).collect();
         sites.dedup();
         for site in sites.into_iter().cloned().collect::<Vec<_>>() {
@@ -369,22 +387,24 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
 
 #[cfg(test)]
 mod tests {
+    use jiff::SignedDuration;
+
     use super::*;
     use crate::{
+        daemon::clock,
         diagnose::{MachineState, Severity},
         estimate,
         store::ThrowRow,
         throw::{Throw, Trace},
     };
 
-    #[test]
-    fn a_throw_that_makes_the_diagnosis_panic_twice_changes_no_monitor() {
-        let machine = MachineId::new("north", "21B").unwrap();
-        let id = ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 };
+    /// A throw without a movement.
+    fn still_throw(machine: &MachineId, throw_no: u64) -> StoredThrow {
+        let id = ThrowRef { boot_id: "boot".to_owned(), throw_no };
         let at = Timestamp::UNIX_EPOCH;
         let throw =
             Throw { id: id.clone(), ..Throw::recorded(Trace::new(1000.0, vec![0.0; 9], vec![0.0; 9]).unwrap()) };
-        let stored = StoredThrow {
+        StoredThrow {
             row: ThrowRow::START,
             machine: machine.clone(),
             id,
@@ -393,10 +413,17 @@ mod tests {
             throw: Ok(throw),
             repeats: false,
             renumbered: false,
-        };
-        let settings = Settings::default();
+        }
+    }
+
+    fn context(settings: &Settings) -> JudgementContext<'_> {
         let parameters = Parameters::of(&estimate::Settings::default());
-        let context = JudgementContext { is_last: true, settings: &settings, parameters, at };
+        JudgementContext { is_last: true, settings, parameters, at: Timestamp::UNIX_EPOCH }
+    }
+
+    #[test]
+    fn a_throw_that_makes_the_diagnosis_panic_twice_changes_no_monitor() {
+        let (machine, settings) = (MachineId::new("north", "21B").unwrap(), Settings::default());
         // The counter of its throws is at its end, so the next one makes the diagnosis panic, with or without estimate.
         let full = format!("\"order\":{}", u64::MAX);
         let snapshot = json(&MachineMonitor::new("north/21B")).replace("\"order\":0", &full);
@@ -407,7 +434,7 @@ mod tests {
             snapshot: snapshot.clone(),
             state: Some(MachineState::Learning),
         }]);
-        let judgement = monitors.judge(&stored, None, context);
+        let judgement = monitors.judge(&still_throw(&machine, 1), None, context(&settings));
         assert_eq!((&*judgement.health.quality, judgement.outcome.monitor), ("estimator_failed", None));
         assert_eq!(monitors.of_machines.get(&machine).map(json), Some(snapshot));
         assert!(monitors.to_store.contains(&machine));
@@ -429,8 +456,39 @@ mod tests {
             changed.into_iter().filter(|(_, events)| !events.is_empty()).map(|(machine, _)| machine).collect::<Vec<_>>()
         };
         assert_eq!(ended(monitors.tick(now, &settings, &Loggers::default())), []);
-        let adopted = monitors.adopt(Vec::new(), &own, now);
-        assert_eq!(adopted.into_iter().map(|outcome| outcome.machine).collect::<Vec<_>>(), [former]);
+        let without = monitors.without_logger(&own);
+        assert!(matches!(&without[..], [only] if *only == former), "{without:?}");
+        let adopted = monitors.adopt(Vec::new(), &without, &own, now, &settings);
+        let [Outcome { machine: name, monitor: None, command: Some(Command::Retire { .. }), events, .. }] =
+            &adopted[..]
+        else {
+            panic!("{adopted:?}")
+        };
+        assert!(*name == former && events.len() == 1 && !monitors.knows(&former), "{adopted:?}");
+    }
+
+    #[test]
+    fn a_logger_that_goes_on_without_its_token_is_not_announced_again() {
+        let (machine, settings) = (MachineId::new("north", "21B").unwrap(), Settings::default());
+        let (mut monitors, mut loggers, mut now) = (Monitors::default(), Loggers::default(), Timestamp::UNIX_EPOCH);
+        loggers.gone.insert(machine.clone(), clock::monotonic());
+        let is_announced = |monitors: &Monitors| monitors.of_machines[&machine].is_announced();
+        monitors.judge(&still_throw(&machine, 1), None, context(&settings));
+        loop {
+            let changed = monitors.tick(now, &settings, &loggers);
+            assert!(is_announced(&monitors));
+            if changed.iter().any(|(_, events)| !events.is_empty()) {
+                break;
+            }
+            now += SignedDuration::from_secs(30);
+        }
+        monitors.judge(&still_throw(&machine, 2), None, context(&settings));
+        monitors.tick(now, &settings, &loggers);
+        assert!(!is_announced(&monitors));
+        // It connects and disconnects between two ticks.
+        loggers.gone.insert(machine.clone(), clock::monotonic());
+        monitors.tick(now, &settings, &loggers);
+        assert!(is_announced(&monitors));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::{
     hash::{DefaultHasher, Hash, Hasher},
     panic::{AssertUnwindSafe, catch_unwind},
     sync::Arc,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use jiff::Timestamp;
@@ -63,7 +63,7 @@ pub(super) enum Origin {
 #[derive(Default)]
 struct LoggerSeen {
     /// Time of its last live throw.
-    live_at: Option<time::Instant>,
+    live_at: Option<Instant>,
     /// Whether it had a queryable for its backlog.
     had_queryable: bool,
 }
@@ -74,8 +74,9 @@ pub(super) struct Intake {
     shared: Arc<Shared>,
     /// Known machines, at most `max_machines`.
     machines: Mutex<HashMap<MachineId, LoggerSeen>>,
-    /// Hashes of quarantined messages from backlogs: the same page may be queried again and again.
-    refused_before: Mutex<HashSet<u64>>,
+    /// Hashes of invalid messages from backlogs, and whether each is in quarantine: the same page may be queried again and
+    /// again.
+    refused_before: Mutex<HashMap<u64, bool>>,
 }
 
 impl Intake {
@@ -85,8 +86,8 @@ impl Intake {
         Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
     }
 
-    /// Decodes messages in order, and quarantines those that are no valid throw.
-    pub(super) async fn read(&self, messages: Vec<Message>, origin: Origin) -> Vec<ReceivedThrow> {
+    /// Decodes messages in order. Also returns those that are no valid throw, for quarantine.
+    async fn read(&self, messages: Vec<Message>, origin: Origin) -> (Vec<ReceivedThrow>, Vec<QuarantinedMessage>) {
         let (limit, count) = (self.shared.config.subscribe.max_payload_bytes, messages.len() as u64);
         // Decoding a large message takes milliseconds, too long for an async worker.
         let decoded = task::spawn_blocking(move || {
@@ -99,7 +100,7 @@ impl Intake {
             Err(error) => {
                 tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
                 self.shared.status.edit().lost += count;
-                return Vec::new();
+                return (Vec::new(), Vec::new());
             }
         };
         let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
@@ -109,53 +110,72 @@ impl Intake {
                 Err(why) => refused.push(why),
             }
         }
-        match origin {
-            Origin::Live => {
-                for refused in &refused {
-                    if let Ok((machine, _)) = wire::parse_key(&refused.key) {
-                        let is_known = self.knows(&machine);
-                        self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
-                    }
-                }
-                self.quarantine(refused).await;
+        (throws, refused)
+    }
+
+    /// Decodes live messages in order, and quarantines those that are no valid throw.
+    async fn read_live(&self, messages: Vec<Message>) -> Vec<ReceivedThrow> {
+        let (throws, refused) = self.read(messages, Origin::Live).await;
+        for refused in &refused {
+            if let Ok((machine, _)) = wire::parse_key(&refused.key) {
+                let is_known = self.knows(&machine);
+                self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
             }
-            Origin::Backlog => self.quarantine_of_backlog(refused).await,
+        }
+        let messages = refused.len() as u64;
+        if let Err(error) = self.quarantine(refused).await {
+            self.count_lost(messages, &error);
         }
         throws
     }
 
-    /// Quarantines messages from a backlog, each only once.
-    async fn quarantine_of_backlog(&self, mut refused: Vec<QuarantinedMessage>) {
-        let all = refused.len();
-        let mut hashes = Vec::new();
+    /// Quarantines messages from a backlog, each only once. After an error their page is queried again. If SQLite refuses
+    /// them (constraint, type), a retry would fail for ever: then they count as lost, each only once too.
+    async fn quarantine_of_backlog(&self, mut refused: Vec<QuarantinedMessage>) -> Result<(), StoreError> {
+        let (all, mut hashes) = (refused.len(), HashSet::new());
         refused.retain(|refused| {
-            let hash = self.remember_refusal(refused);
-            hashes.extend(hash);
-            hash.is_some()
+            let hash = hash_of(refused);
+            self.refused_before.lock().get(&hash) != Some(&true) && hashes.insert(hash)
         });
-        self.shared.status.edit().duplicates += (all - refused.len()) as u64;
-        if !self.quarantine(refused).await {
-            // The next page with these messages stores them.
-            let mut before = self.refused_before.lock();
-            for hash in hashes {
-                before.remove(&hash);
-            }
+        let repeated = (all - refused.len()) as u64;
+        let stored = self.quarantine(refused).await;
+        if let Err(error) = &stored
+            && !matches!(error, StoreError::Refused(_))
+        {
+            return stored;
         }
+        self.shared.status.edit().duplicates += repeated;
+        let mut before = self.refused_before.lock();
+        if before.len() >= REFUSED_BEFORE {
+            before.clear();
+        }
+        hashes.retain(|hash| before.insert(*hash, stored.is_ok()).is_none());
+        if let Err(error) = stored
+            && !hashes.is_empty()
+        {
+            self.count_lost(hashes.len() as u64, &error);
+        }
+        Ok(())
     }
 
-    /// Whether a logger is connected: it has a token or, if it never had one, sent a live throw in the last minute.
+    fn count_lost(&self, messages: u64, error: &StoreError) {
+        seldom!(error, %error, messages, "storing messages in quarantine failed: they are LOST");
+        self.shared.status.edit().lost += messages;
+    }
+
+    /// Whether a logger is connected: it has a token, or it sent a live throw in the last minute. After the loss of its
+    /// token only throws from [`LIVE`] later on count, as received throws wait before they are decoded.
     fn is_connected(&self, machine: &MachineId) -> bool {
-        let live_at = || self.machines.lock().get(machine).and_then(|seen| seen.live_at);
-        let is_live = || live_at().is_some_and(|last| last.elapsed() < LIVE);
         let loggers = self.shared.loggers.borrow();
-        loggers.alive.contains(machine) || (!loggers.gone.contains(machine) && is_live())
+        let live_at = || self.machines.lock().get(machine).and_then(|seen| seen.live_at);
+        loggers.alive.contains(machine) || live_at().is_some_and(|last| is_live(last, loggers.gone.get(machine)))
     }
 
     /// Whether a logger that counts as connected can reply to a query, or never could. After its link closed, a query
     /// ends as if the logger had no newer throw, and only its missing queryable shows the closed link. A logger that had
     /// no queryable since the start of the daemon has no backlog.
     async fn may_reply(&self, machine: &MachineId) -> bool {
-        if self.shared.loggers.borrow().had_token(machine) {
+        if self.shared.loggers.borrow().alive.contains(machine) {
             return true;
         }
         let has_queryable = bus::has_queryable(&self.shared.session, wire::machine_key(machine, Kind::Throw)).await;
@@ -163,18 +183,6 @@ impl Intake {
         let Some(seen) = machines.get_mut(machine) else { return true };
         seen.had_queryable |= has_queryable;
         has_queryable || !seen.had_queryable
-    }
-
-    /// Remembers the hash of a message from a backlog; `None` if it is remembered already.
-    fn remember_refusal(&self, QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> Option<u64> {
-        let mut before = self.refused_before.lock();
-        if before.len() >= REFUSED_BEFORE {
-            before.clear();
-        }
-        let mut hasher = DefaultHasher::new();
-        (key, bytes, beginning).hash(&mut hasher);
-        let hash = hasher.finish();
-        before.insert(hash).then_some(hash)
     }
 
     /// The known machines whose loggers never had a token.
@@ -190,12 +198,16 @@ impl Intake {
 
     /// Whether the throws of a machine are stored. Otherwise they go to quarantine.
     fn may_store(&self, machine: &MachineId) -> bool {
-        self.shared.config.monitor.reserves(machine).is_none() && self.has_place(&self.machines.lock(), machine)
+        self.refusal(&self.machines.lock(), machine).is_none()
     }
 
-    /// Whether a machine is known, or may become known.
-    fn has_place(&self, known: &HashMap<MachineId, LoggerSeen>, machine: &MachineId) -> bool {
-        known.len() < self.shared.config.subscribe.max_machines || known.contains_key(machine)
+    /// The reason why the throws of a machine go to quarantine; `None` if it is known, or may become known.
+    fn refusal(&self, known: &HashMap<MachineId, LoggerSeen>, machine: &MachineId) -> Option<String> {
+        let max_machines = self.shared.config.subscribe.max_machines;
+        let is_full = known.len() >= max_machines && !known.contains_key(machine);
+        let full = || is_full.then(|| format!("more than {max_machines} machines: raise subscribe.max_machines"));
+        // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
+        self.shared.config.monitor.reserves(machine).or_else(full)
     }
 
     /// Accepts a throw of a known machine, or of a new one if it is allowed; otherwise returns the throw for
@@ -203,41 +215,29 @@ impl Intake {
     fn admit(&self, received: ReceivedThrow, origin: Origin) -> Result<ReceivedThrow, QuarantinedMessage> {
         let ReceivedThrow { machine, throw, received_at } = &received;
         let mut known = self.machines.lock();
-        // Checked first, so that a reserved name gets its own reason even when max_machines is reached.
-        let reason = if let Some(reason) = self.shared.config.monitor.reserves(machine) {
-            reason
-        } else if !self.has_place(&known, machine) {
-            if origin == Origin::Live {
+        if let Some(reason) = self.refusal(&known, machine) {
+            if origin == Origin::Live && self.shared.config.monitor.reserves(machine).is_none() {
                 self.shared.status.machines_refused.add(1);
             }
-            let max_machines = self.shared.config.subscribe.max_machines;
-            format!("more than {max_machines} machines: raise subscribe.max_machines")
-        } else {
-            let seen = known.entry(machine.clone()).or_default();
-            if origin == Origin::Live {
-                seen.live_at = Some(time::Instant::now());
-                self.shared.status.count_valid(machine);
-            }
-            return Ok(received);
-        };
-        Err(QuarantinedMessage::throw(machine, throw, reason, *received_at))
+            return Err(QuarantinedMessage::throw(machine, throw, reason, *received_at));
+        }
+        let seen = known.entry(machine.clone()).or_default();
+        if origin == Origin::Live {
+            seen.live_at = Some(clock::monotonic());
+            self.shared.status.count_valid(machine);
+        }
+        Ok(received)
     }
 
-    /// Stores messages in quarantine; returns whether they are stored.
-    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> bool {
-        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return true };
+    /// Stores messages in quarantine.
+    async fn quarantine(&self, refused: Vec<QuarantinedMessage>) -> Result<(), StoreError> {
+        let Some(QuarantinedMessage { key, reason, bytes, .. }) = refused.first() else { return Ok(()) };
         // One log line for the batch, so that a flood of messages does not flood the log.
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
-        let stored = self.shared.store.quarantine(refused).await;
-        let mut status = self.shared.status.edit();
-        if let Err(error) = &stored {
-            seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
-            status.lost += count;
-        } else {
-            status.quarantined += count;
-        }
-        stored.is_ok()
+        self.shared.store.quarantine(refused).await?;
+        self.shared.status.edit().quarantined += count;
+        Ok(())
     }
 }
 
@@ -292,7 +292,7 @@ impl ReceiveLoop {
             }
             let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
             self.undecoded = count as u64;
-            self.unstored = self.intake.read(std::mem::take(&mut batch), Origin::Live).await;
+            self.unstored = self.intake.read_live(std::mem::take(&mut batch)).await;
             self.undecoded = 0;
             self.spool().await;
             self.shared.missing.notify_one();
@@ -394,6 +394,18 @@ impl Drop for ReceiveLoop {
     }
 }
 
+/// Whether a logger without a token is connected, from its last live throw and the loss of its token, if it had one.
+fn is_live(last: Instant, gone_at: Option<&Instant>) -> bool {
+    last.elapsed() < LIVE && gone_at.is_none_or(|gone_at| last > *gone_at + LIVE)
+}
+
+/// Hash of a message, to recognise it in the next page.
+fn hash_of(QuarantinedMessage { key, bytes, beginning, .. }: &QuarantinedMessage) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    (key, bytes, beginning).hash(&mut hasher);
+    hasher.finish()
+}
+
 /// A throw that SQLite refuses to store.
 fn unstorable(machine: &MachineId, throw: &Throw, problem: &str, at: Timestamp) -> QuarantinedMessage {
     QuarantinedMessage::throw(machine, throw, format!("the database rejects it: {problem}"), at)
@@ -436,6 +448,15 @@ fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Rec
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_logger_that_goes_on_without_its_token_is_live() {
+        let gone_at = clock::monotonic().checked_sub(10 * LIVE).unwrap();
+        let now = clock::monotonic();
+        assert!(is_live(now, None) && is_live(now, Some(&gone_at)));
+        assert!(!is_live(now, Some(&now)), "a throw from before the loss of the token");
+        assert!(!is_live(gone_at + 2 * LIVE, Some(&gone_at)), "silent since");
+    }
 
     #[test]
     fn a_message_that_makes_the_decoder_panic_costs_no_other() {

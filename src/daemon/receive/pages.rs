@@ -101,7 +101,7 @@ impl Intake {
         let (mut least, start) = (1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, next.size).max(least);
-            let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await;
+            let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await?;
             let Some((new, after)) = self.store_page(machine, cursor.after.as_ref(), &throws).await? else {
                 // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
                 // because of their size.
@@ -161,7 +161,7 @@ impl Intake {
                 Err(StoreError::Refused(problem)) => {
                     if let [throw] = part {
                         let refused = super::unstorable(machine, throw, &problem, at);
-                        self.quarantine_of_backlog(vec![refused]).await;
+                        self.quarantine_of_backlog(vec![refused]).await?;
                     } else {
                         let (first, rest) = part.split_at(part.len() / 2);
                         parts.extend([rest, first]);
@@ -173,8 +173,8 @@ impl Intake {
         Ok(next.map(|cursor| (new, cursor)))
     }
 
-    /// Queries a page of throws after the cursor.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> ThrowPage {
+    /// Queries a page of throws after the cursor, and quarantines its invalid messages.
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Result<ThrowPage, StoreError> {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let Shared { session, config, .. } = &*self.shared;
         let key = wire::machine_key(machine, Kind::Throw);
@@ -184,17 +184,17 @@ impl Intake {
         }
         let received = answer.messages.len() as u64;
         self.shared.status.edit().received += received;
-        let mut throws: Vec<_> =
-            self.read(answer.messages, Origin::Backlog).await.into_iter().map(|received| received.throw).collect();
+        let (read, refused) = self.read(answer.messages, Origin::Backlog).await;
+        self.quarantine_of_backlog(refused).await?;
+        let mut throws: Vec<_> = read.into_iter().map(|received| received.throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;
-        self.shared.status.edit().duplicates += (read - throws.len()) as u64;
         self.shared.status.edit().ignored += ignored;
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0 }
+        Ok(ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0 })
     }
 }
 

@@ -1,13 +1,17 @@
 //! Liveliness of the loggers, for the status and for the monitors, which raise an alarm when a logger disappears.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::{HashMap, HashSet},
+    sync::Arc,
+    time::Instant,
+};
 
 use tokio::sync::watch;
 use zenoh::Session;
 
 use crate::{
-    bus::{self, BusError, Token},
-    daemon::supervision::status::Status,
+    bus::{self, BusError},
+    daemon::{clock, supervision::status::Status},
     store::seldom,
     throw::MachineId,
     wire::{self, Kind},
@@ -20,15 +24,16 @@ const MOST: usize = 100_000;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Loggers {
     pub(crate) alive: HashSet<MachineId>,
-    /// Machines whose loggers disconnected. A logger may connect and disconnect between two ticks of the monitors,
-    /// which would otherwise never know that it had a token.
-    pub(crate) gone: HashSet<MachineId>,
+    /// Machines whose loggers lost their token since the start and have none now, with the time of the loss. A logger
+    /// may connect and disconnect between two ticks of the monitors, which would otherwise never know that it had a
+    /// token.
+    pub(crate) gone: HashMap<MachineId, Instant>,
 }
 
 impl Loggers {
     /// Whether the logger of a machine has a token, or had one since the start.
     pub(super) fn had_token(&self, machine: &MachineId) -> bool {
-        self.alive.contains(machine) || self.gone.contains(machine)
+        self.alive.contains(machine) || self.gone.contains_key(machine)
     }
 }
 
@@ -39,21 +44,17 @@ pub(crate) async fn watch(
     status: Arc<Status>,
     loggers: watch::Sender<Loggers>,
 ) -> Result<(), BusError> {
-    let on_change = move |key: &str, change: Token| {
+    let on_change = move |key: &str, is_alive: bool| {
         let Ok((machine, Kind::Alive)) = wire::parse_key(key) else { return };
         loggers.send_modify(|Loggers { alive, gone }| {
-            match change {
-                Token::Appeared if alive.len() < MOST && alive.insert(machine.clone()) => {
-                    seldom!(info, %machine, "logger connected");
-                    gone.remove(&machine);
+            if is_alive && alive.len() < MOST && alive.insert(machine.clone()) {
+                seldom!(info, %machine, "logger connected");
+                gone.remove(&machine);
+            } else if !is_alive && alive.remove(&machine) {
+                seldom!(warn, %machine, "logger disconnected");
+                if gone.len() < MOST {
+                    gone.insert(machine, clock::monotonic());
                 }
-                Token::Gone if alive.remove(&machine) => {
-                    seldom!(warn, %machine, "logger disconnected");
-                    if gone.len() < MOST {
-                        gone.insert(machine);
-                    }
-                }
-                Token::Appeared | Token::Gone => {}
             }
             status.edit().loggers = alive.len();
         });

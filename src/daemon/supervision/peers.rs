@@ -11,7 +11,7 @@ use parking_lot::Mutex;
 use zenoh::Session;
 
 use crate::{
-    bus::{self, BusError, Token},
+    bus::{self, BusError},
     daemon::clock,
     throw::MachineId,
     wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
@@ -46,18 +46,18 @@ impl Peers {
 
     /// Follows the tokens of all daemons while the session is open.
     pub(crate) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
-        let on_change = move |key: &str, change: Token| {
+        let on_change = move |key: &str, is_alive: bool| {
             if let Some(daemon) = parse_monitor_key(key) {
-                self.change(&daemon, change);
+                self.change(&daemon, is_alive);
             }
         };
         bus::watch_tokens(session, EVERY_MONITOR_ALIVE, on_change).await
     }
 
-    fn change(&self, daemon: &MachineId, change: Token) {
+    fn change(&self, daemon: &MachineId, is_alive: bool) {
         let mut peers = self.away.lock();
         match peers.get_mut(daemon) {
-            Some(away) if change == Token::Appeared => {
+            Some(away) if is_alive => {
                 tracing::info!(%daemon, "watched daemon connected");
                 *away = None;
             }

@@ -162,7 +162,7 @@ pub struct StatusReport {
     pub published: u64,
     /// Health messages dropped because the publishing queue was full.
     pub unpublished: u64,
-    /// Whether the webhook did not accept the last message.
+    /// Whether the receiver of the webhook did not accept the last message yet, and it is sent again.
     #[serde(default)]
     pub webhook_fails: bool,
     /// Alarm events that the webhook refused.
@@ -236,7 +236,7 @@ impl Status {
         });
         // Without a number: each new number would be a new alarm event, which the database may reject too.
         let lost = self.alarm_events_lost.shown().map(|_| {
-            "the database rejects alarms, which were not published. Their texts are in the log; restore the schema of the database"
+            "the database rejects alarm events. Their texts are in the log; restore the schema of the database"
                 .to_owned()
         });
         // Numbers of dropped and lost messages grow fast, so their text changes at each power of two.
@@ -333,7 +333,7 @@ impl StatusReport {
         add(self.disk == DiskLevel::Low, "DISK LOW: old traces are dropped, free some space");
         add(self.disk == DiskLevel::Full, "DISK FULL: nothing can be stored, free some space");
         add(self.disk == DiskLevel::Failing, "DATABASE FAILING: writes do not succeed");
-        add(self.copying, "COPYING THE DATABASE: a program keeps reading an old state, and writes wait");
+        add(self.copying, "COPYING THE DATABASE to a new file: writes wait");
         add(!self.silent.is_empty(), &format!("HANGING: {}", self.silent.join(", ")));
         add(self.loggers_ahead > 0, "CLOCK BEHIND: most loggers date their throws a day or more after this computer");
         add(

@@ -17,7 +17,7 @@ use super::{
     text,
     track::Tracks,
 };
-use crate::throw::{Direction, MachineId, ThrowRef};
+use crate::throw::{Direction, ThrowRef};
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot has them all, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -174,12 +174,6 @@ impl MachineMonitor {
     /// Updates the alarm about watched daemons that are not reachable. Only the daemon's own monitor has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         self.step(now, None, settings, |_, step| on_peers(away, step))
-    }
-
-    /// Ends the alarms of a daemon that has the name `to` now; called on the monitor with its former name.
-    pub fn renamed(&mut self, to: &MachineId, now: Timestamp) -> Vec<AlarmEvent> {
-        self.clear_all(|_| true, &text::renamed(to), to_micros(now));
-        self.alarms.take_events()
     }
 
     /// Clears the alarms whose latest event satisfies `which`.

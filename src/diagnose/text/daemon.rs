@@ -2,10 +2,7 @@
 
 use jiff::Timestamp;
 
-use crate::{
-    diagnose::Away,
-    throw::{MachineId, utc},
-};
+use crate::{diagnose::Away, throw::utc};
 
 /// Text of an open alarm in the database that no monitor has.
 pub(crate) fn orphaned(name: &str) -> String {
@@ -29,11 +26,6 @@ pub(crate) const CHECKED_ANEW: &str = "this alarm ends. The next throws raise it
 pub(crate) fn before_maintenance(before: &str) -> String {
     const UNCHECKED: &str = " This was before the maintenance or during it: the next throws show whether it is over.";
     if before.ends_with(UNCHECKED) { before.to_owned() } else { format!("{before}{UNCHECKED}") }
-}
-
-/// Text at the end of an alarm under a former name of the daemon.
-pub(crate) fn renamed(to: &MachineId) -> String {
-    format!("The daemon has the name {to} now: it raises its alarms under that name.")
 }
 
 const REBASELINED: &str = "a new baseline is being taken";

@@ -70,9 +70,10 @@ impl DatabaseFiles {
         &self.path
     }
 
-    /// The database file, with links resolved.
+    /// The database file, with links resolved. After a move it may be missing behind its link, and then still has a log.
     fn file(&self) -> PathBuf {
-        std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone())
+        let behind_link = || Some(folder_of(&self.path).join(std::fs::read_link(&self.path).ok()?));
+        std::fs::canonicalize(&self.path).ok().or_else(behind_link).unwrap_or_else(|| self.path.clone())
     }
 
     /// Size of a file of the database \[bytes\]; 0 if it is missing.

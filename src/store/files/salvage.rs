@@ -116,8 +116,9 @@ const FROM_INDEX: [&str; 2] = [
      FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
 ];
 
-/// Statements that remove rows whose parent row is lost, and then fill the table of latest throws again.
-const ORPHANS: [&str; 13] = [
+/// Statements that remove rows whose parent row is lost. Then they complete the latest throws, which a trigger has filled
+/// during the copy, and count the rows of each machine, as a machine from the index was copied after its throws.
+const ORPHANS: [&str; 14] = [
     "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm_event WHERE alarm_row NOT IN (SELECT alarm_row FROM alarm)",
@@ -131,15 +132,24 @@ const ORPHANS: [&str; 13] = [
      OR machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM estimate WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
     "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
-    "DELETE FROM latest",
+    concat!(
+        "DELETE FROM latest WHERE throw_row NOT IN (SELECT throw_row FROM estimate) OR machine_row NOT IN \
+         (SELECT machine.machine_row FROM machine LEFT JOIN monitor USING (machine_row) WHERE NOT ",
+        is_absent!(),
+        ")"
+    ),
     concat!(
         "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
          SELECT machine.machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
          FROM estimate JOIN throw USING (machine_row, throw_row) JOIN machine USING (machine_row) \
          LEFT JOIN monitor USING (machine_row) WHERE NOT ",
         is_absent!(),
-        " GROUP BY machine.machine_row, estimate.direction"
+        " GROUP BY machine.machine_row, estimate.direction ON CONFLICT DO NOTHING"
     ),
+    // As in migration 11.
+    "UPDATE machine SET (throws, traces, stored_bytes) = (SELECT count(*), count(trace.throw_row), 800 * count(*) \
+     + coalesce(sum(length(trace.current_data) + coalesce(length(trace.position_data), 0)), 0) \
+     FROM throw LEFT JOIN trace USING (throw_row) WHERE throw.machine_row = machine.machine_row)",
 ];
 
 /// Result of the recovery.

@@ -1,5 +1,7 @@
 //! Queries of the fleet page and the metrics: machines with the worst first, open alarms, windows.
 
+use std::collections::BTreeMap;
+
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::{FromRow, Row, sqlite::SqliteRow};
@@ -9,7 +11,7 @@ use crate::{
     diagnose::{AlarmState, Cause, Drifting, MachineState},
     store::{
         error::StoreError,
-        rows::{json, time, timestamp, word},
+        rows::{baseline, json, time, timestamp, word},
         statements as sql,
     },
     throw::{MachineId, Name, utc},
@@ -50,7 +52,7 @@ impl FleetQuery {
 /// Numbers of machines in each state.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StateCounts {
-    pub states: Vec<(MachineState, u64)>,
+    pub states: BTreeMap<MachineState, u64>,
     /// Number of machines that are not monitored and have no other open alarm.
     pub silent: u64,
 }
@@ -58,11 +60,11 @@ pub(crate) struct StateCounts {
 impl StateCounts {
     /// Number of all machines.
     pub(crate) fn total(&self) -> u64 {
-        self.states.iter().map(|(_, count)| count).sum()
+        self.states.values().sum()
     }
 
     pub(crate) fn of(&self, state: MachineState) -> u64 {
-        self.states.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum()
+        self.states.get(&state).copied().unwrap_or(0)
     }
 }
 
@@ -84,7 +86,8 @@ pub(crate) struct FleetRow {
     pub quality: Option<String>,
     /// Progress of the baseline of the last throw's direction (or of normal to reverse).
     pub baseline: Option<BaselineProgress>,
-    /// Changes of b0, a1 and a0 \[%\] in the newest throws from normal to reverse, oldest first.
+    /// Changes of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first: that of the worst drift, or
+    /// else from normal to reverse if the machine has such throws.
     pub spark: Vec<[f64; 3]>,
 }
 
@@ -136,8 +139,8 @@ pub(crate) struct CommonAlarm {
     pub last: Timestamp,
     /// Text of the alarms, for `data_loss`, which has several kinds.
     pub text: Option<String>,
-    /// Whether the alarms are cleared, but not acknowledged.
-    pub is_over: bool,
+    /// State of the alarms.
+    pub state: AlarmState,
 }
 
 /// An open window: a shelved alarm, or maintenance of a machine.
@@ -198,7 +201,6 @@ impl FromRow<'_, SqliteRow> for FleetRow {
         // If most throws are rough, the few good ones among them would give a wrong picture of the machine.
         let is_shown = 2 * spark.iter().flatten().count() > spark.len();
         let spark = spark.into_iter().flatten().filter(|_| is_shown).collect();
-        let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
         Ok(Self {
             machine: MachineId::from_row(row)?,
             state: word(row, "state")?.unwrap_or_default(),
@@ -207,9 +209,7 @@ impl FromRow<'_, SqliteRow> for FleetRow {
             causes_over: causes("causes_over")?,
             started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
             quality: row.try_get("quality")?,
-            baseline: count("baseline_throws")?
-                .zip(count("baseline_needed")?)
-                .map(|(so_far, needed)| BaselineProgress { so_far, needed }),
+            baseline: baseline(row)?,
             spark,
         })
     }
@@ -248,7 +248,7 @@ impl FromRow<'_, SqliteRow> for CommonAlarm {
             first: time(row, "first_us")?,
             last: time(row, "last_us")?,
             text: row.try_get("said")?,
-            is_over: row.try_get("is_over")?,
+            state: word(row, "state")?.unwrap_or(AlarmState::ActiveUnacknowledged),
         })
     }
 }
@@ -277,10 +277,12 @@ impl Reader {
     /// Number of machines in each state; the filter of the state is ignored.
     pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<StateCounts, StoreError> {
         let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::STATE_COUNTS, itself)).await?;
-        let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
-        let states =
-            rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
-        Ok(StateCounts { states: states.collect(), silent })
+        let mut counts = StateCounts::default();
+        for (state, count, silent) in rows {
+            *counts.states.entry(state.parse().unwrap_or_default()).or_default() += count.cast_unsigned();
+            counts.silent += silent.cast_unsigned();
+        }
+        Ok(counts)
     }
 
     /// All machines in the order of names, without retired ones.
@@ -307,7 +309,7 @@ impl Reader {
     }
 
     /// The open alarms with the causes `not_monitored` and `data_loss`, without those of the daemon `itself`. They are
-    /// grouped by cause, site, text (`data_loss` only) and whether they are cleared.
+    /// grouped by cause, site, text (`data_loss` only) and state.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
         self.external(machine_query(sql::COMMON, itself)).await
     }

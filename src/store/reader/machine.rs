@@ -68,6 +68,11 @@ impl FromRow<'_, SqliteRow> for CommandRow {
 }
 
 impl Reader {
+    /// Whether the database has a throw, an alarm or a monitor of a machine.
+    pub(crate) async fn is_known(&self, machine: &MachineId) -> Result<bool, StoreError> {
+        Ok(self.external_row(machine_query(sql::IS_KNOWN, machine)).await?.is_some_and(|(is_known,): (bool,)| is_known))
+    }
+
     /// Throws of a machine in one direction, oldest first.
     pub(crate) async fn throws_in(
         &self,
@@ -179,7 +184,7 @@ impl Reader {
         machine: &MachineId,
         direction: Direction,
         at: Timestamp,
-    ) -> Result<Option<ThrowRef>, StoreError> {
+    ) -> Result<Option<StoredThrow>, StoreError> {
         let statement = machine_query(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
         self.external_row(statement).await
     }

@@ -190,6 +190,7 @@ impl Pools {
 #[cfg(test)]
 mod tests {
     use jiff::Timestamp;
+    use sqlx::Connection as _;
 
     use super::*;
     use crate::store::{FleetQuery, Settings, Store};
@@ -211,6 +212,33 @@ mod tests {
         reader.windows(None).await.unwrap();
         reader.tally(&query, &itself).await.unwrap();
         reader.fleet(&query, &itself).await.unwrap();
+    }
+
+    /// The small chart of a machine that throws in one direction only, and the page of a machine without a judged throw.
+    #[tokio::test]
+    async fn a_machine_is_known_by_any_throw_and_has_a_small_chart_of_any_direction() {
+        let (_folder, store) = fresh().await;
+        let mut writer =
+            sqlx::SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
+        for change in [
+            "INSERT INTO machine (machine_row, site, machine) VALUES (1, 'north', '21B'), (2, 'north', '22')",
+            "INSERT INTO boot (boot_row, machine_row, boot_id, first_seen_us, highest_no) VALUES (1, 1, 'b', 0, 2), (2, 2, 'b', 0, 1)",
+            "INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz, samples, \
+             content_crc32, judged_at_us) VALUES (1, 1, 1, 1, 0, 0, 100.0, 9, 0, 0), (2, 1, 1, 2, 0, 0, 100.0, 9, 0, 0), \
+             (3, 2, 2, 1, 0, 0, 100.0, 9, 0, NULL)",
+            "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, b0_pct, a1_pct, a0_pct, \
+             throws_since_baseline) VALUES (1, 1, 'reverse_to_normal', 0, 'good', 1.0, 2.0, 3.0, 0), \
+             (2, 1, 'reverse_to_normal', 0, 'good', 4.0, 5.0, 6.0, 0)",
+        ] {
+            sqlx::query(change).execute(&mut writer).await.unwrap();
+        }
+        let (reader, query) = (store.reader(), FleetQuery { limit: 9, spark: 9, ..FleetQuery::default() });
+        let rows = reader.fleet(&query, &MachineId::new("fleet", "pointsd").unwrap()).await.unwrap();
+        let sparks: Vec<_> = rows.iter().map(|row| &row.spark[..]).collect();
+        assert_eq!(sparks, [&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]][..], &[]]);
+        for (name, is_known) in [("21B", true), ("22", true), ("23", false)] {
+            assert_eq!(reader.is_known(&MachineId::new("north", name).unwrap()).await.unwrap(), is_known, "{name}");
+        }
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

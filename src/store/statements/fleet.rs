@@ -52,7 +52,8 @@ macro_rules! faults {
 
 statements! {
     // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first). The
-    // throws of a machine are in its own order, as throws from its backlog arrive after newer ones.
+    // throws of a machine are in its own order, as throws from its backlog arrive after newer ones. They are those of the
+    // worst drift's direction, or else from normal to reverse if the machine has such throws.
     FLEET = concat!(
     "
     WITH chosen AS (
@@ -73,7 +74,8 @@ statements! {
            (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
              (SELECT b0_pct, a1_pct, a0_pct FROM
                (SELECT throw_row, b0_pct, a1_pct, a0_pct FROM estimate AS near
-                 WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+                 WHERE near.machine_row = chosen.machine_row AND near.direction = coalesce(chosen.drifts ->> '$[0].direction',
+                     (SELECT min(direction) FROM latest WHERE latest.machine_row = chosen.machine_row AND direction <> ''))
                  ORDER BY near.throw_row DESC LIMIT ?10) CROSS JOIN throw AS own USING (throw_row)
                ORDER BY own.boot_position DESC, own.throw_no DESC)) AS spark
     FROM chosen
@@ -95,10 +97,10 @@ statements! {
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
                WHERE last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no) END AS said,
-           alarm.state = 'cleared_unacknowledged' AS is_over
+           alarm.state
     FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    GROUP BY alarm.cause, site, said, is_over ORDER BY count(*) DESC";
+    GROUP BY alarm.cause, site, said, alarm.state ORDER BY count(*) DESC";
     OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) AS open, \
             sum(alarm.state IN ('active_unacknowledged', 'active_acknowledged')) AS active \
         FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \

@@ -70,9 +70,13 @@ statements! {
         CROSS JOIN alarm INDEXED BY alarm_of_machine USING (machine_row) CROSS JOIN alarm_event USING (alarm_row) \
         WHERE +site GLOB ?1 AND machine = ?2 AND coalesce(known_at_us, event_at_us) >= ?3 \
         ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
+    // Chosen as in MACHINE_NEWEST, below.
     DIRECTION_NEWEST = concat!("SELECT ", history!(), " \
-        WHERE estimate.machine_row = ", one_machine!(), " \
-        AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
+        WHERE estimate.throw_row IN (SELECT throw_row FROM (SELECT throw_row, boot_row, throw_no \
+        FROM estimate AS own CROSS JOIN throw USING (throw_row) \
+        WHERE own.machine_row = ", one_machine!(), " AND own.direction = ?3 ORDER BY own.throw_row DESC LIMIT 4 * ?4) \
+        ORDER BY max(throw_row) OVER (PARTITION BY boot_row) DESC, throw_no DESC LIMIT ?4) \
+        ORDER BY estimate.throw_row DESC");
     // Searched in the index of start times: the throws of a baseline may be far behind the newest throw.
     DIRECTION_UNTIL = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row IN (SELECT throw_row FROM throw WHERE machine_row = ", one_machine!(), " \
@@ -120,12 +124,15 @@ statements! {
         ORDER BY near.started_at_us, near.throw_row LIMIT 1)) \
         JOIN boot USING (boot_row)";
     // The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
-    TYPICAL = "
-    SELECT boot_id, throw_no FROM (
-        SELECT throw_row, boot_row, throw_no, started_at_us FROM throw JOIN machine USING (machine_row)
-        WHERE site = ?1 AND machine = ?2 AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300)
-    JOIN estimate USING (throw_row) JOIN trace USING (throw_row) JOIN boot USING (boot_row)
-    WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1";
+    TYPICAL = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM ( \
+        SELECT throw_row, started_at_us FROM throw WHERE machine_row = ", one_machine!(), " \
+        AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300) \
+        JOIN estimate USING (throw_row) JOIN trace USING (throw_row) \
+        WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1)");
+    // Whether a machine has a throw, an alarm or a monitor.
+    IS_KNOWN = concat!("SELECT EXISTS (SELECT 1 FROM throw WHERE machine_row = ", one_machine!(), ") \
+        OR EXISTS (SELECT 1 FROM alarm WHERE machine_row = ", one_machine!(), ") \
+        OR EXISTS (SELECT 1 FROM monitor WHERE machine_row = ", one_machine!(), ")");
     COMMANDS = "
     SELECT at_us, command, payload ->> 'cause' AS cause, payload ->> 'until' AS until, by_whom, why
     FROM command JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2 ORDER BY command_row DESC LIMIT ?3";

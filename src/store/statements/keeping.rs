@@ -23,6 +23,7 @@ statements! {
     FOREIGN_TABLE = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite@_%' ESCAPE '@' \
         AND name <> '_sqlx_migrations' AND NOT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'trace') LIMIT 1";
     CLEAN = "SELECT clean FROM shutdown";
+    FILE_BYTES = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size";
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
 
     // Retention.
@@ -49,7 +50,9 @@ statements! {
                 ORDER BY throw_row LIMIT 1), 9223372036854775807)) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
-    TRACES_FROM = concat!("UPDATE machine SET traces_from = last + 1 FROM \
+    // The traces of pending throws before the dropped ones stay, and are dropped later.
+    TRACES_FROM = concat!("UPDATE machine SET traces_from = min(last + 1, coalesce((SELECT min(throw_row) \
+        FROM throw INDEXED BY throw_pending WHERE throw.machine_row = machine.machine_row AND judged_at_us IS NULL), last + 1)) FROM \
         (SELECT machine_row, max(throw_row) AS last FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY machine_row) AS dropped \
         WHERE machine.machine_row = dropped.machine_row");
     OLDEST_THROWS = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw WHERE machine_row = ?2 \
@@ -76,5 +79,6 @@ statements! {
         (SELECT count(*) FROM notification) AS notifications, \
         (SELECT count(*) FROM quarantine) AS quarantined, \
         (SELECT CAST(total(min(last_no - first_no + 1, 1099511627776)) AS INTEGER) FROM gap \
-        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws FROM machine");
+        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact' \
+        AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL)) AS missing_throws FROM machine");
 }

@@ -84,6 +84,7 @@ statements! {
     BACKLOG = "SELECT cursor_boot_row AS boot_row, cursor_position AS position, cursor_no AS throw_no FROM backlog \
         WHERE machine_row = ?1";
     MOVE_CURSOR = "UPDATE backlog SET cursor_boot_row = ?2, cursor_position = ?3, cursor_no = ?4, since_us = ?5 WHERE machine_row = ?1";
+    RENEW_BACKLOGS = "UPDATE backlog SET since_us = ?1";
     CLOSE_BACKLOG = "DELETE FROM backlog WHERE machine_row = ?1";
     FIRST_AWAITED = concat!("SELECT first_no, last_no FROM gap WHERE boot_row = ?1 AND ", awaited!(), " ORDER BY first_no LIMIT 1");
     WRITE_OFF_BEFORE = concat!("UPDATE gap SET written_off_at_us = ?3 WHERE boot_row = ?1 AND first_no < ?2 AND ", awaited!());

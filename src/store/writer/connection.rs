@@ -4,7 +4,11 @@
 //! and the result of a failed commit is unknown. Then the group of writes runs once more, as every write is idempotent.
 //! If SQLite refuses the group again (constraint, type), each write runs alone, so that one refused write costs no other.
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tokio::time::Instant;
@@ -25,6 +29,8 @@ use crate::store::{
 /// Least time between two checks whether the open files still are at the configured path. The daemon writes at least
 /// every 5 s, so a deleted file is noticed within 6 s.
 const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
+/// Time between two attempts to write a deleted database again: an attempt may copy some GiB before it fails.
+const WRITE_AGAIN_INTERVAL: Duration = Duration::from_mins(1);
 
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
@@ -41,8 +47,10 @@ pub(crate) struct WritingConnection {
     pub(crate) broken: bool,
     /// Identity of the open files; `None` before the first write and after a move.
     pub(crate) identity: Option<Identity>,
-    /// Time of the last comparison of the open files with those at the configured path.
-    pub(crate) files_checked: Option<Instant>,
+    /// Time of the next comparison of the open files with those at the configured path; `None` for now.
+    pub(crate) next_file_check: Option<Instant>,
+    /// New path of the file that was found in place of the database, until the database is written again.
+    pub(crate) foreign: Option<PathBuf>,
     /// Size of the log from which on it is truncated, or the database moves \[bytes\].
     pub(crate) max_log_bytes: u64,
     /// Size of the log when both failed last \[bytes\]; 0 after a success.
@@ -141,27 +149,42 @@ impl WritingConnection {
     /// Detects a deleted or replaced database file or log. The connection still has the old files open, with all
     /// committed rows, and copies the rows to a new file.
     async fn notice_replaced_files(&mut self) {
-        if self.files_checked.is_some_and(|checked| checked.elapsed() < FILE_CHECK_INTERVAL) {
+        if self.next_file_check.is_some_and(|next| Instant::now() < next) {
             return;
         }
-        self.files_checked = Some(Instant::now());
+        self.next_file_check = Some(Instant::now() + FILE_CHECK_INTERVAL);
         let now = self.files.identity();
         let known = *self.identity.get_or_insert(now);
         if now == known {
             return;
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
-        let outcome = match self.files.rename_foreign_files() {
-            Ok(foreign) => self.move_database("its files were deleted or replaced").await.map(|()| foreign),
-            Err(error) => Err(error),
-        };
-        self.disk.note_replaced(outcome.map_or_else(
-            |error| {
+        let outcome = match self.write_again().await {
+            Ok(()) => Replaced::WrittenAgain(self.foreign.take()),
+            Err(error) => {
                 tracing::error!(%error, "writing the database again failed; retrying");
+                self.next_file_check = Some(Instant::now() + WRITE_AGAIN_INTERVAL);
                 Replaced::Failed
-            },
-            Replaced::WrittenAgain,
-        ));
+            }
+        };
+        self.disk.note_replaced(outcome);
+    }
+
+    /// Writes the rows of the deleted database to a new file. The open connection has their only copy, and is closed when
+    /// a write fails: so a copy without enough space is not begun, and the rest of a failed copy is removed.
+    async fn write_again(&mut self) -> Result<(), StoreError> {
+        let found = self.files.rename_foreign_files()?;
+        self.foreign = self.foreign.take().or(found);
+        let connection = self.connected().await.map_err(store_error)?;
+        let needed: i64 = sqlx::query_scalar(sql::FILE_BYTES).fetch_one(connection).await.map_err(store_error)?;
+        if self.disk.free_bytes().is_some_and(|free| free < needed.cast_unsigned()) {
+            return Err(StoreError::Full);
+        }
+        let moved = self.move_database("its files were deleted or replaced").await;
+        if moved.is_err() {
+            self.files.remove_unfinished()?;
+        }
+        moved
     }
 
     /// Limits the log, which grows while a reader keeps an old state open: truncates the log, or moves the database to
@@ -251,7 +274,7 @@ impl WritingConnection {
 
     /// Marks a clean stop and closes the files. A broken database is not marked, so that the next start checks it.
     pub(crate) async fn close(&mut self) -> Result<(), StoreError> {
-        if self.reader.is_broken() {
+        if self.broken || self.reader.is_broken() {
             self.disconnect().await;
             return Err(StoreError::Broken);
         }
