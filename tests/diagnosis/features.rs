@@ -151,11 +151,11 @@ fn a_change_of_the_features_that_grows_is_reported_again() {
 /// once a day, or every four days. A fault is a step.
 #[test]
 fn the_season_of_a_machine_without_coefficients_is_no_fault_and_a_step_is_one() {
+    const NEVER: u32 = u32::MAX;
     let settings = Settings::default();
     let usual = Scatter { sd: [0.008, 0.02, 0.02], phi: 0.5, tail: None };
     // A machine with a throw every four days learns its scatter for a year, so the scatter contains the season. A
     // temperature that is published only from the 40th throw on shows no season.
-    const NEVER: u32 = u32::MAX;
     for (published_from, days, fault) in [(0, 1, 1.45), (NEVER, 1, 1.45), (40, 1, 1.45), (NEVER, 4, 2.2)] {
         let is_published = published_from == 0;
         for seed in 0..12 {

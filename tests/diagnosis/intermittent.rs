@@ -164,7 +164,7 @@ fn an_intermittent_fault_is_found_beside_a_baseline_with_a_trend() {
         let mut machine = Machine::in_field(64_000 + seed, Scatter::USUAL);
         let wear = |throw: u32| shift(Cause::Friction, 0.12 * f64::from(throw.min(100)));
         let has_trend = (0..200).map(|throw| machine.feed(wear(throw)).has_trend).last().unwrap();
-        let fault = |throw: u32| if throw % 5 == 0 { shift(Cause::Kt, -15.0) } else { Vector3::zeros() };
+        let fault = |throw: u32| if throw.is_multiple_of(5) { shift(Cause::Kt, -15.0) } else { Vector3::zeros() };
         let events = (0..100).flat_map(|throw| machine.feed(wear(100) + fault(throw)).events).collect::<Vec<_>>();
         trends += u32::from(has_trend);
         found += u32::from(has_trend && events.iter().any(|event| event.text.contains("1 in 5 throws")));

@@ -70,6 +70,7 @@ fn a_toe_that_stops_short_is_found_between_rejected_throws() {
             throw.outcome = Some(Err(Rejection::Misfit { peak_mm: 2.0, at_s: 1.0 }));
         }
     };
+    assert_eq!(drive.events_with(20, State::SOUND, reject_fifth), []);
     let events = drive.events_with(40, State { stroke: 0.93, ..State::SOUND }, reject_fifth);
     assert!(!events.is_empty() && events.iter().all(|event| is_about(event, "the toe is shorter")), "{events:#?}");
 }

@@ -408,7 +408,7 @@ mod tests {
             };
             let throws: Vec<BaselineThrow> = (0..100).map(throw).collect();
             let sides = [0, 1].map(|side| throws.iter().skip(side).step_by(2));
-            trend(&filling(sides, Matrix3::zeros(), &[]), &Settings::default())
+            trend(&filling(sides, Matrix3::zeros(), &[], false), &Settings::default())
         };
         for apart in [1, 4] {
             assert!(slopes(apart)[1] > 0.0, "{apart}: {:?}", slopes(apart));

@@ -281,8 +281,9 @@ impl DriftAlarms {
     /// for, the drift may be the season's or near its limit, and raises none.
     fn counts_for(&self, cause: Cause, settings: &Settings) -> bool {
         let counts = 1..=settings.on_delay_throws + 2 * TOO_CLOSE_PATIENCE + LEVELS_FOLLOW;
-        let is_beginning = |condition: &Condition| matches!(condition, Condition::Quiet { onset, .. } if counts.contains(&onset.named));
-        Cause::DRIFTS.iter().zip(&self.conditions).any(|(own, condition)| *own == cause && is_beginning(condition))
+        Cause::DRIFTS.iter().zip(&self.conditions).any(|(own, condition)| {
+            matches!(condition, Condition::Quiet { onset, .. } if *own == cause && counts.contains(&onset.named))
+        })
     }
 
     /// The suspicion of a drift, as a reason not to add the last throw to a baseline. A motor that runs on after the

@@ -139,7 +139,8 @@ impl FeatureWatch {
         let side = direction.side();
         self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         // A temperature that is published only after the normal values were learned does not show the season.
-        let compared = celsius.filter(|_| gauges.normal(direction, Gauge::Air).is_some());
+        let is_known = |gauge| gauges.normal(direction, gauge).is_some();
+        let compared = celsius.filter(|_| is_known(Gauge::Air) || !is_known(Gauge::Running));
         self.follow_season(side, compared, step.at);
         let levels: Vec<JudgedChange> = (0..WATCHED.len()).filter_map(|at| self.largest(at)).collect();
         let largest = levels.iter().map(|level| level.size).max_by(f64::total_cmp);

@@ -214,13 +214,12 @@ impl Operation {
         }
         if incomplete {
             let rejection = observation.rejection();
-            let text = match observation.unusual_run_s {
-                Some(run_s) => text::unusual_run(step.name, in_direction, in_a_row, run_s),
-                None => {
-                    let is_usual = |direction| gauges.is_usual_current(direction, features, temperature_c);
-                    let seems = (direction.is_some_and(is_usual), gauges.normal_travel_mm().is_none());
-                    text::incomplete(step.name, in_direction, in_a_row, rejection, seems)
-                }
+            let is_usual = |direction| gauges.is_usual_current(direction, features, temperature_c);
+            let text = if let Some(run_s) = observation.unusual_run_s {
+                text::unusual_run(step.name, in_direction, in_a_row, run_s)
+            } else {
+                let seems = (direction.is_some_and(is_usual), gauges.normal_travel_mm().is_none());
+                text::incomplete(step.name, in_direction, in_a_row, rejection, seems)
             };
             // Without the toe sensor, points that open again seem closed.
             let is_open = matches!(rejection, Some(Rejection::Reopened { .. }));
