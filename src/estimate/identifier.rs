@@ -1,10 +1,7 @@
 //! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use super::{
-    acceptance::{
-        self, brake,
-        start::{self, Start},
-    },
+    acceptance::{self, StartedEstimate, brake, start},
     armature::{Armature, LEAST_RATE_HZ},
     current_only,
     features::Features,
@@ -228,7 +225,7 @@ impl Buffers {
         movement: &Movement<'_>,
         factor: usize,
         released: Option<f64>,
-    ) -> Result<(Estimate, Option<Start>), Rejection> {
+    ) -> Result<StartedEstimate, Rejection> {
         let rate_hz = 1.0 / movement.interval_s;
         let filter_hz = throw.possible_anti_alias_hz(rate_hz);
         noise::resolved(movement)?;
@@ -286,7 +283,7 @@ impl Buffers {
         settings: &Settings,
         movement: &Movement<'_>,
         load: Option<&Load>,
-    ) -> (Option<Fit>, Result<(Estimate, Option<Start>), Rejection>) {
+    ) -> (Option<Fit>, Result<StartedEstimate, Rejection>) {
         let Self { window, workspace, brakes, .. } = self;
         // The model of equation (12): two poles, one input, three parameters.
         let model = Sriv::<2, 1, 3>::new([0]).map(|model| Sriv { tolerance: TOLERANCE, ..model });

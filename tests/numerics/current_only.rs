@@ -200,6 +200,9 @@ fn a_current_without_a_direction_counts_as_normal_to_reverse_only_if_it_fits() {
     }
 }
 
+/// Changes the samples of a current.
+type Damage<'a> = &'a dyn Fn(&mut Vec<f64>);
+
 /// Without a toe sensor a damaged current gives no coefficients, and a dead one no features that look like a throw.
 #[test]
 fn a_damaged_current_has_its_reason_and_a_dead_one_shows_no_motor() {
@@ -207,7 +210,7 @@ fn a_damaged_current_has_its_reason_and_a_dead_one_shows_no_motor() {
     let sound = current(&Parameters::default(), direction, 1000.0);
     let peak = sound.iter().copied().fold(0.0, f64::max);
     let start = sound.iter().position(|i| *i > 0.5 * peak).unwrap();
-    let damaged = |damage: &dyn Fn(&mut Vec<f64>)| {
+    let damaged = |damage: Damage<'_>| {
         let mut current = sound.clone();
         damage(&mut current);
         identify(current, direction, 1000.0, f64::NAN, Some(110.0))
@@ -218,7 +221,7 @@ fn a_damaged_current_has_its_reason_and_a_dead_one_shows_no_motor() {
             *i = *rest;
         }
     };
-    let cases: [(&str, &dyn Fn(&mut Vec<f64>)); 4] = [
+    let cases: [(&str, Damage<'_>); 4] = [
         ("clipped", &|current| current.iter_mut().for_each(|i| *i = i.min(0.6 * peak))),
         ("spike", &|current| current[start + 30] = 40.0),
         ("stuck", &|current| {
@@ -231,7 +234,7 @@ fn a_damaged_current_has_its_reason_and_a_dead_one_shows_no_motor() {
         let found = damaged(damage);
         assert_eq!(found.quality(), quality, "{:?}", found.detail());
     }
-    for (name, dead) in [("noise", &noise as &dyn Fn(&mut Vec<f64>)), ("zeros", &|current| current.fill(0.0))] {
+    for (name, dead) in [("noise", &noise as Damage<'_>), ("zeros", &|current| current.fill(0.0))] {
         let found = damaged(dead);
         assert!(found.detail().unwrap().contains("shows no motor"), "{name}: {:?}", found.detail());
         let Features { duration_s, running_current_a, energy_j, .. } = found.features;

@@ -37,7 +37,7 @@ const THROWS: u64 = 200;
 /// Throws of one machine per second.
 const RATE: f64 = 6.5;
 /// Longest time without a judged throw after the last throw was published: the usual time is below a second.
-const JUDGE_LIMIT: Duration = Duration::from_secs(60);
+const JUDGE_LIMIT: Duration = Duration::from_mins(1);
 /// Simulated time between two throws of a machine \[s\], as at a busy junction.
 const INTERVAL_S: f64 = 1200.0;
 

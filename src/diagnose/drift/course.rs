@@ -335,7 +335,9 @@ impl Stage {
 /// Divides the weights by their sum.
 fn normalize(stages: &mut [Stage]) {
     let total: f64 = stages.iter().map(|stage| stage.weight).sum();
-    stages.iter_mut().for_each(|stage| stage.weight /= total);
+    for stage in stages {
+        stage.weight /= total;
+    }
 }
 
 /// Least number of throws ahead at which `above` reaches `share`, by growing steps and bisection; `None` if it is

@@ -33,8 +33,15 @@ pub(crate) struct Courses<'a> {
     temperature_sd: Vector3<f64>,
     /// Number of the latest throw.
     now: u64,
-    /// Each course with its weights and the index of its direction; `None` for both directions.
-    known: RefCell<Vec<(Vector3<f64>, Option<usize>, Option<Rc<Course>>)>>,
+    known: RefCell<Vec<KnownCourse>>,
+}
+
+/// The course along some weights, in the direction with an index; `None` for both directions.
+#[derive(Clone)]
+struct KnownCourse {
+    weights: Vector3<f64>,
+    side: Option<usize>,
+    course: Option<Rc<Course>>,
 }
 
 impl<'a> Courses<'a> {
@@ -101,13 +108,14 @@ impl<'a> Courses<'a> {
         side: Option<usize>,
         compute: impl FnOnce() -> Option<Course>,
     ) -> Option<Rc<Course>> {
-        let found = self.known.borrow().iter().find(|known| known.0 == *weights && known.1 == side).cloned();
-        let (.., course) = found.unwrap_or_else(|| {
-            let new = (*weights, side, compute().map(Rc::new));
+        let is_it = |known: &&KnownCourse| known.weights == *weights && known.side == side;
+        let found = self.known.borrow().iter().find(is_it).cloned();
+        let known = found.unwrap_or_else(|| {
+            let new = KnownCourse { weights: *weights, side, course: compute().map(Rc::new) };
             self.known.borrow_mut().push(new.clone());
             new
         });
-        course
+        known.course
     }
 
     /// The course over the last throws of both directions, and the means of earlier ones.

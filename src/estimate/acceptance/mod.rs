@@ -47,6 +47,9 @@ const SCALE_PER_MM: f64 = 3.0;
 /// Relative error of this scale if the rise of the current departs from that of an armature by the peak of the current.
 const SCALE_PER_RISE: f64 = 2.0;
 
+/// An estimate, and the start of its movement if the samples show it.
+pub(super) type StartedEstimate = (Estimate, Option<Start>);
+
 /// Rejects a solution that is unsound, or has a coefficient that is not positive.
 fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
@@ -122,7 +125,7 @@ pub(super) fn estimate(
     settings: &Settings,
     workspace: &mut Workspace<3>,
     brakes: &mut brake::Buffers,
-) -> Result<(Estimate, Option<Start>), Rejection> {
+) -> Result<StartedEstimate, Rejection> {
     accept(&solution, settings)?;
     let slow_mm =
         misfit(window, &workspace.model_output, solution.parameters, movement.travel_mm, settings.radians_per_mm())?;
