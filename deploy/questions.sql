@@ -1,5 +1,6 @@
 -- Twelve example queries for the database of pointsd. Run one with
 --   pointsd sql "$(sed -n '/^-- 1\./,/^$/p' deploy/questions.sql)"
+-- after you have replaced the site north and the machine m1 by yours: without it their answers are empty.
 -- A test runs each of them and prints its duration.
 
 -- 1. Which machines had the most alarms in the last 30 days?

@@ -25,6 +25,9 @@ use super::{error::BusError, operator::ANSWER_TIMEOUT};
 const QUEUE: usize = 64;
 /// Number of queries whose replies are sent at the same time: a client on a slow link does not delay the others.
 const SENDING: usize = 8;
+/// Permits for the error reply to a query above [`MAX_BYTES`], which stays in memory until the reply is sent: half of
+/// [`SENDING`], so that at most two are in memory.
+const LARGE: u32 = 4;
 /// Error reply to a query that found the queue full, or waited in it for longer than [`ANSWER_TIMEOUT`].
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest query \[bytes\]; commands have a few hundred. With [`QUEUE`], it limits the memory of waiting queries.
@@ -53,14 +56,15 @@ impl QueryQueue {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query: Query| {
-                // A waiting query stays in memory, so a large one ends without a reply.
-                if bytes(&query) > MAX_BYTES {
+                // A waiting query stays in memory, so a large one does not wait.
+                let bytes = bytes(&query);
+                if bytes > MAX_BYTES {
                     counter.fetch_add(1, Relaxed);
-                    return;
-                }
-                if let Err(TrySendError::Full((_, query))) = sender.try_send((Instant::now(), query)) {
+                    let problem = format!("the query has {bytes} bytes, must be at most {MAX_BYTES}");
+                    refuse(&runtime, query, problem, &permits, LARGE);
+                } else if let Err(TrySendError::Full((_, query))) = sender.try_send((Instant::now(), query)) {
                     counter.fetch_add(1, Relaxed);
-                    refuse(&runtime, query, &permits);
+                    refuse(&runtime, query, BUSY.to_owned(), &permits, 1);
                 }
             })
             .await
@@ -83,7 +87,7 @@ impl QueryQueue {
                 return Some((arrived, query));
             }
             self.dropped.fetch_add(1, Relaxed);
-            refuse(&Handle::current(), query, &self.sending);
+            refuse(&Handle::current(), query, BUSY.to_owned(), &self.sending, 1);
         }
     }
 
@@ -104,10 +108,11 @@ fn bytes(query: &Query) -> usize {
     query.key_expr().as_str().len() + query.parameters().as_str().len() + encoding + parts.sum::<usize>()
 }
 
-/// Replies with [`BUSY`]. While slow links use all permits, the query ends without a reply.
-fn refuse(runtime: &Handle, query: Query, permits: &Arc<Semaphore>) {
-    if let Ok(permit) = Arc::clone(permits).try_acquire_owned() {
-        send(runtime, query, Err(BUSY.to_owned()), permit);
+/// Replies with a problem, and uses this number of permits meanwhile. While slow links use too many, the query ends
+/// without a reply.
+fn refuse(runtime: &Handle, query: Query, problem: String, permits: &Arc<Semaphore>, count: u32) {
+    if let Ok(permit) = Arc::clone(permits).try_acquire_many_owned(count) {
+        send(runtime, query, Err(problem), permit);
     }
 }
 
@@ -151,7 +156,9 @@ mod tests {
             get("").attachment(large()),
             get("").payload("x").encoding(Encoding::from(large())),
         ] {
-            assert!(get.await.unwrap().recv_async().await.is_err(), "a reply");
+            let reply = get.await.unwrap().recv_async().await.unwrap();
+            let problem = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
+            assert!(problem.ends_with("bytes, must be at most 65536"), "{problem}");
         }
         assert_eq!((queue.take_dropped(), queue.waiting.len()), (4, 0));
         let _small = get("limit=1").await.unwrap();

@@ -43,7 +43,7 @@ pub(super) struct Arguments {
     /// Show only alarms of this severity: warning or critical.
     #[arg(long, value_parser = argument::severity)]
     severity: Option<Severity>,
-    /// Show events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
+    /// Show events from this time on: a date (its midnight in UTC), or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     since: Option<Timestamp>,
     /// Show only the newest N events; without it, the newest 10,000 of each daemon.
@@ -194,7 +194,8 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     let machine = &alarm.machine;
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
     let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
-    indented(&format!("raised {}, {}{window}", utc(&alarm.raised_at), alarm.state.words()))?;
+    let over = if alarm.over && alarm.state.is_silenced() { "over, " } else { "" };
+    indented(&format!("raised {}, {over}{}{window}", utc(&alarm.raised_at), alarm.state.words()))?;
     let of_machine = health.iter().filter(|health| health.machine == alarm.machine);
     // A daemon of an earlier version sends only the worst drift.
     let mut drifts = of_machine.flat_map(|health| health.drifts.iter().chain(&health.drift));

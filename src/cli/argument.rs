@@ -106,7 +106,7 @@ pub(super) struct Window {
     /// Length, as 90m, 8h, 3d or 2w.
     #[arg(long = "for", value_name = "LENGTH", conflicts_with = "until", value_parser = length)]
     length: Option<SignedDuration>,
-    /// Its end: a date, or a time as 2026-05-04T06:00:00Z.
+    /// Its end: a date (its midnight in UTC), or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME", value_parser = moment)]
     until: Option<Timestamp>,
     /// End it now.

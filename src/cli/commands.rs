@@ -17,8 +17,8 @@ const SHIFT: SignedDuration = SignedDuration::from_hours(8);
 pub(super) enum Operator {
     /// Acknowledges an open alarm; the daemon stores the name and the time.
     ///
-    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
-    /// is invalid.
+    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers, or several serve the
+    /// machine; 78 the file of --config is invalid.
     #[command(after_help = "Example:\n  pointsd ack north/21B friction --by 'A. Meyer'")]
     Ack {
         #[command(flatten)]
@@ -29,8 +29,8 @@ pub(super) enum Operator {
     },
     /// Shelves an open alarm until a given time, with a reason; or ends the shelving.
     ///
-    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
-    /// is invalid.
+    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers, or several serve the
+    /// machine; 78 the file of --config is invalid.
     #[command(after_help = "Examples:\n  pointsd shelve north/21B friction --for 8h --why 'greased tonight'\n  \
                             pointsd shelve north/21B friction --end")]
     Shelve {
@@ -45,8 +45,8 @@ pub(super) enum Operator {
     /// Starts a new baseline of a machine from its next throws, for example after maintenance. The old baseline stays
     /// in the history; drift alarms are cleared.
     ///
-    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
-    /// is invalid.
+    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers, or several serve the
+    /// machine; 78 the file of --config is invalid.
     #[command(after_help = "Example:\n  pointsd rebaseline north/21B --why 'motor replaced' --by 'A. Meyer'")]
     Rebaseline {
         #[command(flatten)]
@@ -58,8 +58,8 @@ pub(super) enum Operator {
     /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The
     /// maintenance ends at the given time, by default after 8 hours. A new maintenance replaces one that has not ended.
     ///
-    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
-    /// is invalid.
+    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers, or several serve the
+    /// machine; 78 the file of --config is invalid.
     #[command(after_help = "Examples:\n  pointsd maintenance north/21B --why 'new slide chairs' --for 3d\n  \
                             pointsd maintenance north/21B --end")]
     Maintenance {
@@ -72,8 +72,8 @@ pub(super) enum Operator {
     /// `machine_health` no longer show it. Its history stays. Switch its logger off first: a later throw counts as that
     /// of a new machine, which learns a new baseline.
     ///
-    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config
-    /// is invalid.
+    /// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers, or several serve the
+    /// machine; 78 the file of --config is invalid.
     #[command(after_help = "Example:\n  pointsd retire north/21B --why 'replaced by 21C' --by 'A. Meyer'")]
     Retire {
         #[command(flatten)]

@@ -60,7 +60,7 @@ impl Location {
 /// not usable.
 pub(super) fn unreadable(error: StoreError) -> Failure {
     let exit = match error {
-        StoreError::Open { .. } | StoreError::Damaged { .. } => Exit::NoInput,
+        StoreError::Open { .. } | StoreError::Empty(_) | StoreError::Damaged { .. } => Exit::NoInput,
         StoreError::Foreign(_) | StoreError::Schema(_) | StoreError::Statement(_) => Exit::Data,
         _ => Exit::Io,
     };

@@ -85,10 +85,12 @@ pub(super) fn finish(outcome: Outcome) -> ExitCode {
 /// Parses the command line: usage errors exit with [`Exit::Usage`], `--help` and `--version` with [`Exit::Ok`].
 pub(super) fn parse<C: clap::Parser>() -> Result<C, Exit> {
     C::try_parse().map_err(|error| {
-        let exit = if error.use_stderr() { Exit::Usage } else { Exit::Ok };
-        // An error of this write cannot be reported anywhere.
-        let _ = error.print();
-        exit
+        let is_usage = error.use_stderr();
+        match error.print() {
+            _ if is_usage => Exit::Usage,
+            Err(unwritten) if unwritten.kind() != std::io::ErrorKind::BrokenPipe => Exit::Io,
+            _ => Exit::Ok,
+        }
     })
 }
 

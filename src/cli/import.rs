@@ -63,7 +63,7 @@ pub(super) struct Arguments {
     /// else those of the files].
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     started_at: Option<Timestamp>,
-    /// Print one JSON object for each throw.
+    /// Print one JSON object for each throw; that of a throw which the database has already has `"known": true`.
     #[arg(long)]
     json: bool,
 }
@@ -137,7 +137,7 @@ async fn import(
             // A copied CSV file may have another time, and the store would take it for another throw with the same
             // number.
             if !is_json(file) && pipeline.has(&machine, &throw.id).await.or_exit(Exit::Io)? {
-                count.known += 1;
+                bar.suspend(|| report_known(arguments, &machine, &throw.id, count))?;
                 continue;
             }
             if !last.contains_key(&machine) {
@@ -157,7 +157,7 @@ async fn import(
                         _ => drop(last.insert(machine, Some(throw.started_at))),
                     }
                 }
-                Spooled::Duplicate => count.known += 1,
+                Spooled::Duplicate => bar.suspend(|| report_known(arguments, &machine, &throw.id, count))?,
             }
             bar.suspend(|| report(arguments, &judged, count))?;
         }
@@ -369,6 +369,17 @@ fn lines(list: &Path) -> anyhow::Result<HashMap<OsString, Exported>> {
 /// Prints a line. A closed pipe does not end the import.
 fn print(line: impl Display) -> Outcome {
     output::after(output::line(line), Exit::Ok)
+}
+
+/// Counts a throw that the database has already, and prints its JSON object.
+fn report_known(arguments: &Arguments, machine: &MachineId, id: &ThrowRef, count: &mut Count) -> Result<(), Failure> {
+    count.known += 1;
+    if arguments.json {
+        print(
+            json!({"site": machine.site, "machine": machine.machine, "boot_id": id.boot_id, "throw_no": id.throw_no, "known": true}),
+        )?;
+    }
+    Ok(())
 }
 
 fn report(arguments: &Arguments, judged: &[Arc<[Judgement]>], count: &mut Count) -> Result<(), Failure> {

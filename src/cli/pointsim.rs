@@ -22,7 +22,11 @@ enum Command {
     Table1(table1::Arguments),
     /// Shows the limits of the method: sampling, noise, soft drive, load, closed loop; as tables and charts.
     Limits(limits::Arguments),
+    #[command(
+        after_help = "Example:\n  pointsim completions bash > ~/.local/share/bash-completion/completions/pointsim"
+    )]
     Completions(completions::Arguments),
+    #[command(after_help = "Example:\n  pointsim man ~/.local/share/man/man1")]
     Man(man::Arguments),
 }
 

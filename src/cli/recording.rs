@@ -14,7 +14,7 @@ use anyhow::{Context, anyhow, bail};
 
 use super::{Exit, Failure, ResultExt};
 use crate::{
-    throw::{Trace, counted},
+    throw::{MAX_SAMPLES, Trace, counted},
     wire::without_byte_order_mark,
 };
 
@@ -104,6 +104,9 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
         // An exported trace without a position has this column with empty cells.
         let measured = position.filter(|place| record.get(*place) != Some(""));
         let position_mm = measured.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
+        if columns.lines.len() == MAX_SAMPLES {
+            bail!("line {line}: more than {MAX_SAMPLES} samples");
+        }
         let time_s = time_s?;
         if !time_s.is_finite() {
             bail!("line {line}, column {TIME}: {time_s} is not a time");

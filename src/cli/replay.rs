@@ -61,6 +61,9 @@ struct Occurrence {
     severity: Severity,
 }
 
+/// Machine and cause of an alarm.
+type Named = (MachineId, Cause);
+
 /// The n-th occurrence of an alarm in both databases; `None` in the database that does not have it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Comparison {
@@ -79,6 +82,8 @@ struct Report {
     database: PathBuf,
     /// Number of alarms that are not compared, as the baselines were not complete yet when they were raised.
     not_replayed: usize,
+    /// Number of alarms of both databases that are not compared, as no throw raised them.
+    not_compared: usize,
     alarms: Vec<Comparison>,
 }
 
@@ -154,8 +159,11 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
             .or_exit(Exit::Data);
     };
     let mut lists: BTreeMap<_, [Vec<Occurrence>; 2]> = BTreeMap::new();
+    let mut not_compared = 0;
     for (at, database) in [old, new].into_iter().enumerate() {
-        for (alarm, occurrence) in occurrences(database, since).await? {
+        let (compared, others) = occurrences(database, since).await?;
+        not_compared += others;
+        for (alarm, occurrence) in compared {
             let list = &mut lists.entry(alarm).or_default()[at];
             match list.iter_mut().find(|known| known.raised_at == occurrence.raised_at) {
                 Some(known) => known.severity = known.severity.max(occurrence.severity),
@@ -175,7 +183,7 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
         }
     }
     let alarms = lists.into_iter().flat_map(pairs).collect();
-    Ok(Report { throws, without_trace, database: into, not_replayed, alarms })
+    Ok(Report { throws, without_trace, database: into, not_replayed, not_compared, alarms })
 }
 
 /// Start of the last throw of the baselines of a machine; `None` while a baseline is not complete.
@@ -188,31 +196,31 @@ async fn learned_at(new: &Reader, machine: &MachineId) -> Result<Option<Timestam
 }
 
 /// The events of the alarms that were raised at `since` or later, in order. [`compare`] merges the events of one
-/// occurrence. Alarms about lost data are left out, and alarms about machines not monitored that no throw raised.
-async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
+/// occurrence. Alarms about lost data are left out, and alarms about machines not monitored that no throw raised; the
+/// second value is their number.
+async fn occurrences(database: &Reader, since: Timestamp) -> Result<(Vec<(Named, Occurrence)>, usize), Failure> {
     let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
     // The first event of an alarm that a throw raised names this throw.
     let of_throw = |alarm: &Alarm| alarm.last_throw.is_some() && alarm.event_no == 1;
     let of_throws: BTreeSet<_> =
         rows.iter().filter(|alarm| of_throw(alarm)).map(|alarm| alarm.alarm_id.clone()).collect();
-    rows.retain(|alarm| {
-        let is_comparable = match alarm.cause {
-            Cause::DataLoss => false,
-            Cause::NotMonitored => of_throws.contains(&alarm.alarm_id),
-            _ => true,
-        };
-        alarm.raised_at >= since && is_comparable
+    rows.retain(|alarm| alarm.raised_at >= since);
+    let (rows, others): (Vec<Alarm>, Vec<Alarm>) = rows.into_iter().partition(|alarm| match alarm.cause {
+        Cause::DataLoss => false,
+        Cause::NotMonitored => of_throws.contains(&alarm.alarm_id),
+        _ => true,
     });
+    let others: BTreeSet<_> = others.into_iter().map(|alarm| alarm.alarm_id).collect();
     let occurrence = |alarm: Alarm| {
         let throw_no = alarm.last_throw.as_ref().map(|throw| throw.throw_no);
         let occurrence = Occurrence { raised_at: alarm.raised_at, throw_no, severity: alarm.severity };
         ((alarm.machine.clone(), alarm.cause), occurrence)
     };
-    Ok(rows.into_iter().map(occurrence).collect())
+    Ok((rows.into_iter().map(occurrence).collect(), others.len()))
 }
 
 /// Compares the n-th occurrences of one alarm for each n.
-fn pairs(((machine, cause), [before, after]): ((MachineId, Cause), [Vec<Occurrence>; 2])) -> Vec<Comparison> {
+fn pairs(((machine, cause), [before, after]): (Named, [Vec<Occurrence>; 2])) -> Vec<Comparison> {
     let count = before.len().max(after.len());
     let (mut before, mut after) = (before.into_iter(), after.into_iter());
     let pair = |_| {
@@ -250,8 +258,12 @@ fn sentences(report: &Report) -> String {
         let alarms = counted(report.not_replayed, "alarm");
         lines.push(format!("not compared, as the baselines were not complete at that time: {alarms}"));
     }
+    if report.not_compared > 0 {
+        let alarms = counted(report.not_compared, "alarm");
+        lines.push(format!("not compared, as no throw raised them (data_loss, not_monitored): {alarms}"));
+    }
     if report.alarms.is_empty() {
-        let other = if report.not_replayed > 0 { "other " } else { "" };
+        let other = if report.not_replayed + report.not_compared > 0 { "other " } else { "" };
         lines.push(format!("no {other}alarms in either database"));
         return lines.join("\n");
     }

@@ -27,7 +27,7 @@ use crate::{
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 64 --json or --csv cannot print the answer, 65 invalid SQL, or SQL that writes, or the file is no database of pointsd, 66 there is no database, or it cannot be opened, 74 reading or writing failed, 78 the configuration is invalid.")]
+    Exit codes: 0 answered, 64 --json or --csv cannot print the answer, 65 invalid SQL, or SQL that writes to the database (a temporary table may be created), or the file is no database of pointsd, 66 there is no database, or it has no tables yet, or it cannot be opened, 74 reading or writing failed, 78 the configuration is invalid.")]
 pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).

@@ -122,10 +122,13 @@ async fn gather(client: &Client, site: Option<&Name>) -> Result<Fleet, Failure> 
         return Err(OperatorError::NoDaemon.into());
     }
     let (reports, daemon_problems) = operator::read::<StatusReport>(&daemons);
-    let reports = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
+    let reports: Vec<_> = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
     let (health, health_problems) = operator::values::<Health>(&of_machines);
     let (alarms, alarm_problems) = operator::values::<Alarm>(&events);
-    let twice = served_twice(session, &health).await?;
+    let mut twice = served_twice(session, &health).await?;
+    if twice.is_empty() {
+        twice = overlaps(&reports);
+    }
     let silent: Vec<MachineId> = operator::silent(&present, &daemons).into_iter().cloned().collect();
     let problems = daemon_problems + health_problems + alarm_problems + silent.len();
     let fleet = Fleet { daemons, of_machines, events, reports, health, alarms, silent, twice, problems };
@@ -231,6 +234,21 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
         sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
     Ok(sentences)
+}
+
+/// A sentence about each two daemons that would serve the same machines, of which none has sent a throw to both yet.
+fn overlaps(reports: &[(String, StatusReport)]) -> Vec<String> {
+    let pairs =
+        reports.iter().enumerate().flat_map(|(at, one)| reports[at + 1..].iter().map(move |other| (one, other)));
+    let overlapping = pairs.filter(|((_, one), (_, other))| bus::intersect(&one.key, &other.key));
+    let sentence = |((one, report), (other, _)): (&(String, StatusReport), &(String, StatusReport))| {
+        let [one, other] = [one, other].map(|key| operator::monitor_name(key));
+        let key = &report.key;
+        format!(
+            "{one} and {other} both serve machines of {key}: correct monitor.id and subscribe.key of one, or stop it"
+        )
+    };
+    overlapping.take(MAX_ASKED).map(sentence).collect()
 }
 
 fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {

@@ -1,7 +1,8 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
+use jiff::Timestamp;
 use sd_notify::NotifyState;
 use tokio::{
     sync::{broadcast, mpsc, watch},
@@ -39,7 +40,7 @@ use super::{
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
     store::{self, Found, Judgement, Opened, Store},
-    wire::{CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
+    wire::{self, CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws to observers \[batches\]: more than the throws of a demo. A slow observer
@@ -272,6 +273,15 @@ impl Starting {
         machines.retain(|machine| monitor.reserves(machine).is_none());
         let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
         status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
+        status.edit().key = subscribe.key.clone().into();
+        for (key, reason, at_us) in store.reader().last_refused().await? {
+            if let Some((machine, _)) = wire::parse_key(&key).ok().filter(|(machine, _)| subscribe.serves(machine)) {
+                let age = Timestamp::from_microsecond(at_us).map(|at| clock::now().duration_since(at));
+                let age = Duration::try_from(age.unwrap_or_default()).unwrap_or_default();
+                let now = clock::monotonic();
+                status.count_invalid(machine, false, &reason, now.checked_sub(age).unwrap_or(now));
+            }
+        }
         let shared = || Arc::clone(&self.shared);
         let intake = Arc::new(Intake::new(shared(), machines));
         let backlog = Backlog::new(shared(), Arc::clone(&intake), dropped);

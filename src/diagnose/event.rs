@@ -254,6 +254,9 @@ pub struct AlarmEvent {
     /// databases of earlier versions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub text_at: Option<Timestamp>,
+    /// Whether the condition ended; a shelved alarm shows it here only.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub over: bool,
     /// Operator who acknowledged the alarm, if it is acknowledged. Not published.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acknowledged_by: Option<String>,

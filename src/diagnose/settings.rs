@@ -4,7 +4,11 @@ use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
 
 use super::{Cause, statistics::percent};
-use crate::throw::{OutOfRange, Range::Within, settings};
+use crate::throw::{
+    OutOfRange,
+    Range::{If, Within},
+    settings,
+};
 
 /// Longest shelving or maintenance that `longest_shelving_days` may allow \[days\].
 pub const LONGEST_SHELVING_DAYS: f64 = 3_660.0;
@@ -89,7 +93,14 @@ impl Settings {
         self.check_ranges()?;
         let usable = self.baseline_usable_throws as f64;
         Within(12.0, self.baseline_throws as f64, "").check("baseline_usable_throws", usable)?;
-        Within(self.slow_throw_pct, 10_000.0, "").check("slow_throw_critical_pct", self.slow_throw_critical_pct)?;
+        let critical_pct = self.slow_throw_critical_pct;
+        // If the file lowers only the critical limit, the error names that one.
+        If(
+            self.slow_throw_pct <= critical_pct || critical_pct < Self::default().slow_throw_critical_pct,
+            "at most slow_throw_critical_pct (50 by default)",
+        )
+        .check("slow_throw_pct", self.slow_throw_pct)?;
+        Within(self.slow_throw_pct, 10_000.0, "").check("slow_throw_critical_pct", critical_pct)?;
         self.temperature.map_or(Ok(()), |t| t.check_ranges().map_err(|error| error.within("temperature")))
     }
 

@@ -400,7 +400,10 @@ const THREE_PHASE: &str = "the motor is configured as three-phase";
 
 /// Describes the content of `position_mm` in a message without a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {
-    if trace.position_mm().contains(&0.0) {
+    let position = trace.position_mm();
+    if position.iter().all(|x| *x == 0.0) {
+        "position_mm is 0 in all samples, as without a toe sensor"
+    } else if position.contains(&0.0) {
         "position_mm is 0 or missing in all samples, as without a toe sensor"
     } else {
         "there is no toe position (position_mm is absent, or no sample of it was measured)"

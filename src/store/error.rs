@@ -11,7 +11,7 @@ use super::files::path::unwritable;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database cannot be opened or created.
-    #[error("cannot open the database {}: {source}; check that its folder exists, and that the user of pointsd owns the folder, the file, its -wal and its -shm, and may write to them{}", path.display(), unwritable.as_ref().map_or_else(String::new, |file| format!(" (it may not write to {})", file.display())))]
+    #[error("cannot open the database {}: {source}; {}", path.display(), advice(source, unwritable.as_deref()))]
     Open {
         /// The database file.
         path: PathBuf,
@@ -20,6 +20,9 @@ pub enum StoreError {
         /// Error of SQLite.
         source: Box<sqlx::Error>,
     },
+    /// The file has no tables: pointsd has not used it yet.
+    #[error("no database at {}: the file has no tables yet", .0.display())]
+    Empty(PathBuf),
     /// The file is the database of another program, or text, and so not a damaged database.
     #[error("{0}: name another file")]
     Foreign(String),
@@ -113,6 +116,18 @@ impl StoreError {
     }
 }
 
+/// The remedy for a database that cannot be opened.
+fn advice(source: &sqlx::Error, unwritable: Option<&Path>) -> String {
+    if is_locked(source) {
+        return "another program holds its lock: end that program, or its transaction".to_owned();
+    }
+    let file = unwritable.map_or_else(String::new, |file| format!(" (it may not write to {})", file.display()));
+    format!(
+        "check that its folder exists, and that the user of pointsd owns the folder, the file, its -wal and its -shm, and \
+         may write to them{file}"
+    )
+}
+
 /// `SQLITE_ERROR`, `TOOBIG`, `CONSTRAINT`, `MISMATCH` and `RANGE`: the statement is refused, independent of the disk.
 const REFUSALS: [i32; 5] = [1, 18, 19, 20, 25];
 
@@ -136,6 +151,11 @@ pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
 /// `SQLITE_NOTADB`: the file does not have the format of SQLite.
 pub(super) fn is_no_database(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(26)
+}
+
+/// `SQLITE_BUSY`: another program holds the lock of the file.
+pub(super) fn is_locked(error: &sqlx::Error) -> bool {
+    primary_code(error) == Some(5)
 }
 
 /// `SQLITE_INTERRUPT`: a progress handler ended the statement.

@@ -113,6 +113,7 @@ mod tests {
             last_throw: None,
             text: "Machine north/21B: a new baseline is being taken (somebody: some reason).".into(),
             text_at: Some(at),
+            over: false,
             acknowledged_by: Some("somebody".into()),
             limit_in_throws: Some(LimitForecast { low: 1.0, mid: 2.0, high: 3.0 }),
             by: Some("somebody".into()),

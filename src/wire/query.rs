@@ -64,10 +64,14 @@ fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
 /// a misspelt parameter would change the meaning of a query without notice.
 ///
 /// # Errors
-/// When a parameter is unknown or has no value; the error names it and the known parameters.
+/// When a parameter is unknown, has no value or is given twice; the error names it and the known parameters.
 pub fn check_parameters(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
     if let Some((empty, _)) = pairs(parameters).find(|(key, value)| known.contains(key) && value.is_empty()) {
         return Err(Invalid(format!("{empty} has no value")));
+    }
+    let given = |name: &str| pairs(parameters).filter(|(key, _)| *key == name).count();
+    if let Some(twice) = known.iter().find(|name| given(name) > 1) {
+        return Err(Invalid(format!("{twice} is given twice")));
     }
     let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
     let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
@@ -89,8 +93,17 @@ mod tests {
         for text in ["since=2026-05-04T12:00:00Z;limit=7", "limit=7;since=2026-05-04T14:00:00+02:00"] {
             assert_eq!(HistoryQuery::parse(text).unwrap(), HistoryQuery::History { since: noon, limit: 7 });
         }
-        for text in ["since=yesterday", "limit=0", "limit=-1", "limit=10001", "limit=many", "since=", "since", "limit"]
-        {
+        for text in [
+            "since=yesterday",
+            "limit=0",
+            "limit=-1",
+            "limit=10001",
+            "limit=many",
+            "since=",
+            "since",
+            "limit",
+            "limit=2;limit=3",
+        ] {
             assert!(HistoryQuery::parse(text).is_err(), "{text} was taken");
         }
         for text in ["sinc=2026-05-04T12:00:00Z", "limit=7;until=2026-05-04T12:00:00Z", "_anyke;Limit=7"] {

@@ -53,7 +53,7 @@ fn the_page_of_messages_has_every_field() {
     let page = read("MESSAGES.md");
     let alarm: Alarm = serde_json::from_value(json!({
         "schema": Alarm::SCHEMA, "alarm_id": "a", "event_no": 1, "site": "north", "machine": "21B", "cause": "sensor",
-        "severity": "warning", "state": "shelved", "raised_at": "2026-05-04T10:11:12Z", "channel": "clock",
+        "severity": "warning", "state": "shelved", "over": true, "raised_at": "2026-05-04T10:11:12Z", "channel": "clock",
         "event_at": "2026-05-04T10:11:12Z", "text": "what", "text_at": "2026-05-04T10:11:12Z"
     }))
     .unwrap();

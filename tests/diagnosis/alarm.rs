@@ -65,6 +65,8 @@ fn an_alarm_keeps_who_acknowledged_it() {
     act(&mut machine, &Command::Shelve { cause: Cause::Friction, until, by: by(), why: "known".to_owned() }).unwrap();
     let [shelved] = &act(&mut machine, &ack).unwrap()[..] else { panic!("one event") };
     assert_eq!((shelved.state, shelved.acknowledged_by.as_deref()), (AlarmState::Shelved, Some("A. Fitter")));
+    let [over] = &machine.events(60, Vector3::zeros())[..] else { panic!("one event") };
+    assert_eq!((shelved.over, over.state, over.over), (false, AlarmState::Shelved, true));
 }
 
 /// Just after a step the levels of the last throws still look healthy. Throws of one direction show nothing about a

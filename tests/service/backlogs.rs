@@ -151,6 +151,14 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     let session = daemon.client().await;
     let _token = session.liveliness().declare_token(ALIVE).await.unwrap();
     let publisher = matched(&session, KEY).await;
+    publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    let is_named = |status: &serde_json::Value| status["refused"][0] == "north/21B (the field schema is missing)";
+    daemon.until_status("the machine after its first message", is_named).await;
+    daemon.terminate();
+    let daemon = rig.start();
+    daemon.until_status("the machine after a restart", is_named).await;
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
     for _ in 0..12 {
         publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
     }

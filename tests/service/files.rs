@@ -8,6 +8,7 @@ use std::{
 };
 
 use pointsd::throw::Throw;
+use sqlx::{Connection as _, Executor as _, sqlite::SqliteLockingMode};
 
 use crate::{
     http::small_history,
@@ -179,6 +180,39 @@ async fn a_database_of_another_version_is_refused_with_the_reason() {
     refused(&["run"], 74, "by a newer version of pointsd");
 }
 
+/// SQLite creates such a file for a first PRAGMA, for example.
+#[tokio::test]
+async fn a_database_without_tables_is_as_good_as_none() {
+    let rig = Rig::new();
+    fs::write(rig.database(), []).unwrap();
+    rig.change("PRAGMA user_version = 0; CREATE TABLE a (b); DROP TABLE a").await;
+    let error = ends(66, pointsd(&["sql", "SELECT 1", "--database"]).arg(rig.database()));
+    assert!(error.contains("no database at ") && error.contains("the file has no tables yet"), "{error}");
+    ends(0, pointsd(&["check", "--config"]).arg(rig.write_config()));
+}
+
+#[tokio::test]
+async fn a_lock_of_another_program_is_named() {
+    let (rig, daemon) = Rig::running();
+    daemon.terminate();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(rig.database());
+    let mut other =
+        sqlx::SqliteConnection::connect_with(&options.locking_mode(SqliteLockingMode::Exclusive)).await.unwrap();
+    other.execute("BEGIN EXCLUSIVE").await.unwrap();
+    let error = ends(66, pointsd(&["sql", "SELECT 1", "--database"]).arg(rig.database()));
+    assert!(error.contains("another program holds its lock") && !error.contains("owns"), "{error}");
+}
+
+#[test]
+fn a_help_that_cannot_be_written_is_an_error() {
+    let full = || fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    for (arguments, exit) in [(&["--help"][..], 74), (&["sql", "--help"], 74), (&["--version"], 74), (&["--what"], 64)]
+    {
+        let output = pointsd(arguments).stdout(full()).output().unwrap();
+        assert_eq!(output.status.code(), Some(exit), "{arguments:?}");
+    }
+}
+
 /// The value is larger than the memory of the process. Neither the statement nor the file is wrong.
 #[tokio::test]
 async fn a_query_that_runs_out_of_memory_is_a_failed_read() {
@@ -215,6 +249,8 @@ fn every_command_has_a_manual_page_an_example_exit_codes_and_completions() {
             assert!(page.contains(&format!(".TH {name}-{command} 1")), "{command}: {page:.300}");
             let help = text(&[command, "--help"]);
             assert!(help.contains(&format!("{name} {command}")) && help.contains("Example"), "{command}: {help}");
+            let (_, example) = help.split_once("Example").unwrap();
+            assert!(example.contains(&format!("{name} {command}")), "{command}: {help}");
             assert!(help.contains("Exit codes: 0"), "{command}: {help}");
             assert!(scripts.iter().all(|script| script.contains(command)), "{command}");
         }

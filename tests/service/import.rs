@@ -92,7 +92,11 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     let piped = piped.arg(rig.write_config()).stdin(fs::File::open(&many).unwrap()).output().unwrap();
     let said = String::from_utf8(piped.stdout).unwrap();
     assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 4 known before, 0 alarm events");
-    assert_eq!(imported(&rig, &[&many], &["--json"]).0, "", "known throws are not judged again");
+    let said = imported(&rig, &[&many], &["--json"]).0;
+    let known: Vec<serde_json::Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let is_known = |throw: &serde_json::Value| throw["known"] == true && throw["quality"].is_null();
+    assert!(known.len() == 4 && known.iter().all(is_known), "known throws are not judged again: {said}");
+    assert_eq!((&known[0]["machine"], &known[0]["throw_no"]), (&"21B".into(), &2.into()), "{said}");
     fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();
     let (said, _) = imported(&rig, &[&one], &["--json"]);
     let lines: Vec<serde_json::Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();

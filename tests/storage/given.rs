@@ -161,6 +161,7 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
         by: (state == AlarmState::ActiveAcknowledged).then(|| "mia".to_owned()),
         why: None,
         text_at: None,
+        over: false,
         acknowledged_by: None,
     }
 }

@@ -4,13 +4,15 @@ use std::time::Duration;
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{DiskLevel, ReceivedThrow, Spooled, Store, StoreError, ThrowRow},
+    store::{DiskLevel, QuarantinedMessage, ReceivedThrow, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::given::{alarm, at, change, fresh, gaps, machine, open, pending, query, received, spooled, throw};
+use crate::given::{
+    alarm, at, change, fresh, fresh_with, gaps, machine, open, pending, query, received, spooled, throw,
+};
 
 #[tokio::test]
 async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
@@ -392,4 +394,29 @@ async fn a_refused_write_costs_no_other_write_of_its_group() {
     assert!(matches!(refused, Err(StoreError::Refused(_))), "{refused:?}");
     assert!(before.is_ok(), "{before:?}");
     assert!(matches!(after, Ok(Spooled::New(_))), "{after:?}");
+}
+
+/// The reasons for which the messages of other machines were refused stay.
+#[tokio::test]
+async fn a_flood_of_refused_messages_removes_only_its_own() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_quarantined: 20, ..settings }).await;
+    let refused = |name: &str, count: i64| {
+        let message = |at_s| QuarantinedMessage {
+            key: format!("points/v1/north/{name}/throw"),
+            reason: "no throw".to_owned(),
+            bytes: 1,
+            id: None,
+            beginning: vec![0],
+            at: at(at_s),
+        };
+        (0..count).map(message).collect::<Vec<_>>()
+    };
+    for (name, count) in [("a", 3), ("b", 15), ("flood", 200), ("flood", 200)] {
+        store.quarantine(refused(name, count)).await.unwrap();
+    }
+    let kept = "SELECT key, count(*), min(received_at_us) FROM quarantine GROUP BY key";
+    let us = |seconds| at(seconds).as_microsecond();
+    let expected = [("a", 3, 0), ("b", 8, 7), ("flood", 9, 191)]
+        .map(|(name, count, first)| (format!("points/v1/north/{name}/throw"), count, us(first)));
+    assert_eq!(query::<(String, i64, i64)>(&store, kept).await, expected);
 }

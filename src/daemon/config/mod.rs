@@ -219,13 +219,18 @@ impl Config {
         let section = section(document)?;
         let config: Self = document.deserialize()?;
         check_ranges(&config, document)?;
-        check_peers(&config.monitor, document)?;
+        check_names(&config.monitor, document)?;
         let machines = machines(&config, document)?;
         check_web(&config.web, document)?;
         config.webhook.check(document)?;
         check_log(&config.log, document)?;
         check_database_path(&config.store.path, document)?;
-        Ok(Self { machines, zenoh: checked_session(zenoh::MONITOR, section.as_ref(), document)?, ..config })
+        let session = checked_session(zenoh::MONITOR, section.as_ref(), document)?;
+        if let Some(address) = config.web.listen.filter(|address| zenoh::listens_on(&session, address)) {
+            let problem = format!("{address} is an address of zenoh.listen.endpoints: choose another port");
+            return Err(document.error_at("web.listen", problem));
+        }
+        Ok(Self { machines, zenoh: session, ..config })
     }
 }
 
@@ -237,7 +242,10 @@ fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError>
     document.in_section("machines", config.machine_defaults.check_ranges())
 }
 
-fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
+fn check_names(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
+    if monitor.id.as_str() == store::ALL_MACHINES {
+        return Err(document.error_at("monitor.id", "is the name of the common alarms of a site: choose another"));
+    }
     match monitor.watched().position(|peer| peer == monitor.as_machine()) {
         Some(index) => Err(document.error_at(&format!("monitor.peers[{index}]"), "is this daemon itself")),
         None => Ok(()),
@@ -400,6 +408,7 @@ fn checked_session(
     document: &Document,
 ) -> Result<::zenoh::Config, ConfigError> {
     let session = zenoh::session_config(kind, section, document)?;
+    zenoh::check_links(&session, document)?;
     if let Some(section) = section {
         // Errors that zenoh would report only at the start of a session that listens.
         zenoh::check_endpoints(section, document)?;

@@ -132,12 +132,9 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     Ok(endpoints(&config, "connect", "client"))
 }
 
-/// The endpoints of a session in a mode. Zenoh accepts one list, or a list for each mode.
+/// The endpoints of a session in a mode.
 fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
-    let text = config.get_json(&format!("{side}/endpoints")).unwrap_or_default();
-    let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    let list = value.get(mode).unwrap_or(&value);
-    serde_json::from_value(list.clone()).unwrap_or_default()
+    serde_json::from_value(sessions::endpoints(config, side, mode)).unwrap_or_default()
 }
 
 /// Converts an endpoint on which a daemon listens into one for a client on this computer; `None` if the system chooses

@@ -85,6 +85,34 @@ fn an_error_names_line_and_key() {
         ("[webhook]\nurl = \"ftp://a\"", "pointsd.toml:2: webhook.url: \"ftp://a\" is not http://HOST/PATH"),
         ("[webhook]\nurl = \"http://a:b@c/\"", "pointsd.toml:2: webhook.url: "),
         ("[webhook]\nurl = \"alarms.example\"", "pointsd.toml:2: webhook.url: "),
+        (
+            "[webhook]\nurl = \"http://[::1]:70000/\"",
+            "pointsd.toml:2: webhook.url: \"http://[::1]:70000/\": the port must",
+        ),
+        ("[monitor]\nid = \"all-machines\"", "pointsd.toml:2: monitor.id: is the name of the common alarms of a site"),
+        ("[zenoh]\nmode = \"client\"", "pointsd.toml:2: zenoh.mode: mode = \"client\" needs the endpoint of a router"),
+        ("[zenoh]\nlisten.endpoints = []", "pointsd.toml:2: zenoh.listen.endpoints: without"),
+        (
+            "[zenoh]\ntransport.unicast.max_sessions = 0",
+            "pointsd.toml:2: zenoh.transport.unicast.max_sessions: is 0, must be at least 1",
+        ),
+        (
+            "[zenoh]\ntransport.link.rx.max_message_size = 1000",
+            "pointsd.toml:2: zenoh.transport.link.rx.max_message_size: is 1000, must be at least 65536",
+        ),
+        ("[web]\nlisten = \"127.0.0.1:7447\"", "pointsd.toml:2: web.listen: 127.0.0.1:7447 is an address of zenoh"),
+        (
+            "[web]\nlisten = \"127.0.0.1:80\"\n[zenoh]\nlisten.endpoints = [\"tcp/[::]:80\"]",
+            "pointsd.toml:2: web.listen: 127.0.0.1:80 is an address",
+        ),
+        (
+            "[diagnosis]\nslow_throw_pct = 60",
+            "pointsd.toml:2: diagnosis.slow_throw_pct: is 60, must be at most slow_throw_critical_pct (50 by default)",
+        ),
+        (
+            "[diagnosis]\nslow_throw_critical_pct = 1",
+            "pointsd.toml:2: diagnosis.slow_throw_critical_pct: is 1, must be",
+        ),
         ("[webhook]\nmax_messages = 0", "pointsd.toml:2: webhook.max_messages: is 0, must be 1 to 1000"),
         ("[webhook]\ncauses = [\"magnet\"]", "pointsd.toml:2: webhook.causes"),
         ("[webhook]\nauthorization = \"a\\nb\"", "pointsd.toml:2: webhook.authorization: must be"),

@@ -67,6 +67,10 @@ impl Webhook {
                 let problem = format!("{url:?} is not http://HOST/PATH or https://HOST/PATH without a user name");
                 return invalid("url", problem);
             }
+            let has_port = uri.authority().is_some_and(|authority| authority.as_str() != authority.host());
+            if has_port && uri.port_u16().is_none_or(|port| port == 0) {
+                return invalid("url", format!("{url:?}: the port must be 1 to 65535"));
+            }
         }
         document.in_section("webhook", self.check_ranges())?;
         if let Some(token) = &self.authorization

@@ -1,6 +1,6 @@
 //! The `[zenoh]` section: the configuration of zenoh, which is merged into the defaults of this program.
 
-use std::{collections::HashSet, path::Path};
+use std::{collections::HashSet, net::SocketAddr, path::Path};
 
 use toml::{Table, Value};
 
@@ -135,6 +135,64 @@ pub(super) fn check_endpoints(section: &Table, document: &Document) -> Result<()
         }
     }
     Ok(())
+}
+
+/// Least values of whole numbers with which a session has links, and receives throws of some thousand samples. Zenoh
+/// drops a larger message, and neither zenoh nor this program reports it.
+const LEAST: [(&str, u64); 2] = [("transport.unicast.max_sessions", 1), ("transport.link.rx.max_message_size", 65_536)];
+
+/// The value at a path in the configuration of a session.
+fn value(session: &zenoh::Config, path: &str) -> serde_json::Value {
+    session.get_json(path).ok().and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+}
+
+/// The value of the endpoints of one side in a mode. Zenoh accepts one list, or a list for each mode.
+pub(super) fn endpoints(session: &zenoh::Config, side: &str, mode: &str) -> serde_json::Value {
+    let endpoints = value(session, &format!("{side}/endpoints"));
+    endpoints.get(mode).cloned().unwrap_or(endpoints)
+}
+
+/// The mode of a session: router, peer or client.
+fn mode(session: &zenoh::Config) -> String {
+    value(session, "mode").as_str().unwrap_or_default().to_owned()
+}
+
+/// Checks that a session can have links, and that they carry throws.
+pub(super) fn check_links(session: &zenoh::Config, document: &Document) -> Result<(), ConfigError> {
+    for (key, least) in LEAST {
+        if let Some(number) = value(session, &key.replace('.', "/")).as_u64().filter(|number| *number < least) {
+            return Err(document.error_at(&format!("zenoh.{key}"), format!("is {number}, must be at least {least}")));
+        }
+    }
+    let mode = mode(session);
+    let none = [serde_json::json!([]), serde_json::Value::Null];
+    let has = |side: &str| !none.contains(&endpoints(session, side, &mode));
+    let is_client = mode == "client";
+    if has("connect") || !is_client && has("listen") || value(session, "scouting/multicast/enabled") == true {
+        return Ok(());
+    }
+    let problem = if is_client {
+        "mode = \"client\" needs the endpoint of a router: connect.endpoints = [\"tcp/HOST:7447\"]"
+    } else {
+        "without listen.endpoints and connect.endpoints there are no links"
+    };
+    Err(document.error_at(if is_client { "zenoh.mode" } else { "zenoh.listen.endpoints" }, problem))
+}
+
+/// Whether the session listens on an address.
+pub(super) fn listens_on(session: &zenoh::Config, address: &SocketAddr) -> bool {
+    let covers = |one: &SocketAddr, other: &SocketAddr| {
+        one.ip() == other.ip() || one.ip().is_unspecified() && (one.is_ipv6() || other.is_ipv4())
+    };
+    let mode = mode(session);
+    let listed = endpoints(session, "listen", &mode);
+    let addresses = listed.as_array().into_iter().flatten().filter_map(|endpoint| {
+        endpoint.as_str()?.split(['?', '#']).next()?.split_once('/')?.1.parse::<SocketAddr>().ok()
+    });
+    let is_same = |other: SocketAddr| {
+        other.port() == address.port() && other.port() != 0 && (covers(&other, address) || covers(address, &other))
+    };
+    mode != "client" && addresses.into_iter().any(is_same)
 }
 
 /// The texts in a value, each with its key. A value of endpoints is a list, a table of lists for each mode, or of

@@ -2,7 +2,7 @@
 //! through it too.
 
 use std::{
-    collections::{BTreeMap, HashMap, VecDeque},
+    collections::{HashMap, VecDeque},
     future,
     sync::Arc,
     time::{Duration, Instant},
@@ -93,8 +93,6 @@ pub(crate) struct JudgeLoop {
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
     away: Option<Away>,
-    /// Machines of which every message so far was quarantined, with the last reason and its time.
-    refused: BTreeMap<MachineId, (String, Instant)>,
     /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
@@ -109,7 +107,6 @@ impl JudgeLoop {
             judge,
             links,
             away: None,
-            refused: BTreeMap::new(),
             daemon_alarms: VecDeque::new(),
             budget: Budget::new(clock::monotonic()),
         }
@@ -314,18 +311,17 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Reports consecutive invalid messages to the monitors of their machines, or in the status for unknown machines.
+    /// Reports consecutive invalid messages to the monitors of their machines.
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
-            if is_judged(&self.judge, &config, &machine) {
-                let invalid = Irregularity::Invalid { count, reason: &reason };
-                let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
-                if let Some(outcome) = self.judge.monitors.update(&machine, now, report) {
-                    self.record(outcome).await?;
-                }
-            } else if self.refused.len() < NAMED || self.refused.contains_key(&machine) {
-                self.refused.insert(machine, (reason, clock::monotonic()));
+            if !is_judged(&self.judge, &config, &machine) {
+                continue;
+            }
+            let invalid = Irregularity::Invalid { count, reason: &reason };
+            let report = |monitor: &mut MachineMonitor| monitor.irregular(invalid, None, now, &config.diagnosis);
+            if let Some(outcome) = self.judge.monitors.update(&machine, now, report) {
+                self.record(outcome).await?;
             }
         }
         Ok(())
@@ -381,12 +377,12 @@ impl JudgeLoop {
         without_throw.truncate(NAMED);
         // A logger need not have a token. Without one its machine is removed some time after the last message, as any
         // sender can invent machines.
-        self.refused.retain(|machine, (_, last)| {
+        let refused = self.shared.status.refused(|machine, last| {
             !is_judged(&self.judge, &self.shared.config, machine)
                 && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
         let mut status = self.shared.status.edit();
-        status.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
+        status.refused = refused;
         status.loggers_ahead = self.judge.monitors.clocks.ahead();
         status.loggers_behind = self.judge.monitors.clocks.behind();
         (status.fleet_counts, status.without_throw) = (fleet_counts, without_throw);
@@ -448,7 +444,7 @@ impl JudgeLoop {
         let PendingCommand { machine, command, reply } = pending;
         // While the database accepts no writes, commands may wait for hours. The operator may have given them up.
         if reply.is_closed() {
-            tracing::warn!(%machine, ?command, "operator's command dropped: its reply was a time-out");
+            tracing::warn!(%machine, command = wire::json(&command), "operator's command dropped: its reply was a time-out");
             return Ok(());
         }
         let (config, now) = (self.judge.config(), clock::now());
@@ -500,7 +496,7 @@ impl JudgeLoop {
                         the log";
             return Err(NotApplied::Refused(text.to_owned()));
         }
-        tracing::info!(%machine, ?command, "operator's command applied");
+        tracing::info!(%machine, command = wire::json(command), "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
         let late = if matches!(command, Command::Rebaseline { .. }) && self.judge.monitors.may_send_undated(machine) {
             ". Throws that the logger made before this command and sends later may be learned too, as it has not yet \

@@ -1,6 +1,7 @@
 //! The status of the daemon: counters and states, as JSON and as a line of text.
 
 use std::{
+    cmp::Reverse,
     collections::{BTreeMap, HashMap},
     sync::{Arc, atomic::Ordering::Relaxed},
     time::Instant,
@@ -20,7 +21,7 @@ use crate::{
 
 /// Number of consecutive invalid messages of a machine that raises an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
-/// Largest number of unknown machines whose invalid messages are counted.
+/// Largest number of unknown machines whose invalid messages are counted; the statement `LAST_REFUSED` has it too.
 const UNKNOWN: usize = 64;
 /// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message,
 /// machines outside `subscribe.key`.
@@ -95,6 +96,9 @@ pub struct StatusReport {
     pub version: String,
     /// Time since the start \[s\].
     pub uptime_s: u64,
+    /// The key expression of its machines: `subscribe.key`.
+    #[serde(default)]
+    pub key: String,
     /// The database file.
     pub database: String,
     /// State of the disk of the database.
@@ -217,13 +221,23 @@ impl Status {
         unknown.remove(machine);
     }
 
-    /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
+    /// Takes the known machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
     /// they were taken last, with the number of messages and the last reason.
     pub(crate) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
-        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
-        let is_due = |_: &MachineId, messages: &mut InvalidMessages| messages.count >= INVALID_IN_A_ROW;
-        let taken = known.extract_if(is_due).chain(unknown.extract_if(is_due));
+        let mut invalid = self.invalid.lock();
+        let taken = invalid.known.extract_if(|_, messages| messages.count >= INVALID_IN_A_ROW);
         taken.map(|(machine, messages)| (machine, (messages.count, messages.last_reason))).collect()
+    }
+
+    /// The unknown machines, with the reason of their last message; at most [`NAMED`], those with the most messages
+    /// first. Removes the machines that are not kept, by the time of their last message.
+    pub(crate) fn refused(&self, is_kept: impl Fn(&MachineId, Instant) -> bool) -> Vec<String> {
+        let mut invalid = self.invalid.lock();
+        invalid.unknown.retain(|machine, messages| is_kept(machine, messages.last_at));
+        let mut refused: Vec<_> = invalid.unknown.iter().collect();
+        refused.sort_unstable_by_key(|(machine, messages)| (Reverse(messages.count), *machine));
+        let named = refused.into_iter().take(NAMED);
+        named.map(|(machine, messages)| format!("{machine} ({})", messages.last_reason)).collect()
     }
 
     /// Sentences about refused machines, and about lost alarm events and messages, for the alarm about the daemon itself.
@@ -423,9 +437,14 @@ mod tests {
         for _ in 0..INVALID_IN_A_ROW {
             send("new".to_owned(), false);
         }
-        let found = status.invalid_in_a_row();
-        assert!(found.len() == 1 && found[0].0.machine.as_str() == "new", "{found:?}");
+        let found = status.refused(|_, _| true);
+        assert!(found.len() == NAMED && found[0] == "north/new (no throw)", "{found:?}");
+        assert_eq!(status.invalid_in_a_row(), []);
         let invalid = status.invalid.lock();
-        assert_eq!((invalid.known.len(), invalid.unknown.len()), (2 * UNKNOWN, UNKNOWN - 1));
+        assert_eq!((invalid.known.len(), invalid.unknown.len()), (2 * UNKNOWN, UNKNOWN));
+        drop(invalid);
+        let recent = now.checked_sub(Duration::from_secs(4)).unwrap();
+        let found = status.refused(|_, last_at| last_at >= recent);
+        assert_eq!(found, ["north/new (no throw)"]);
     }
 }

@@ -157,6 +157,7 @@ impl Alarms {
         alarm.last.state = state;
         alarm.last.by = actor.by.map(str::to_owned);
         alarm.last.why = actor.why.map(str::to_owned);
+        alarm.last.over = !alarm.state.is_active();
         match alarm.state.beneath() {
             State::Active { acknowledged } => {
                 alarm.last.acknowledged_by = acknowledged.as_ref().map(|acknowledged| acknowledged.by.clone());

@@ -40,6 +40,7 @@ impl Step<'_> {
             last_throw: self.throw.cloned(),
             text,
             text_at: None,
+            over: false,
             acknowledged_by: None,
             limit_in_throws: None,
             by: None,

@@ -110,6 +110,11 @@ impl Reader {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(after).bind(limit)).await
     }
 
+    /// Key, reason and time \[µs\] of the last message in quarantine of each machine without a throw, the newest first.
+    pub(crate) async fn last_refused(&self) -> Result<Vec<(String, String, i64)>, StoreError> {
+        self.rows(sqlx::query_as(sql::LAST_REFUSED)).await
+    }
+
     /// Up to `limit` gaps that are not reported to the monitors yet, oldest first: gaps that are written off, and gaps
     /// of machines for whose backlog the judge does not wait any longer (see [`Self::to_judge`]). Gaps from before the
     /// first contact are left out.

@@ -13,7 +13,7 @@ use sqlx::{
 };
 
 use crate::store::{
-    error::{StoreError, is_full, is_no_database},
+    error::{StoreError, is_full, is_locked, is_no_database},
     files::{DatabaseFiles, open, path::beside},
 };
 
@@ -44,7 +44,8 @@ pub(crate) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
     let error = StoreError::open(path);
     let options = open::read_options(&file);
     let mut first = SqliteConnection::connect_with(&options).await.map_err(&error)?;
-    match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
+    match sqlx::query_scalar::<_, i64>("SELECT count(*) FROM sqlite_schema").fetch_one(&mut first).await {
+        Ok(0) => Err(StoreError::Empty(path.to_owned())),
         Ok(_) if open::applied(&mut first).await.is_ok_and(|applied| applied.is_empty()) => {
             Err(StoreError::Foreign(format!("{} is the database of another program", path.display())))
         }
@@ -52,6 +53,7 @@ pub(crate) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
         Err(error) if is_no_database(&error) => {
             Err(StoreError::Foreign(format!("{} is not a database", path.display())))
         }
+        Err(locked) if is_locked(&locked) => Err(error(locked)),
         Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
             Ok(options.immutable(true))
         }

@@ -50,7 +50,7 @@ impl QuarantinedMessage {
 /// Messages for quarantine, in the order of arrival.
 pub(crate) struct Quarantine {
     pub(crate) refused: Vec<QuarantinedMessage>,
-    /// Largest number of messages kept in the database: the newest ones.
+    /// Largest number of messages kept in the database: the newest ones of each key.
     pub(crate) keep: u32,
 }
 

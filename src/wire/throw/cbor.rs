@@ -12,7 +12,7 @@ use minicbor::{
 use super::{
     super::Invalid,
     fields::{self, Fields, SCHEMA, UNKNOWN_DIRECTION},
-    values::{Channel, Count, Supply},
+    values::{COUNT, Channel, Count, Supply},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
@@ -182,7 +182,7 @@ fn time(decoder: &mut Decoder<'_>, field: &str) -> Decoded<String> {
 fn count(decoder: &mut Decoder<'_>, field: &str) -> Decoded<Count> {
     match decoder.datatype()? {
         Type::U8 | Type::U16 | Type::U32 | Type::U64 => Ok(Count(decoder.u64()?)),
-        other => Err(wrong(field, format!("{}, must be a whole number from 0", named(other)))),
+        other => Err(wrong(field, format!("{}, must be {COUNT}", named(other)))),
     }
 }
 

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
+use values::Count;
 
 /// Encoding of a throw message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,8 +101,9 @@ pub fn throw_id(encoding: Encoding, payload: &[u8]) -> Option<ThrowRef> {
             let text = String::from_utf8_lossy(payload);
             let boot_id = value(&text, "\"boot_id\"")?.strip_prefix('"')?.split('"').next()?;
             let throw_no = value(&text, "\"throw_no\"")?;
-            let digits = throw_no.find(|digit: char| !digit.is_ascii_digit()).unwrap_or(throw_no.len());
-            (boot_id.to_owned(), throw_no[..digits].parse().ok()?)
+            // A number at the end of the text may be cut.
+            let number = &throw_no[..throw_no.find([',', '}', ' ', '\t', '\r', '\n'])?];
+            (boot_id.to_owned(), serde_json::from_str::<Count>(number).ok()?.0)
         }
     };
     (is_boot_id(&boot_id) && i64::try_from(throw_no).is_ok()).then_some(ThrowRef { boot_id, throw_no })

@@ -93,6 +93,11 @@ fn unusable_json_is_an_error_with_the_reason() {
         ("\"boot_id\": \"b\",", "", "boot_id is missing"),
         ("\"boot_id\": \"b\"", "\"boot_id\": \"\"", "boot_id"),
         ("\"throw_no\": 1", "\"throw_no\": -1", "throw_no: -1, must be a whole number from 0"),
+        (
+            "\"throw_no\": 1",
+            "\"throw_no\": 1e18",
+            "throw_no: 1e+18, must be a whole number from 0 to 2^63 - 1, above 2^53",
+        ),
         ("\"throw_no\": 1", "\"throw_no\": 1.5", "throw_no: 1.5, must be a whole number from 0"),
         ("\"throw_no\": 1", "\"throw_no\": 9223372036854775808", "throw_no"),
         ("2026-05-04T12:00:00+02:00", "2026-05-04T12:00:00", "started_at"),
@@ -151,9 +156,18 @@ fn a_message_that_is_no_throw_may_have_a_number() {
     let known = Some(ThrowRef { boot_id: "b".into(), throw_no: 1 });
     assert_eq!(id("[0, 1, null]", "[0, NaN, null]"), known);
     assert_eq!(id("\"sample_rate_hz\": 100", "\"sample_rate_hz\": \"100\""), known);
-    for (from, to) in [("\"boot_id\"", "\"boot\""), (": 1,", ": -1,"), (": 1,", ": 99999999999999999999,")] {
+    for (from, to) in [
+        ("\"boot_id\"", "\"boot\""),
+        (": 1,", ": -1,"),
+        (": 1,", ": 99999999999999999999,"),
+        (": 1,", ": 1.5,"),
+        (": 1,", ": 1e18,"),
+        (": 1,", ": 1x,"),
+    ] {
         assert_eq!(id(from, to), None, "{to}");
     }
+    assert_eq!(id(": 1,", ": 1.0 ,"), known);
+    assert_eq!(throw_id(Encoding::Json, b"{\"boot_id\": \"b\", \"throw_no\": 12"), None, "it may be cut");
     let mut cbor = encode_throw(Encoding::Cbor, &example());
     cbor.truncate(100);
     assert!(decode_throw(Encoding::Cbor, &cbor).is_err());

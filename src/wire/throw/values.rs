@@ -60,6 +60,9 @@ pub(super) fn optional_number<'de, D: Deserializer<'de>>(deserializer: D) -> Res
     Ok(Option::<AnyNumber>::deserialize(deserializer)?.and_then(|AnyNumber(number)| number.as_f64()))
 }
 
+/// The allowed values of a [`Count`], for error messages.
+pub(super) const COUNT: &str = "a whole number from 0 to 2^63 - 1, above 2^53 without point and exponent";
+
 /// A whole number; the form 7.0, which some languages write, is accepted too.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(try_from = "AnyNumber")]
@@ -74,7 +77,7 @@ impl TryFrom<AnyNumber> for Count {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
         let whole = || number.as_f64().filter(is_whole).map(|value| value as u64);
         let count = number.as_u64().or_else(whole);
-        count.map(Self).ok_or_else(|| format!("{number}, must be a whole number from 0"))
+        count.map(Self).ok_or_else(|| format!("{number}, must be {COUNT}"))
     }
 }
 
