@@ -28,6 +28,8 @@ const SENDING: usize = 8;
 /// Permits for the error reply to a query above [`MAX_BYTES`], which stays in memory until the reply is sent: half of
 /// [`SENDING`], so that at most two are in memory.
 const LARGE: u32 = 4;
+/// Largest query that gets this error reply \[bytes\]; larger ones get none, as a slow link keeps them in memory.
+const MAX_REFUSED_BYTES: usize = 1 << 20;
 /// Error reply to a query that found the queue full, or waited in it for longer than [`ANSWER_TIMEOUT`].
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest query \[bytes\]; commands have a few hundred. With [`QUEUE`], it limits the memory of waiting queries.
@@ -60,8 +62,10 @@ impl QueryQueue {
                 let bytes = bytes(&query);
                 if bytes > MAX_BYTES {
                     counter.fetch_add(1, Relaxed);
-                    let problem = format!("the query has {bytes} bytes, must be at most {MAX_BYTES}");
-                    refuse(&runtime, query, problem, &permits, LARGE);
+                    if bytes <= MAX_REFUSED_BYTES {
+                        let problem = format!("the query has {bytes} bytes, must be at most {MAX_BYTES}");
+                        refuse(&runtime, query, problem, &permits, LARGE);
+                    }
                 } else if let Err(TrySendError::Full((_, query))) = sender.try_send((Instant::now(), query)) {
                     counter.fetch_add(1, Relaxed);
                     refuse(&runtime, query, BUSY.to_owned(), &permits, 1);

@@ -236,17 +236,15 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     Ok(sentences)
 }
 
-/// A sentence about each two daemons that would serve the same machines, of which none has sent a throw to both yet.
+/// A sentence about each two daemons that would serve the same machines.
 fn overlaps(reports: &[(String, StatusReport)]) -> Vec<String> {
     let pairs =
         reports.iter().enumerate().flat_map(|(at, one)| reports[at + 1..].iter().map(move |other| (one, other)));
     let overlapping = pairs.filter(|((_, one), (_, other))| bus::intersect(&one.key, &other.key));
-    let sentence = |((one, report), (other, _)): (&(String, StatusReport), &(String, StatusReport))| {
-        let [one, other] = [one, other].map(|key| operator::monitor_name(key));
-        let key = &report.key;
-        format!(
-            "{one} and {other} both serve machines of {key}: correct monitor.id and subscribe.key of one, or stop it"
-        )
+    let sentence = |(one, other): (&(String, StatusReport), &(String, StatusReport))| {
+        let [one, other] =
+            [one, other].map(|(key, report)| format!("{} ({})", operator::monitor_name(key), report.key));
+        format!("{one} and {other} serve the same machines: correct monitor.id and subscribe.key of one, or stop it")
     };
     overlapping.take(MAX_ASKED).map(sentence).collect()
 }

@@ -126,7 +126,8 @@ async fn command_reply(question: &Query, arrived: Instant, sender: &CommandSende
 /// expression must be a pattern.
 fn past(question: &Query) -> Result<Selector, String> {
     let patterns = wire::machine_patterns(question.key_expr());
-    let [site, machine] = patterns.ok_or("a query for the history has `**` at most once in its key expression")?;
+    let [site, machine] = patterns
+        .ok_or("the key expression of a query for the history must be that of machines, with `**` at most once")?;
     Ok(Selector { site, machine })
 }
 

@@ -134,7 +134,9 @@ impl Daemon {
         if let Some(notifier) = Notifier::new(Arc::clone(&shared)).await? {
             start.tasks.spawn("webhook", notifier.run());
         }
-        store.renew_backlogs(clock::now()).await?;
+        if let Err(error) = store.renew_backlogs(clock::now()).await {
+            tracing::warn!(%error, "the wait for backlogs does not begin anew: later throws may be judged before them");
+        }
         // In reverse order of the pipeline: each loop runs before the loop that feeds it.
         start.start_publisher(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;

@@ -16,7 +16,7 @@ use super::{
         completeness, damage, decimate,
         held::{self, Resampled},
         hum, missing,
-        movement::{INRUSH_S, Movement, start_of_motor},
+        movement::{INRUSH_S, MIN_QUIET, Movement, start_of_motor},
         noise, release,
         samples::{Level, every, has_rate, peak, second_difference_noise},
         window::{Window, long_enough},
@@ -320,11 +320,14 @@ fn identify_current(
         .and_then(|()| usable(movement, settings))
         .and_then(|()| too_slow.map_or(Ok(()), Err))
         .and_then(|()| {
-            let known = current_only::known(movement, throw, settings).map_err(no_position)?;
-            if completeness::motor(movement, scratch).is_err() {
+            let known = current_only::known(movement, throw, settings);
+            // Without samples at rest the noise is that of differences, and in a slow recording these are the ripple.
+            let shows_noise = movement.current.samples >= MIN_QUIET || known.is_ok();
+            if shows_noise && completeness::motor(movement, scratch).is_err() {
                 features = std::mem::take(&mut features).without(Channel::Current).without_times();
                 return Err(no_position(current_only::NO_MOTOR.to_owned()));
             }
+            let known = known.map_err(no_position)?;
             damage::clipping(raw_current, raw_interval_s)?;
             damage::sticking(movement, Channel::Current, raw_current, raw_interval_s, factor)?;
             noise::resolved(movement)?;

@@ -25,7 +25,7 @@ use super::{
     page::{self, Failure},
 };
 use crate::{
-    diagnose::Present,
+    diagnose::{AlarmState, Present},
     store::{CommonAlarm, Fault, FleetQuery},
     throw::MachineId,
 };
@@ -95,6 +95,7 @@ pub(super) async fn alarms(State(web): State<Arc<Web>>, RawQuery(query): RawQuer
 /// A group of alarms, with the address of the list of its machines.
 fn with_list(group: &CommonAlarm) -> serde_json::Value {
     let mut json = json!(group);
+    json["is_over"] = json!(group.state == AlarmState::ClearedUnacknowledged);
     json["machines"] = json!(format!("/api/v1/machines?site={}&cause={}", group.site, group.cause.as_str()));
     json
 }

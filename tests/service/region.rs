@@ -63,7 +63,7 @@ async fn two_daemons_with_the_same_machines_or_name_are_reported() {
     let second = rigs[1].start();
     second.until_log("another daemon with the name fleet/pointsd is connected");
     let text = ends(1, &mut pointsd(&["status", "--connect", &endpoint]));
-    let both = "fleet/pointsd and fleet/pointsd both serve machines of points/v1/*/*/**: correct monitor.id";
+    let both = "fleet/pointsd (points/v1/*/*/**) and fleet/pointsd (points/v1/*/*/**) serve the same machines: correct monitor.id";
     assert!(text.contains(both), "{text}");
     let session = client_of(&endpoint).await;
     Sender::of(&session, KEY).await.send(throws("b", 1)).await;

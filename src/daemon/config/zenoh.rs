@@ -187,7 +187,8 @@ pub(super) fn listens_on(session: &zenoh::Config, address: &SocketAddr) -> bool 
     let mode = mode(session);
     let listed = endpoints(session, "listen", &mode);
     let addresses = listed.as_array().into_iter().flatten().filter_map(|endpoint| {
-        endpoint.as_str()?.split(['?', '#']).next()?.split_once('/')?.1.parse::<SocketAddr>().ok()
+        let (protocol, address) = endpoint.as_str()?.split(['?', '#']).next()?.split_once('/')?;
+        matches!(protocol, "tcp" | "tls" | "ws").then_some(address)?.parse::<SocketAddr>().ok()
     });
     let is_same = |other: SocketAddr| {
         other.port() == address.port() && other.port() != 0 && (covers(&other, address) || covers(address, &other))

@@ -37,6 +37,8 @@ const GAPS: u32 = 500;
 /// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
 /// token stays in the list.
 const REFUSED_FOR: Duration = Duration::from_hours(1);
+/// Time after the start in which all machines stay in this list, as the tokens of their loggers come only then.
+const REFUSED_AT_START: Duration = Duration::from_mins(1);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. Usually the store can write again
@@ -376,10 +378,11 @@ impl JudgeLoop {
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
         // A logger need not have a token. Without one its machine is removed some time after the last message, as any
-        // sender can invent machines.
+        // sender can invent machines. Just after a start the tokens are not known yet.
+        let is_new = self.shared.status.heartbeats.uptime() < REFUSED_AT_START;
         let refused = self.shared.status.refused(|machine, last| {
             !is_judged(&self.judge, &self.shared.config, machine)
-                && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
+                && (is_new || loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
         });
         let mut status = self.shared.status.edit();
         status.refused = refused;

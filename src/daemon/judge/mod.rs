@@ -56,7 +56,7 @@ impl Judge {
             let page = store.reader().monitors(last.as_ref(), PAGE).await?;
             let Some(end) = page.last() else { break };
             last = Some(end.machine.clone());
-            monitors.restore(page);
+            monitors.restore(page, |machine| config.borrow().monitor.reserves(machine).is_some());
         }
         let threads = identify::threads(config.borrow().identify.threads);
         Ok(Self { store, monitors, threads, config, last: None })

@@ -58,8 +58,9 @@ pub(crate) struct Monitors {
 
 impl Monitors {
     /// Restores monitors from the database. If a snapshot cannot be read, as after a return to an earlier version, the
-    /// machine gets a new monitor, which keeps the text of the snapshot and has a caveat about it.
-    pub(crate) fn restore(&mut self, stored: Vec<StoredMonitor>) {
+    /// machine gets a new monitor, which keeps the text of the snapshot and has a caveat about it. `is_reserved`: whether
+    /// a name is that of the daemon or of a site, whose monitors have no throws and get their alarms from the database.
+    pub(crate) fn restore(&mut self, stored: Vec<StoredMonitor>, is_reserved: impl Fn(&MachineId) -> bool) {
         for StoredMonitor { machine, snapshot, state } in stored {
             let name = name_of(&machine);
             let monitor = match MachineMonitor::from_snapshot(&snapshot) {
@@ -68,7 +69,11 @@ impl Monitors {
                 Err(error) => {
                     tracing::error!(%machine, %error, "the stored monitor cannot be read: learning a new baseline");
                     self.to_store.insert(machine.clone());
-                    MachineMonitor::instead_of(snapshot, &name)
+                    if is_reserved(&machine) {
+                        MachineMonitor::new(&name)
+                    } else {
+                        MachineMonitor::instead_of(snapshot, &name)
+                    }
                 }
             };
             if state != Some(monitor.state()) {
@@ -429,11 +434,14 @@ mod tests {
         let snapshot = json(&MachineMonitor::new("north/21B")).replace("\"order\":0", &full);
         assert!(snapshot.contains(&full));
         let mut monitors = Monitors::default();
-        monitors.restore(vec![StoredMonitor {
-            machine: machine.clone(),
-            snapshot: snapshot.clone(),
-            state: Some(MachineState::Learning),
-        }]);
+        monitors.restore(
+            vec![StoredMonitor {
+                machine: machine.clone(),
+                snapshot: snapshot.clone(),
+                state: Some(MachineState::Learning),
+            }],
+            |_| false,
+        );
         let judgement = monitors.judge(&still_throw(&machine, 1), None, context(&settings));
         assert_eq!((&*judgement.health.quality, judgement.outcome.monitor), ("estimator_failed", None));
         assert_eq!(monitors.of_machines.get(&machine).map(json), Some(snapshot));
@@ -474,14 +482,13 @@ mod tests {
         loggers.gone.insert(machine.clone(), clock::monotonic());
         let is_announced = |monitors: &Monitors| monitors.of_machines[&machine].is_announced();
         monitors.judge(&still_throw(&machine, 1), None, context(&settings));
-        loop {
+        let is_raised = (0..1000).any(|_| {
             let changed = monitors.tick(now, &settings, &loggers);
             assert!(is_announced(&monitors));
-            if changed.iter().any(|(_, events)| !events.is_empty()) {
-                break;
-            }
             now += SignedDuration::from_secs(30);
-        }
+            changed.iter().any(|(_, events)| !events.is_empty())
+        });
+        assert!(is_raised);
         monitors.judge(&still_throw(&machine, 2), None, context(&settings));
         monitors.tick(now, &settings, &loggers);
         assert!(!is_announced(&monitors));
@@ -499,7 +506,7 @@ mod tests {
         assert_ne!(newer, written);
         let mut monitors = Monitors::default();
         let stored = |snapshot| vec![StoredMonitor { machine: machine.clone(), snapshot, state: None }];
-        monitors.restore(stored(newer.clone()));
+        monitors.restore(stored(newer.clone()), |_| false);
         let record = monitors.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
         let caveats = &record.present.caveats;
         assert!(caveats.iter().any(|caveat| caveat.contains("cannot read")), "{caveats:?}");
@@ -509,5 +516,8 @@ mod tests {
         assert_eq!(json(&again), written);
         let again = MachineMonitor::from_snapshot(&record.snapshot).unwrap();
         assert_eq!(json(&again), record.snapshot);
+        // The monitor of the daemon would wait for a throw for ever.
+        monitors.restore(stored(newer), |_| true);
+        assert_eq!(json(&*monitors.of_machines[&machine]), json(&MachineMonitor::new(&name_of(&machine))));
     }
 }

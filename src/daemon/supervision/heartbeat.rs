@@ -60,7 +60,7 @@ impl Heartbeats {
     }
 
     /// Time since the start.
-    pub(super) fn uptime(&self) -> Duration {
+    pub(crate) fn uptime(&self) -> Duration {
         self.start.elapsed()
     }
 }

@@ -212,7 +212,7 @@ impl Baseline {
         raw - self.temperature.effect(distance)
     }
 
-    /// Number of throws whose mean is as uncertain as the centre. With a trend, the centre is the beginning of a fitted
+    /// Number of throws whose mean is as uncertain as the centre. With a trend, the centre is an end of a fitted
     /// line, which has four times the variance of the middle of the line.
     pub(super) fn centre_throws(&self) -> f64 {
         self.throws as f64 / if self.slopes.is_none() { 1.0 } else { 4.0 }

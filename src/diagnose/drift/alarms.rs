@@ -478,7 +478,7 @@ impl DriftAlarms {
 fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
     let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
     let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;
-    if limit <= -1.0 {
+    if limit <= -1.0 || now.size == 0.0 {
         return None;
     }
     // The course contains the error of the model in proportion to the size, so the limit is scaled as much.

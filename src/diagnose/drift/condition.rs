@@ -11,8 +11,8 @@
 //! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
 //! - another name for 24 throws: another cause explains the drift.
 //!
-//! So an alarm near its limit does not alternate: without health or another name it lasts at least `hold_throws`, and
-//! also with them if it was raised again within `hold_throws`.
+//! So an alarm near its limit does not alternate: it lasts at least `hold_throws`, unless the machine is healthy or the
+//! drift gets another name. One that was raised again within `hold_throws` always does.
 
 use serde::{Deserialize, Serialize};
 

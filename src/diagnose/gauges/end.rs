@@ -18,8 +18,8 @@ const RISE: f64 = 0.3;
 /// Least significant change: in standard deviations of one throw while the normal value was learned, and in standard
 /// deviations of a level with the scatter of its throws. A force that grows may scatter by much more than before.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Standard deviation of a median of six values, as part of that of one value.
-const OF_MEDIAN: f64 = 0.5;
+/// Standard deviation of a median of four values or more, as part of that of one value; of six it is 0.5.
+const OF_MEDIAN: f64 = 0.6;
 
 /// Applies a throw, which the `gauges` contain already.
 pub(crate) fn judge_end(watch: &mut SideWatch, gauges: &Gauges, step: &Step) -> RuleResult {

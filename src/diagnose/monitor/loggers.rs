@@ -47,7 +47,7 @@ impl MachineMonitor {
     /// Whether nothing of a logger was ever received, as for the monitor of a daemon: no throw, no token, and no
     /// message that shows a gap before it.
     pub fn has_no_logger(&self) -> bool {
-        self.order == 0 && !self.is_announced() && !self.operation.has_gap()
+        self.order == 0 && self.unread.is_none() && !self.is_announced() && !self.operation.has_gap()
     }
 
     /// Applies a gap: throws that never arrived.

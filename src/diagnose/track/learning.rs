@@ -32,6 +32,7 @@ impl Track {
         // The slope of a ratio to b0.
         let relative = |slopes: [f64; 3]| slopes.map(|slope| slope - slopes[0]);
         let slopes = if self.of_ratios { changes.slopes.map(relative) } else { changes.slopes };
+        let slopes = slopes.filter(|slopes| slopes.iter().any(|slope| *slope != 0.0));
         let changes = Changes { slopes, ..changes };
         let baseline = Baseline::learn(&self.learned, self.sensor, self.of_ratios, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
@@ -153,7 +154,9 @@ impl Tracks {
         if !self.are_comparable() {
             // These are slopes of the ratios, as in a trend without b0. One direction shows b0 too.
             let throws = self.sides.each_ref().map(|track| track.filling().filter(|_| !track.of_ratios));
-            let own = trend(&filling(throws, Matrix3::zeros(), &self.wet, false), settings);
+            let sensor =
+                self.sides.iter().find(|track| !track.of_ratios).map_or_else(Sym3::default, |track| track.sensor);
+            let own = trend(&filling(throws, sensor.into(), &self.wet, false), settings);
             slopes = if own[0] == 0.0 { slopes } else { own };
         }
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);

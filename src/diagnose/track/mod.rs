@@ -439,7 +439,8 @@ impl Tracks {
         let track = &self.sides[direction.side()];
         match &track.baseline {
             Some(baseline) if baseline.is_final(settings) => (baseline.throws, baseline.throws),
-            _ => (track.learned.len(), settings.baseline_throws),
+            // After a lower setting there may be more throws, of which some are suspected.
+            _ => (track.learned.len().min(settings.baseline_throws - 1), settings.baseline_throws),
         }
     }
 

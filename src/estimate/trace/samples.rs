@@ -25,7 +25,8 @@ impl Level {
         if values.is_empty() {
             return Self::default();
         }
-        let mean = mean(values);
+        // A difference from the first value, so that the mean of equal values is exact.
+        let mean = values[0] + sum([values], |[v]| v - values[0]) / values.len() as f64;
         let squares = sum([values], |[v]| (v - mean) * (v - mean));
         let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
         Self { mean, sd, samples: values.len(), quantum: 0.0 }

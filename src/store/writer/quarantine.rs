@@ -50,7 +50,7 @@ impl QuarantinedMessage {
 /// Messages for quarantine, in the order of arrival.
 pub(crate) struct Quarantine {
     pub(crate) refused: Vec<QuarantinedMessage>,
-    /// Largest number of messages kept in the database: the newest ones of each key.
+    /// Largest number of messages kept in the database; the oldest of the keys with the most are removed first.
     pub(crate) keep: u32,
 }
 
