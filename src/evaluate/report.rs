@@ -11,8 +11,9 @@ use crate::diagnose::Cause;
 
 /// Goal: least share of lives that are named right in a plain row.
 const GOAL_RIGHT: f64 = 0.99;
-/// Goal: largest median delay in a plain row with a step \[throws\].
+/// Goal: largest median delay in a plain row with a step \[throws\]; the median of fewer lives is chance.
 const GOAL_STEP_DELAY: f64 = 3.0;
+const LEAST_LIVES: usize = 10;
 /// Goal: largest factor between the measured rate of false alarms and the budget, in either sense.
 const GOAL_BUDGET_FACTOR: f64 = 3.0;
 
@@ -221,7 +222,7 @@ impl Row {
         if !self.hard && right < GOAL_RIGHT * self.trials as f64 {
             shortfalls.push(format!("{} of {} named right", self.monitor.right, self.trials));
         }
-        let late = self.monitor.delay_median.filter(|delay| *delay > GOAL_STEP_DELAY);
+        let late = self.monitor.delay_median.filter(|delay| *delay > GOAL_STEP_DELAY && self.trials >= LEAST_LIVES);
         if let Some(delay) = late.filter(|_| !self.hard && self.shape == Growth::Step) {
             shortfalls.push(format!("median delay {delay} throws"));
         }
