@@ -189,16 +189,13 @@ impl Columns {
             }
             let share = ((time_s - self.time_s[at]) / (self.time_s[at + 1] - self.time_s[at])).min(1.0);
             let [before, after] = [values[at], values[at + 1]];
-            grid.push(match (before.is_nan(), after.is_nan()) {
-                // A slow toe sensor has no value in most samples, so each value stays at the nearest time of the grid.
-                (true, false) | (false, true) => {
-                    if share < 0.5 {
-                        before
-                    } else {
-                        after
-                    }
-                }
-                _ => before + share * (after - before),
+            // A slow toe sensor has no value in most samples, so each value stays at the nearest time of the grid.
+            grid.push(if before.is_nan() == after.is_nan() {
+                before + share * (after - before)
+            } else if share < 0.5 {
+                before
+            } else {
+                after
             });
         }
     }

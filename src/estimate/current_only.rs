@@ -25,7 +25,7 @@ use super::{
     settings::{Motor, Settings},
     trace::{
         movement::{Movement, NEAR_END_SHARE},
-        samples::{has_rate, mean, median_of_magnitudes, samples_in},
+        samples::{has_rate, integrate, mean, median_of_magnitudes, samples_in},
         window::{self, Window},
     },
 };
@@ -152,13 +152,9 @@ fn integrals(movement: &Movement<'_>) -> Option<[Vec<f64>; 4]> {
     let current = movement.current_a.get(movement.start()..=end_of_voltage(movement)?)?;
     let amperes: Vec<f64> = current.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
-        let mut sum = 0.0;
-        let mut sums = vec![0.0];
-        sums.extend(values.array_windows().map(|[before, after]| {
-            sum += 0.5 * (before + after) * movement.interval_s;
-            sum
-        }));
-        sums
+        let mut integral = Vec::new();
+        integrate(&mut integral, values, 0.0, movement.interval_s);
+        integral
     };
     let charge = integral(&amperes);
     let double = integral(&charge);

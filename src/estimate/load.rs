@@ -28,7 +28,10 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 use super::{
     lanes::sum,
-    trace::{samples::samples_in, window::Window},
+    trace::{
+        samples::{integrate, samples_in},
+        window::Window,
+    },
 };
 
 /// Standard deviation of the share of the friction that is dry: the root mean square of a share that may be anything
@@ -62,17 +65,8 @@ pub(crate) struct Integrals {
 
 impl Integrals {
     pub(super) fn fill(&mut self, window: &Window, from: usize) {
-        let integrate = |integral: &mut Vec<f64>, signal: &[f64], level: f64| {
-            let mut sum = 0.0;
-            integral.clear();
-            integral.push(0.0);
-            integral.extend(signal.array_windows().map(|[before, after]| {
-                sum += (0.5 * (before + after) - level) * window.interval_s;
-                sum
-            }));
-        };
-        integrate(&mut self.charge, &window.input[from..], 0.0);
-        integrate(&mut self.angle, &window.output[from..], window.equilibrium);
+        integrate(&mut self.charge, &window.input[from..], 0.0, window.interval_s);
+        integrate(&mut self.angle, &window.output[from..], window.equilibrium, window.interval_s);
     }
 }
 
@@ -92,8 +86,7 @@ pub(crate) struct Load {
 
 impl Load {
     /// Cuts a movement from the sample `from` on into steps; `None` if it is too short, or does not determine the three
-    /// factors.
-    /// `integrals`: those from the sample `from` on.
+    /// factors. `integrals`: those from the sample `from` on.
     pub(crate) fn of(window: &Window, from: usize, integrals: &Integrals, scratch: &mut Vec<f64>) -> Option<Self> {
         let (output, interval_s) = (window.output.get(from..)?, window.interval_s);
         let samples = output.len();

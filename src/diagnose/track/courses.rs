@@ -62,11 +62,10 @@ impl<'a> Courses<'a> {
         (direction, differ): (Option<Direction>, bool),
         history: &History,
     ) -> Option<Rc<Course>> {
-        let one = |at: usize| self.known_or(weights, Some(at), || self.of_direction(at, weights));
         if let Some(direction) = direction {
-            return one(direction.side());
+            return self.of_side(direction.side(), weights);
         }
-        let [first, second] = match [one(0), one(1)] {
+        let [first, second] = match [0, 1].map(|at| self.of_side(at, weights)) {
             [Some(first), Some(second)] => [first, second],
             [first, second] => return first.or(second),
         };
@@ -83,10 +82,7 @@ impl<'a> Courses<'a> {
     /// The only direction that has a drift along `weights`. `None` if both have it, and until it has lasted for enough
     /// throws.
     pub(crate) fn one_sided(&self, weights: &Vector3<f64>) -> Option<Direction> {
-        let of = |direction: Direction| {
-            let at = direction.side();
-            Some((direction, self.known_or(weights, Some(at), || self.of_direction(at, weights))?))
-        };
+        let of = |direction: Direction| Some((direction, self.of_side(direction.side(), weights)?));
         let [normal, reverse] = Direction::BOTH;
         let courses = match self.tracks.baselines() {
             [Some(_), None] => return Some(normal),
@@ -135,7 +131,11 @@ impl<'a> Courses<'a> {
     }
 
     /// The course over the last throws of the direction with index `at`.
-    fn of_direction(&self, at: usize, weights: &Vector3<f64>) -> Option<Course> {
+    fn of_side(&self, at: usize, weights: &Vector3<f64>) -> Option<Rc<Course>> {
+        self.known_or(weights, Some(at), || self.compute_of_side(at, weights))
+    }
+
+    fn compute_of_side(&self, at: usize, weights: &Vector3<f64>) -> Option<Course> {
         let baselines = self.tracks.baselines();
         let baseline = baselines[at]?;
         let stream = Stream::of(&self.tracks.sides[at].recent, at, baselines);

@@ -63,6 +63,17 @@ pub(crate) fn mean_distance(values: &[f64], level: f64) -> f64 {
     sum([values], |[v]| (v - level).abs()) / values.len().max(1) as f64
 }
 
+/// Fills `integral` with the integral of the values less a level, by trapezoids, from the first value on.
+pub(crate) fn integrate(integral: &mut Vec<f64>, values: &[f64], level: f64, interval_s: f64) {
+    let mut sum = 0.0;
+    integral.clear();
+    integral.push(0.0);
+    integral.extend(values.array_windows().map(|[before, after]| {
+        sum += (0.5 * (before + after) - level) * interval_s;
+        sum
+    }));
+}
+
 /// Number of whole sampling intervals in a time; both in s.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
 pub(crate) fn samples_in(time_s: f64, interval_s: f64) -> usize {
