@@ -27,7 +27,8 @@ pub enum Cause {
     Stiffness,
     /// Inertia of the machine.
     Inertia,
-    /// A drift that none of the four explains alone, or that two explain equally well.
+    /// A change that names no part: of coefficients, features, start, travel or end of the stroke, or a motor that runs
+    /// on.
     Unattributed,
     /// The points did not complete a throw.
     IncompleteThrow,
@@ -50,7 +51,7 @@ impl Cause {
     /// The causes that change one coefficient each, in the order of b0, a1, a0.
     pub(super) const OF_COEFFICIENTS: [Self; 3] = [Self::Kt, Self::Friction, Self::Stiffness];
 
-    /// The causes that come from a drift of the coefficients.
+    /// The causes that a drift of the coefficients may have; `Unattributed` also comes from rules that name no part.
     pub(super) const DRIFTS: [Self; 5] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia, Self::Unattributed];
     /// The pairs of physical causes.
     pub(super) const PAIRS: [[Self; 2]; 6] = {
@@ -75,7 +76,7 @@ impl Cause {
         Self::PHYSICAL.contains(&self)
     }
 
-    /// Whether the cause comes from a drift of the coefficients.
+    /// Whether the cause is one of [`Self::DRIFTS`].
     pub fn is_drift(self) -> bool {
         Self::DRIFTS.contains(&self)
     }

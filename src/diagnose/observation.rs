@@ -116,7 +116,7 @@ impl Observation {
     /// The sensor with unusable values in this throw, and in which way.
     pub(super) fn unusable(&self) -> Option<Unusable> {
         self.faulty_sensor().map(|channel| match self.rejection() {
-            Some(Rejection::Clipped { .. }) => Unusable::Clipped(channel),
+            Some(Rejection::Clipped { .. }) => Unusable::Clipped,
             Some(Rejection::NoCurrent { .. }) => Unusable::NoCurrent,
             _ => Unusable::Values(channel),
         })
@@ -165,8 +165,8 @@ impl Observation {
 pub(super) enum Unusable {
     /// The values are impossible, stuck or too noisy.
     Values(SensorChannel),
-    /// The values reach the end of the measuring range.
-    Clipped(SensorChannel),
+    /// The current reaches the end of the measuring range.
+    Clipped,
     /// The toe moves, and the current shows no motor.
     NoCurrent,
     /// The position is missing, and the machine had one before.
@@ -179,8 +179,8 @@ impl Unusable {
     /// The sensor that the alarm names.
     pub(super) fn channel(self) -> SensorChannel {
         match self {
-            Self::Values(channel) | Self::Clipped(channel) => channel,
-            Self::NoCurrent => SensorChannel::Current,
+            Self::Values(channel) => channel,
+            Self::Clipped | Self::NoCurrent => SensorChannel::Current,
             Self::Missing | Self::Reversed => SensorChannel::Position,
         }
     }
@@ -222,6 +222,9 @@ impl Missing<'_> {
 /// Parameters of a machine on which its coefficients depend.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {
+    /// Stroke \[mm\]. Only coefficients without a toe position depend on it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stroke_mm: Option<f64>,
     /// Ball-screw lead \[mm per revolution\].
     lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\].
@@ -233,12 +236,20 @@ pub struct Parameters {
 impl Parameters {
     /// The parameters in the settings of the estimator.
     pub fn of(settings: &estimate::Settings) -> Self {
-        Self { lead_mm: settings.lead_mm, neutral_mm: settings.neutral_mm, motor: settings.motor }
+        let &estimate::Settings { stroke_mm, lead_mm, neutral_mm, motor, .. } = settings;
+        Self { stroke_mm, lead_mm, neutral_mm, motor }
     }
 
-    /// The first parameter that differs, with both values; `None` without a difference.
-    pub(super) fn changed(&self, to: &Self) -> Option<String> {
-        let lengths = [("lead_mm", self.lead_mm, to.lead_mm), ("neutral_mm", self.neutral_mm, to.neutral_mm)];
+    /// The first parameter that differs, with both values; `None` without a difference. A stroke that was not known
+    /// before gives the first coefficients, and changes none.
+    pub(super) fn changed(&self, to: &Self, has_position: bool) -> Option<String> {
+        let known = |from: Option<f64>, to: Option<f64>| from.zip(to).filter(|_| !has_position).unwrap_or_default();
+        let (stroke_mm, new_stroke_mm) = known(self.stroke_mm, to.stroke_mm);
+        let lengths = [
+            ("stroke_mm", stroke_mm, new_stroke_mm),
+            ("lead_mm", self.lead_mm, to.lead_mm),
+            ("neutral_mm", self.neutral_mm, to.neutral_mm),
+        ];
         let mut changed = lengths.into_iter().filter(|(_, from, to)| from.total_cmp(to).is_ne());
         let length = changed.next().map(|(name, from, to)| format!("{name} from {from} to {to}"));
         length.or_else(|| (self.motor != to.motor).then(|| "motor".to_owned()))

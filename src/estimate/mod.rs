@@ -41,4 +41,4 @@ pub(crate) use rejection::RejectionCode;
 pub use settings::{Motor, Settings};
 pub use sriv::covariance::Noise;
 pub use sriv::filter::Hold;
-pub(crate) use trace::samples::SD_PER_MEDIAN;
+pub(crate) use trace::{completeness::LONGEST_STALL_S, samples::SD_PER_MEDIAN};

@@ -169,12 +169,10 @@ pub enum Rejection {
         /// Position of the toe at the end \[mm\].
         position_mm: f64,
     },
-    /// A channel reached the limit of its range and stayed there.
-    #[error("the {channel} is clipped at {limit:.3} from {at_s:.3} s on")]
+    /// The current reached the limit of its range and stayed there.
+    #[error("the current is clipped at {limit:.3} from {at_s:.3} s on")]
     Clipped {
-        /// Which channel.
-        channel: Channel,
-        /// The limit \[A or mm\].
+        /// The limit \[A\].
         limit: f64,
         /// Start of the plateau \[s\].
         at_s: f64,
@@ -242,7 +240,7 @@ pub enum Rejection {
         delay_ms.abs(),
         if *delay_ms < 0.0 { "earlier" } else { "later" },
         if *delay_ms < 0.0 {
-            "channels that are not synchronous, or another start than the model's"
+            "channels that are not synchronous, or a drive that is already under tension"
         } else {
             "a brake that releases late, play, lost motion, or channels that are not synchronous"
         }
@@ -445,11 +443,10 @@ impl Rejection {
         match self {
             Self::NotFinite { channel, .. }
             | Self::ImplausibleValue { channel, .. }
-            | Self::Clipped { channel, .. }
             | Self::Stuck { channel, .. }
             | Self::Noisy { channel, .. } => Some(*channel),
             Self::WrongUnit { .. } => Some(Channel::Position),
-            Self::NoCurrent { .. } => Some(Channel::Current),
+            Self::NoCurrent { .. } | Self::Clipped { .. } => Some(Channel::Current),
             _ => None,
         }
     }

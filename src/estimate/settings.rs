@@ -33,11 +33,11 @@ settings! {
         pub stroke_mm: Option<f64> = None, Within(1.0, 1_000.0, "mm");
         /// Torque law of the motor.
         pub motor: Motor = Motor::PermanentMagnet;
-        /// Standard deviation of the current sensor's noise \[A\], 0.000001 to 10; used when the trace has no quiet
-        /// samples.
+        /// Standard deviation of the current sensor's noise \[A\], 0.000001 to 10. Stands in for the measured noise
+        /// of a trace without quiet samples; a trace with more than 3.5 times this noise is rough.
         pub current_noise_a: f64 = 0.02, Within(1e-6, 10.0, "A");
-        /// Standard deviation of the position sensor's noise \[mm\], 0.000001 to 10; used when the trace has no quiet
-        /// samples.
+        /// Standard deviation of the position sensor's noise \[mm\], 0.000001 to 10. Stands in for the measured noise
+        /// of a trace without quiet samples; a trace with more than 25 times this noise is rough.
         pub position_noise_mm: f64 = 0.02, Within(1e-6, 10.0, "mm");
         /// Least fit `R²_T` of an accepted estimate \[%\], 0 to 100.
         pub fit_floor_pct: f64 = 98.0, Within(0.0, 100.0, "%");

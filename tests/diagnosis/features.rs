@@ -10,7 +10,7 @@ use pointsd::{
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    drive::{Drive, State, Voltage},
+    drive::{Drive, State, Voltage, with_trace},
     fleet::{Machine, Scatter, causes, in_parallel, normal},
 };
 
@@ -21,6 +21,28 @@ fn current_only(seed: u64) -> Drive {
     drive.stay_healthy(100, State::SOUND);
     assert_eq!(drive.monitor.state(), MachineState::Healthy);
     drive
+}
+
+/// One throw in five of each direction has a damaged current, and the others show the fault.
+#[test]
+fn damaged_throws_among_good_ones_hide_no_change_of_the_features() {
+    for seed in 0..4 {
+        let mut drive = current_only(seed);
+        drive.logger = |throw| {
+            if throw.id.throw_no % 10 > 1 {
+                return throw;
+            }
+            with_trace(throw, |rate_hz, mut current, position| {
+                let half = current.len() / 2;
+                current[half..half + 80].fill(f64::NAN);
+                (rate_hz, current, position)
+            })
+        };
+        drive.stay_healthy(40, State::SOUND);
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+        let events = drive.events(30, State { friction: 1.8, ..State::SOUND });
+        assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::Unattributed), "{events:?}");
+    }
 }
 
 #[test]

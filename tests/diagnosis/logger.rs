@@ -351,6 +351,24 @@ fn throws_without_a_movement_do_not_reverse_the_position_of_a_logger_with_exchan
     assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::IncompleteThrow), "{events:?}");
 }
 
+/// The sensor is mounted the wrong way round during a maintenance, whose throws count for no alarm.
+#[test]
+fn a_position_that_is_reversed_in_a_maintenance_is_an_alarm_after_it() {
+    for thrown in [0, 1, 3] {
+        let mut drive = Drive::after(40, 2, Voltage::Published);
+        let (settings, by) = (Settings::default(), "A. Person".to_owned());
+        let now = Timestamp::UNIX_EPOCH + SignedDuration::from_hours(2 * 24);
+        let until = now + SignedDuration::from_hours(24 * 14);
+        let start = Command::MaintenanceStart { until, by: by.clone(), why: "sensor".into() };
+        drive.monitor.command(&start, now, &settings).unwrap();
+        drive.logger = |throw| with_positions(throw, |mm| 115.0 - mm);
+        assert_eq!(drive.events(thrown, State::SOUND), []);
+        drive.monitor.command(&Command::MaintenanceEnd { by }, now, &settings).unwrap();
+        let events = drive.events(8, State::SOUND);
+        assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Position))], "{thrown}: {events:?}");
+    }
+}
+
 /// Which throws count as made before a new baseline at 0 s. `before` and `after` are the throws that arrive before and
 /// after it: their start and reception \[s\].
 fn outdated(before: &[(f64, f64)], after: &[(f64, f64)]) -> Vec<bool> {

@@ -122,6 +122,24 @@ fn a_throw_back_from_an_open_toe_that_does_not_arrive_is_incomplete() {
     assert_eq!(drive.events(1, State::SOUND).len(), 1);
 }
 
+/// The throw back from an obstruction is as short as the obstructed one, and closes the points.
+#[test]
+fn a_throw_back_from_an_obstruction_is_no_second_incomplete_throw() {
+    for stroke_mm in [None, Some(115.0)] {
+        let mut drive = drive(84, stroke_mm);
+        let half = State { stroke: 0.52, ..State::SOUND };
+        for _ in 0..5 {
+            drive.push_s = 1.0;
+            let events = drive.events(1, half);
+            let named: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
+            assert_eq!(named, [(Cause::IncompleteThrow, Severity::Warning)], "{stroke_mm:?}: {events:?}");
+            drive.push_s = 0.0;
+            assert_eq!(drive.events(1, half), [], "{stroke_mm:?}");
+            assert_eq!(summary(&drive.events(12, State::SOUND)), [ended(Cause::IncompleteThrow)], "{stroke_mm:?}");
+        }
+    }
+}
+
 #[test]
 fn a_throw_that_is_reversed_midway_is_named_so_and_no_fault_of_a_sensor() {
     let mut drive = drive(83, Some(115.0));

@@ -219,6 +219,22 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
     assert_eq!(machine.monitor.state(), MachineState::Learning);
 }
 
+/// Without a toe sensor the coefficients come from the configured stroke, so a corrected one changes them all.
+#[test]
+fn a_corrected_stroke_starts_a_new_baseline_only_without_a_toe_sensor() {
+    let mut machine = machine();
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let stroke = |stroke_mm| Parameters::of(&estimate::Settings { stroke_mm, ..estimate::Settings::default() });
+    let strokes = [None, Some(100.0), Some(115.0), Some(115.0), None];
+    let mut without = MachineMonitor::new("22");
+    for (monitor, expected) in [(&mut machine.monitor, 0), (&mut without, 1)] {
+        let commands: Vec<_> = strokes.iter().filter_map(|mm| monitor.configured(stroke(*mm), at)).collect();
+        let why = "the configuration of the machine changed: stroke_mm from 100 to 115";
+        assert_eq!(commands.len(), expected);
+        assert!(commands.iter().all(|command| command.why() == Some(why)), "{commands:?}");
+    }
+}
+
 /// After the loss of a snapshot nothing else would end the alarm, and its fault may still exist.
 #[test]
 fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {

@@ -132,6 +132,16 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), raised), raised, &settings).len(), 1);
     let night = raised + SignedDuration::from_hours(14);
     assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), night), night, &settings), []);
+    // After rain in the evening there is frost in the morning, and no machine has thrown between.
+    let mut frozen = Site::new(73_000, 5);
+    let mut in_frost = wet.clone();
+    for throw in 0..150 {
+        frozen.throw(shift(Cause::Friction, if throw < 140 { 0.0 } else { 25.0 }), |_| Vector3::zeros());
+    }
+    let morning = frozen.now;
+    let common = MachineMonitor::common(frozen.machines.iter().map(|machine| &machine.monitor), morning);
+    let [turned] = &in_frost.follow_site(&common, morning, &settings)[..] else { panic!("an event") };
+    assert!(turned.text.contains("friction up") && turned.change_pct.is_some_and(|pct| pct > 0.0), "{turned:?}");
     // The machines are not used any more.
     let mut later = Vec::new();
     for hour in 0..24 * 10 {

@@ -198,17 +198,19 @@ impl Alarms {
         match self.find_active(event.cause) {
             Some(alarm) if rule == Rule::Usual && alarm.rule.gives_way() => {
                 let severity = alarm.last.severity.max(event.severity);
-                self.raise_anew(rule, AlarmEvent { severity, ..event })
+                self.raise_anew(rule, AlarmEvent { severity, ..event });
             }
             Some(alarm) if !alarm.is_unchecked => {
-                event.cause == Cause::Unattributed && alarm.rule != rule && self.add_fault(rule, event)
+                return event.cause == Cause::Unattributed && alarm.rule != rule && self.add_fault(rule, event);
             }
             _ => self.raise_anew(rule, event),
         }
+        true
     }
 
     /// Adds a fault without a named part to the active alarm about another one, whose rule stays its owner: with a more
-    /// severe fault the alarm escalates; one at another place, or intermittent, is added to its text, once. Returns
+    /// severe fault the alarm escalates; one at another place, or intermittent, is added to its text. Each rule adds its
+    /// fault once until the text is replaced: a fault that comes and goes must not lengthen the text each time. Returns
     /// whether the alarm changed.
     fn add_fault(&mut self, rule: Rule, event: AlarmEvent) -> bool {
         let Some(index) = self.find(event.cause) else { return false };
@@ -232,16 +234,8 @@ impl Alarms {
         true
     }
 
-    /// Takes note that `rule` sees no fault any more, so that its next one is added again.
-    pub(super) fn remove_fault(&mut self, rule: Rule) {
-        for alarm in &mut self.open {
-            alarm.added.retain(|added| *added != rule);
-        }
-    }
-
     /// Raises the alarm of a cause, or replaces the evidence of its active alarm, which needs a new acknowledgement.
-    /// Returns true: the alarm changed.
-    pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+    pub(super) fn raise_anew(&mut self, rule: Rule, event: AlarmEvent) {
         let index = self.find(event.cause).unwrap_or_else(|| {
             let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
             self.open.push(Alarm::cleared(rule, last));
@@ -252,7 +246,6 @@ impl Alarms {
         alarm.added.clear();
         *alarm.state.beneath_mut() = State::Active { acknowledged: None };
         self.renew(index, rule, event);
-        true
     }
 
     /// Raises the alarm about a sensor or the supply. If this alarm is active already, about another sensor, an offset
@@ -267,7 +260,8 @@ impl Alarms {
         match self.find_active(event.cause).filter(is_other).filter(|_| is_new) {
             Some(before) => {
                 let text = text::after_another(&event.text, &before.last.text);
-                self.raise_anew(rule, AlarmEvent { text, ..event })
+                self.raise_anew(rule, AlarmEvent { text, ..event });
+                true
             }
             None => self.raise(rule, event),
         }
@@ -288,8 +282,11 @@ impl Alarms {
     /// Escalates an active alarm to the severity of `event`, if that is higher; the alarm needs a new acknowledgement
     /// then. Returns whether it escalated.
     pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
-        let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
-        worse && self.raise_anew(rule, event)
+        let is_worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
+        if is_worse {
+            self.raise_anew(rule, event);
+        }
+        is_worse
     }
 
     /// Raises an alarm that is not active or not checked, and escalates another one.

@@ -43,7 +43,7 @@ impl RuleResult {
             (Some(cause), Self::Nothing) => {
                 let supply =
                     alarms.is_active(Cause::Supply) && rule.knows_no_part() && rule.is_explained_by(Cause::Supply);
-                let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause) };
+                let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, true) };
                 step.clear(cause, |_| text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))
@@ -52,7 +52,6 @@ impl RuleResult {
                 alarms.escalate(rule, AlarmEvent { cause, ..*event });
             }
             (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
-            (None, Self::Nothing) => alarms.remove_fault(rule),
             (None, Self::Fault(event) | Self::Larger(event))
                 if !(rule.knows_no_part() && alarms.active().any(|event| explains(event, rule, alarms))) =>
             {

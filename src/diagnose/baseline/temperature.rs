@@ -44,7 +44,7 @@ const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
 /// Wandering of the level per throw, in standard deviations of a throw. In simulated seasons, 0.05 named no more of the
 /// faults that grow with the temperature, and more healthy machines were not monitored.
 const WANDERS_SD: f64 = 0.03;
-/// The same in the [`CHANGING`] throws after a drift rose above its limit: it may grow.
+/// The same in the [`CHANGING`] throws after a drift alarm: the drift may grow.
 const GROWS_SD: f64 = 0.3;
 /// Throws of a direction within which a drift grows. If the level wandered longer, a lasting fault would make the
 /// dependence on the temperature unknown.
@@ -55,7 +55,7 @@ const PAUSE: u32 = LONGEST_WINDOW + LONGEST_WINDOW / 4;
 /// Standard deviation of a change of the level by the beginning or the end of a drift, in standard deviations of a
 /// throw.
 const STEP_SD: f64 = 5.0;
-/// The same for a drift that stays below its limit.
+/// The same for a drift without an alarm.
 const SMALL_STEP_SD: f64 = 2.0;
 /// Largest residual in standard deviations. Larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
@@ -83,10 +83,6 @@ impl Suspicion {
     /// Whether nothing is suspected.
     pub(crate) fn is_none(self) -> bool {
         self == Self::None
-    }
-
-    fn is_above_limit(self) -> bool {
-        matches!(self, Self::AboveLimit | Self::Alarmed)
     }
 }
 
@@ -172,8 +168,8 @@ impl Temperature {
         }
         let (variance, noise) = (scatter.of_one_throw().diagonal(), noise(scatter));
         if suspicion != self.suspicion {
-            self.steps |= suspicion.is_above_limit() || self.suspicion.is_above_limit();
-            // A suspicion that ends without a drift above its limit was chance.
+            self.steps |= suspicion == Suspicion::Alarmed || self.suspicion == Suspicion::Alarmed;
+            // A suspicion that ends without an alarm was chance.
             self.changing = if suspicion.is_none() && !self.steps { 0 } else { PAUSE + CHANGING };
             self.suspicion = suspicion;
         }
@@ -185,7 +181,7 @@ impl Temperature {
             let step_sd = if mem::take(&mut self.steps) { STEP_SD } else { SMALL_STEP_SD };
             self.lines.iter_mut().zip(&variance).for_each(|(line, variance)| line.step(step_sd * step_sd * variance));
         }
-        let may_grow = self.changing > 0 && suspicion.is_above_limit();
+        let may_grow = self.changing > 0 && suspicion == Suspicion::Alarmed;
         let wanders_sd = if may_grow { GROWS_SD } else { WANDERS_SD };
         for (i, line) in self.lines.iter_mut().enumerate() {
             line.follow(wanders_sd * wanders_sd * variance[i], distance, raw[i], noise[i]);

@@ -48,6 +48,9 @@ const MODEL_ERROR: Range<f64> = 0.5..2.0;
 /// Part of a warning limit from which a change that the machine shares with its site is reported.
 const SHARED_FROM: f64 = 0.5;
 
+/// Rules about the end of the stroke and the time after it, which do not change the coefficients.
+const OF_END: [Rule; 2] = [Rule::End, Rule::RunOn];
+
 /// The first throw of a suspected drift.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Onset {
@@ -175,29 +178,26 @@ impl DriftAlarms {
             _ => None,
         };
         let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
-        // Rain lowers the friction of worn slide chairs too.
-        let last_pct = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
-        let may_be_rain = cause == Cause::Friction && last_pct.is_some_and(|pct| pct > 0.0);
         match (transition, event) {
             (Transition::Stay, Some(event)) => {
                 let text = text::one_direction(&event.text);
                 step.alarms.update(AlarmEvent { text, ..event });
             }
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
-            (Transition::Turn(_), Some(event)) => _ = step.alarms.raise_anew(Rule::Usual, event),
+            (Transition::Turn(_), Some(event)) => step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-            (Transition::Clear { at_once }, _) => {
+            (Transition::Clear { is_normal, at_once }, _) => {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None if at_once => text::cleared_at_once(name, cause, may_be_rain),
-                    None => text::cleared(name, cause),
+                    None if at_once => text::cleared_at_once(name, cause, is_normal),
+                    None => text::cleared(name, cause, is_normal),
                 };
                 step.clear(cause, |_| text);
             }
             // Beside another fault the size is not certain enough for this.
             (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
-                step.remark(cause, text::maybe_repaired(name, cause, may_be_rain));
+                step.remark(cause, text::maybe_repaired(name, cause));
             }
             (Transition::Withdraw, _) => {
                 let other = match latest.drift.origin {
@@ -286,10 +286,10 @@ impl DriftAlarms {
         })
     }
 
-    /// The suspicion of a drift, as a reason not to add the last throw to a baseline. A motor that runs on after the
-    /// movement does not change it.
+    /// The suspicion of a drift, as a reason not to add the last throw to a baseline. What happens at the end of the
+    /// stroke and after it does not change the coefficients.
     pub(crate) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
-        let is_of_movement = |event: &AlarmEvent| alarms.rule(event.cause) != Some(Rule::RunOn);
+        let is_of_movement = |event: &AlarmEvent| !alarms.rule(event.cause).is_some_and(|rule| OF_END.contains(&rule));
         if alarms.active().any(|event| event.cause.is_drift() && is_of_movement(event)) {
             Suspicion::Alarmed
         } else if drift.is_some_and(Drift::matters) {
@@ -312,9 +312,9 @@ impl DriftAlarms {
         Known { causes, level, gauges: Some(gauges), ..Known::default() }
     }
 
-    /// Whether a drift is suspected or alarmed, or the motor runs on, so that throws do not count as healthy.
+    /// Whether anything about the drive is suspected or alarmed, so that throws do not count as healthy.
     pub(crate) fn is_suspicious(&self, alarms: &Alarms) -> bool {
-        !self.suspicion(None, alarms).is_none() || alarms.owned_by(Rule::RunOn).is_some()
+        !self.suspicion(None, alarms).is_none() || OF_END.iter().any(|rule| alarms.owned_by(*rule).is_some())
     }
 
     /// Counts a throw that cannot be judged. Returns whether the present is unknown, after 24 of them in a row.
@@ -323,7 +323,7 @@ impl DriftAlarms {
         let is_unknown = self.unjudged >= LONGEST_WINDOW;
         if is_unknown {
             self.now.clear();
-            self.shared = Default::default();
+            (self.shared, self.season_pct) = Default::default();
         }
         is_unknown
     }

@@ -304,7 +304,8 @@ impl Attribution {
         let [a, b] = pair.parts;
         let (new, known) = if a.cause == found.cause { (a, b) } else { (b, a) };
         let naming = Naming::Another { new, known };
-        Some(Self { naming, rival: None, relevance: new.relevance(settings), lead: since.lead, ..self })
+        let (relevance, runner_up) = (new.relevance(settings), since.runner_up);
+        Some(Self { naming, rival: None, relevance, runner_up, lead: since.lead, ..self })
     }
 
     /// If the attribution names no cause that has an alarm, keeps the name of such a cause, and names the two causes
@@ -352,7 +353,7 @@ impl Attribution {
         self.naming.new_parts()[0]
     }
 
-    /// The part that is named together with `cause`.
+    /// The part that is named together with `cause`; of two possible ones, the better.
     pub(crate) fn beside(&self, cause: Cause) -> Option<Cause> {
         let (Naming::Both(a, b) | Naming::Another { new: a, known: b } | Naming::Beside { known: a, first: b, .. }) =
             &self.naming

@@ -12,7 +12,7 @@
 //! - another name for 24 throws: another cause explains the drift.
 //!
 //! So an alarm near its limit does not alternate: it lasts at least `hold_throws`, unless the machine is healthy or the
-//! drift gets another name. One that was raised again within `hold_throws` always does.
+//! drift gets another name. An alarm that is raised again within `hold_throws` lasts at least `hold_throws` in any case.
 
 use serde::{Deserialize, Serialize};
 
@@ -82,8 +82,10 @@ pub(crate) enum Transition {
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The drift has ended; `at_once`: its size fell within a few throws.
+    /// The alarm ends. `is_normal`: the machine is healthy again, while otherwise the drift is below the limit only;
+    /// `at_once`: the size fell within a few throws.
     Clear {
+        is_normal: bool,
         at_once: bool,
     },
     /// Most of the drift has ended within a few throws, as after a repair, but a part is left.
@@ -255,11 +257,10 @@ impl Ending {
 
     fn transition(&mut self, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
-        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
-            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
-            || self.below >= settings.hold_throws
-        {
-            Transition::Clear { at_once: self.fell_at_once() }
+        let is_normal = self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
+            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW));
+        if is_normal || self.below >= settings.hold_throws {
+            Transition::Clear { is_normal, at_once: self.fell_at_once() }
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw
         } else if self.fell_at_once() && !self.proposed && self.since_level >= 2 * LONGEST_WINDOW {

@@ -357,7 +357,7 @@ impl Instruments {
         } else if self.sensor.over >= settings.off_delay_throws {
             RuleResult::Nothing.apply(Rule::Stroke, step);
             if is_of_sensor {
-                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor));
+                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor, true));
             }
         }
     }
@@ -422,7 +422,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply));
+            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply, true));
         }
     }
 

@@ -34,10 +34,10 @@ const KEPT: usize = WINDOWS[3];
 /// Least number of throws with the common scale for a window that shows it ([`CommonScale`]): with fewer, a single
 /// outlier would count for all its throws of ratios.
 const LEAST_SCALED: usize = WINDOWS[0];
-/// Number of standard deviations that a lasting error counts for in the test of T. A lasting error is the same in all
-/// throws of a machine: the effect of the temperature, which has one slope per machine, bounded by physics at 2.5
-/// standard deviations before any learning; and the misfit of rough throws, which repeats. The limit of T must rule out
-/// chance in thousands of throws, and would multiply these errors by six or seven.
+/// Largest number of standard deviations of a lasting error that the test of T allows for. A lasting error is the same in
+/// all throws of a machine, so it is drawn once: the effect of the temperature, which has one slope per machine, bounded
+/// by physics at 2.5 standard deviations before any learning; and the misfit of rough throws, which repeats. The full
+/// limit of T rules out chance in thousands of throws, and would multiply these errors by six or seven.
 const MOST_OF_LASTING_SD: f64 = 3.0;
 /// Standard deviation of the common scale, as a logarithm, in a window that does not show it: far more than any fault.
 pub(crate) const UNKNOWN_SCALE_SD: f64 = 1.0;
@@ -439,31 +439,29 @@ impl<'a> Stream<'a> {
         Some(best)
     }
 
-    /// The values of the throws along `weights` with temperature compensation, oldest first; ages count the throws of
-    /// the machine back from `now`. Throws of ratios are left out if the size depends on the common scale.
-    pub(crate) fn points(&self, weights: &Vector3<f64>, now: u64) -> Vec<Point> {
+    /// The values of the throws along `weights` with temperature compensation, oldest first. Throws of ratios are left
+    /// out if the size depends on the common scale. Ages count the throws of the machine back from the newest throw with
+    /// a value; also returns its age before the throw `now`, without the throws of the other direction after the newest
+    /// of all.
+    pub(crate) fn points(&self, weights: &Vector3<f64>, now: u64) -> (Vec<Point>, u64) {
+        let counted = self.throws.iter().find(|(_, throw)| throw.counts_along(weights));
+        let since = counted
+            .zip(self.throws.first())
+            .map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order));
         let point = |(side, throw): &(usize, &RecentThrow)| {
             if !throw.counts_along(weights) {
                 return None;
             }
             let residual = self.baselines[*side]?.compensated(throw.raw());
             Some(Point {
-                age: now.saturating_sub(throw.order.into()) as f64,
+                age: (now - since).saturating_sub(throw.order.into()) as f64,
                 value: weights.dot(&residual),
                 throws: 1.0,
             })
         };
         let mut points: Vec<Point> = self.throws.iter().filter_map(point).collect();
         points.reverse();
-        points
-    }
-
-    /// Number of throws of the machine from the newest throw that has a value along `weights` to the newest of all.
-    pub(crate) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
-        let counted = self.throws.iter().find(|(_, throw)| throw.counts_along(weights));
-        counted
-            .zip(self.throws.first())
-            .map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
+        (points, since)
     }
 
     /// Whether the last `throws` all have only ratios.

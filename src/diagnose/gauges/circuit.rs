@@ -178,7 +178,7 @@ impl Gauges {
     /// three throws; six throws must show the change too, so a single throw does not. If the published voltage is
     /// wrong, this explains the change. `None` if the change is unknown.
     pub(crate) fn circuit(&self) -> Option<Circuit> {
-        // Then the effect of the temperature of the air is compensated.
+        // With a published temperature, its effect on the winding is compensated.
         let knows_weather = self.level(Gauge::Air, WINDOWS[0]).is_some();
         self.circuit_of_resistance(knows_weather).or_else(|| self.circuit_of_inrush(knows_weather))
     }

@@ -88,7 +88,7 @@ impl Earlier {
     }
 }
 
-/// The features of the last throws without an estimate.
+/// The features of the last throws whose coefficients are not judged.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct FeatureWatch {
@@ -128,7 +128,7 @@ pub(crate) fn may_rain_last(since: Timestamp, throws: u64, at: Timestamp) -> boo
 }
 
 impl FeatureWatch {
-    /// Applies a throw without an estimate.
+    /// Applies a throw whose coefficients are not judged.
     pub(crate) fn on_features(
         &mut self,
         direction: Direction,
@@ -137,7 +137,12 @@ impl FeatureWatch {
         step: &Step,
     ) -> RuleResult {
         let side = direction.side();
-        self.sides[side].push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
+        let departures = gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius);
+        if departures.iter().all(Option::is_none) {
+            // A damaged throw among good ones must not hide their change.
+            return RuleResult::Unclear;
+        }
+        self.sides[side].push(departures);
         // A temperature that is published only after the normal values were learned does not show the season.
         let is_known = |gauge| gauges.normal(direction, gauge).is_some();
         let compared = celsius.filter(|_| is_known(Gauge::Air) || !is_known(Gauge::Running));
@@ -197,7 +202,7 @@ impl FeatureWatch {
 
     /// Whether features of the last throws were compared with normal values.
     pub(crate) fn is_monitoring(&self) -> bool {
-        self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
+        self.sides.iter().any(|side| !side.is_empty())
     }
 
     /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days.

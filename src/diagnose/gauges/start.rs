@@ -1,6 +1,7 @@
 //! A changed start of the movement: the toe moves later after the current, or accelerates less, than the running
 //! current explains. The reason is a late brake, play, lost motion or a delayed position. Friction, motor and stiffness
-//! of the running machine stay as they were. The throws are rough, so only ratios are compared, and these look healthy.
+//! of the running machine stay as they were. Such throws are often rough; then only ratios are compared, and these look
+//! healthy.
 
 use serde::{Deserialize, Serialize};
 

@@ -10,7 +10,7 @@ use crate::{
         operation::{Boots, boots, not_monitored},
         text,
     },
-    throw::ThrowRef,
+    throw::{Direction, ThrowRef},
 };
 
 /// The time of a throw.
@@ -154,7 +154,12 @@ impl MachineMonitor {
     /// Forgets the throws of two loggers `since` a time: the last throws, the alarms that they raised, and an
     /// incomplete baseline. Returns the command of the new baseline.
     fn forget_since(&mut self, since: Timestamp, now: Timestamp, settings: &Settings) -> Option<Command> {
-        if self.tracks.is_learning(settings) {
+        let is_begun = |direction| {
+            let (throws, needed) = self.instruments.gauges.progress(direction);
+            (1..needed).contains(&throws)
+        };
+        let learns_features = !self.tracks.any_baseline() && Direction::BOTH.into_iter().any(is_begun);
+        if learns_features || self.tracks.is_learning(settings) {
             let (by, why) = ("pointsd", "two loggers published as this machine while its baseline was learned");
             self.rebaseline(by, why, Actor::default(), now);
             return Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() });

@@ -49,7 +49,7 @@ pub struct MachineMonitor {
     maintenance: Option<Box<Maintenance>>,
     /// Time of the last new baseline by an operator, or of the last end of maintenance.
     in_service_since: Option<Timestamp>,
-    /// Whether an estimate with a toe position was observed since the last rebaseline.
+    /// Whether a throw with a toe position was observed since the last rebaseline.
     has_position: bool,
     /// Parameters of the last identified throw.
     parameters: Option<Parameters>,
@@ -192,7 +192,7 @@ impl MachineMonitor {
     /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has
     /// the events.
     pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
-        let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
+        let changed = self.parameters.replace(parameters)?.changed(&parameters, self.has_position)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
         let now = to_micros(now);
@@ -258,6 +258,7 @@ impl MachineMonitor {
             self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
         }
         self.forget_recent(now);
+        self.drift.conditions = Default::default();
         self.operation.forget_channel();
         self.thermometer = Thermometer::default();
         self.has_position = false;
@@ -366,8 +367,7 @@ impl MachineMonitor {
             Some(Severity::Critical) => MachineState::Critical,
             _ if self.alarms.is_active(Cause::NotMonitored) => MachineState::NotMonitored,
             Some(Severity::Warning) => MachineState::Warning,
-            None if self.tracks.any_baseline() => MachineState::Healthy,
-            None if self.features.is_monitoring() && !self.operation.is_rejecting() => MachineState::Healthy,
+            None if self.tracks.any_baseline() || self.features.is_monitoring() => MachineState::Healthy,
             None => MachineState::Learning,
         }
     }

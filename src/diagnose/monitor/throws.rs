@@ -96,7 +96,9 @@ impl MachineMonitor {
             .map(|throw| self.tracks.compared(throw));
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
         if let Some(throw) = &mut evaluated {
-            if let Some((residual, of_one_throw)) = residual.as_ref().zip(self.tracks.of_one_throw(throw.direction)) {
+            if self.maintenance.is_none()
+                && let Some((residual, of_one_throw)) = residual.as_ref().zip(self.tracks.of_one_throw(throw.direction))
+            {
                 self.trail.push(at, residual, &of_one_throw);
             }
             let shared = residual.map_or_else(Vector3::zeros, |residual| site::shared_part(&residual, common));

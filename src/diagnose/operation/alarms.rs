@@ -14,7 +14,7 @@ use crate::{
         statistics::{is_default, streak, to_f32},
         text,
     },
-    estimate::{Features, Rejection},
+    estimate::{Features, LONGEST_STALL_S, Rejection},
     throw::Direction,
 };
 
@@ -115,7 +115,8 @@ pub(crate) struct Operation {
     /// Position at the end of the last throw with a measured and a named direction \[mm\].
     #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
-    /// Positions at the start and the end of the last throw \[mm\], if the toe did not stay closed.
+    /// Positions at the start and the end of the last throw \[mm\], if the toe did not stay closed or stopped at an
+    /// obstruction.
     #[serde(skip_serializing_if = "Option::is_none")]
     left_open_mm: Option<[f32; 2]>,
     /// The sentence about the unused fields of the last throw, and the number of throws with unused fields.
@@ -306,11 +307,6 @@ impl Operation {
         }
     }
 
-    /// Whether the last throw was not evaluated.
-    pub(crate) fn is_rejecting(&self) -> bool {
-        self.unevaluated_in_a_row.of(None) > 0
-    }
-
     /// Applies whether the movement of a throw contradicts the direction that the logger names. Returns whether the
     /// axis of the position may be reversed: the contradiction is unusual, and the first throw with it did not begin
     /// where the last throw ended. If it did begin there, only the names of the directions were exchanged.
@@ -345,9 +341,13 @@ impl Operation {
             let near = to_f32(LARGEST_SHIFT) * (to - from).abs();
             (start - to).abs() < near && (end - from).abs() < near
         };
-        let is_short = throw.estimate().is_some() || matches!(throw.rejection(), Some(Rejection::Incomplete { .. }));
+        let is_stalled = throw.features.run_on_s.is_some_and(|run_on_s| run_on_s > LONGEST_STALL_S);
+        let is_incomplete = matches!(throw.rejection(), Some(Rejection::Incomplete { .. }));
+        let is_short = throw.estimate().is_some() || is_incomplete && !is_stalled;
         let begins_open = is_short && before.zip(ends).is_some_and(is_back);
-        self.left_open_mm = ends.filter(|_| matches!(throw.rejection(), Some(Rejection::Reopened { .. })));
+        // Only the motor shows an obstruction: with a wrong gain of the position, each throw would excuse the next one.
+        let is_open = matches!(throw.rejection(), Some(Rejection::Reopened { .. } | Rejection::Obstructed { .. }));
+        self.left_open_mm = ends.filter(|_| is_open || is_incomplete && is_stalled);
         begins_open
     }
 
@@ -384,11 +384,14 @@ impl Operation {
         self.run_on = RunOn::default();
     }
 
-    /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger and what is usual.
+    /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger, and what is known about the
+    /// directions: the first throw after it would look like one whose names were exchanged.
     pub(crate) fn reset(&mut self) {
         *self = Self {
             ticked_at: self.ticked_at,
             usually_contradicted: self.usually_contradicted,
+            contradicted: self.contradicted,
+            agreed: self.agreed,
             ended_mm: self.ended_mm,
             run_on: self.run_on.forget_recent(),
             since_gap: self.since_gap,

@@ -32,8 +32,8 @@ pub(crate) struct RunOn {
     learned: [u8; 2],
     /// The last 32 throws of the machine as bits, 1 for a longer time.
     long: u32,
-    /// The longest time since [`CALM`] throws without a longer one \[s\].
-    longest_s: f32,
+    /// The largest time beyond the usual one of its direction, since [`CALM`] throws without a longer time \[s\].
+    beyond_s: f32,
 }
 
 impl RunOn {
@@ -49,9 +49,9 @@ impl RunOn {
         let is_long = is_known && run_on_s > usual_s + LONGER_S;
         self.long = self.long << 1 | u32::from(is_long);
         if is_long {
-            self.longest_s = self.longest_s.max(to_f32(run_on_s));
+            self.beyond_s = self.beyond_s.max(to_f32(run_on_s - usual_s));
         } else if self.long.trailing_zeros() >= CALM {
-            self.longest_s = 0.0;
+            self.beyond_s = 0.0;
             return RuleResult::Nothing;
         }
         let count = (self.long & 0xff).count_ones();
@@ -59,12 +59,12 @@ impl RunOn {
             return RuleResult::Unclear;
         }
         let severity = if count >= CRITICAL_OF_EIGHT { Severity::Critical } else { Severity::Warning };
-        let text = text::runs_on(step.name, count, f64::from(self.longest_s), usual_s);
+        let text = text::runs_on(step.name, count, usual_s + f64::from(self.beyond_s), usual_s);
         RuleResult::Fault(Box::new(step.event(Cause::Unattributed, severity, text)))
     }
 
     /// Forgets the last throws, and keeps the usual time.
     pub(super) fn forget_recent(self) -> Self {
-        Self { long: 0, longest_s: 0.0, ..self }
+        Self { long: 0, beyond_s: 0.0, ..self }
     }
 }

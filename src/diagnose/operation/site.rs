@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Operation;
 use crate::diagnose::{
     AlarmEvent, Cause,
-    alarm::{OVER_BELOW, Step},
+    alarm::{OVER_BELOW, Rule, Step},
     statistics::{LastValues, median, percent, to_rounded_f32},
     text,
 };
@@ -117,7 +117,14 @@ impl Operation {
             let size = step.settings.relevance(cause, *log);
             if size > 1.0 {
                 let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
-                step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });
+                let event = AlarmEvent { change_pct: Some(percent(*log)), ..event };
+                let before = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
+                if before.is_some_and(|pct| pct * log < 0.0) {
+                    // Rain in the evening and frost in the morning, with no throws between.
+                    step.alarms.raise_anew(Rule::Usual, event);
+                } else {
+                    step.raise(event);
+                }
             } else if common.is_known && size < OVER_BELOW {
                 step.clear(cause, |name| text::site_over(name, cause));
             } else if is_forgotten {

@@ -7,8 +7,8 @@ use crate::{diagnose::Away, throw::utc};
 /// Text of an open alarm in the database that no monitor has.
 pub(crate) fn orphaned(name: &str) -> String {
     format!(
-        "{name}: the daemon has lost its data about this alarm, and learns a new baseline. The fault may still exist: \
-         inspect the machine, then acknowledge this alarm."
+        "{name}: the daemon has lost its data about this alarm. The fault may still exist: check it, then acknowledge \
+         this alarm."
     )
 }
 

@@ -43,7 +43,8 @@ pub(crate) fn drift(
             format!("{} or {}, too close to call: {} or {} over {over}", name(a), name(b), change(a), change(b))
         }
         Naming::Another { new, known } => {
-            format!("{} over {over}, in addition to {}", change(new), change(known))
+            // The throws are counted from the beginning of the known drift.
+            format!("{}, in addition to {}", change(new), change(known))
         }
         Naming::Both(a, b) => {
             let together = format!("{} and {} together", name(a), name(b));
@@ -115,7 +116,7 @@ pub(crate) fn intermittent(name: &str, found: &IntermittentFault) -> String {
         ),
         _ => (change, look_at(explanation.cause, explanation.size)),
     };
-    format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The other throws are normal. {advice}")
+    format!("Machine {name}: 1 in {one_in:.0} throws: {change}. The throws between are as before. {advice}")
 }
 
 /// Text of the end of an alarm about an intermittent fault that the throws no longer show or exclude.
@@ -126,21 +127,27 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended.
-pub(crate) fn cleared(name: &str, cause: Cause) -> String {
-    format!("Machine {name}: {cause} is back to normal.")
+/// Text of a drift that has ended; `is_normal`: the machine is healthy again, while otherwise the drift is below its
+/// limit only.
+pub(crate) fn cleared(name: &str, cause: Cause, is_normal: bool) -> String {
+    match (cause, is_normal) {
+        (Cause::Unattributed, true) => format!("Machine {name}: the reported change has ended."),
+        (_, true) => format!("Machine {name}: {cause} is back to normal."),
+        (_, false) => format!("Machine {name}: {cause} is below its warning limit again."),
+    }
 }
 
-/// Text of a drift that has ended within a few throws; `may_be_rain`: rain does this as well.
-pub(crate) fn cleared_at_once(name: &str, cause: Cause, may_be_rain: bool) -> String {
-    let (reason, when) = repair(may_be_rain);
-    cleared(name, cause)
+/// Text of a drift that has ended within a few throws.
+pub(crate) fn cleared_at_once(name: &str, cause: Cause, is_normal: bool) -> String {
+    let (reason, when) = repair(cause);
+    cleared(name, cause, is_normal)
         + &format!(" It came back within a few throws, {reason}: if there was a repair, take a new baseline{when}.")
 }
 
-/// What resembles a drift that ends within a few throws, and the command for a new baseline after a repair.
-fn repair(may_be_rain: bool) -> (&'static str, &'static str) {
-    if may_be_rain {
+/// What resembles a drift that ends within a few throws, and the command for a new baseline after a repair. Rain lowers
+/// friction, also that of worn slide chairs, and dry rails raise it again.
+fn repair(cause: Cause) -> (&'static str, &'static str) {
+    if cause == Cause::Friction {
         ("as after a repair, or in rain, which passes", " on dry rails (rebaseline)")
     } else {
         ("as after a repair", " (rebaseline)")
@@ -164,9 +171,9 @@ pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
     )
 }
 
-/// Text of a drift of which the larger part ended within a few throws; `may_be_rain`: rain does this as well.
-pub(crate) fn maybe_repaired(name: &str, cause: Cause, may_be_rain: bool) -> String {
-    let (reason, when) = repair(may_be_rain);
+/// Text of a drift of which the larger part ended within a few throws.
+pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
+    let (reason, when) = repair(cause);
     format!(
         "Machine {name}: most of the {} ended within a few throws, {reason}, but the machine is not as its baseline. \
          If it was repaired, take a new baseline{when}.",

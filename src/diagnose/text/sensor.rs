@@ -23,7 +23,7 @@ pub(crate) fn sensor(name: &str, fault: &SensorFault, is_alone: bool) -> String 
     let pct = fault.size.pct();
     let (what, why) = match fault.channel {
         SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
-        SensorChannel::Position => ("reads", "the travel differs from the stroke"),
+        SensorChannel::Position => ("reads", "the travel differs from its usual value"),
         SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
         SensorChannel::Temperature => ("reads", "it differs from the weather"),
         SensorChannel::Supply => ("reads", "the motor's resistance and back-EMF seem changed as much, its current not"),
@@ -214,8 +214,8 @@ pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
                 ),
             )
         }
-        Unusable::Clipped(channel) => (
-            format!("the values of the {channel} are clipped at the limit of a range"),
+        Unusable::Clipped => (
+            "the values of the current sensor are clipped at the limit of a range".into(),
             "the measuring range of the logger, which is too small for these values, then the range of the sensor; \
              throws_not_evaluated has the limit"
                 .into(),

@@ -118,9 +118,7 @@ impl<'a> Courses<'a> {
     fn of_both(&self, scatter: &Scatter, weights: &Vector3<f64>, history: &History) -> Option<Course> {
         let baselines = self.tracks.baselines();
         let stream = Stream::all(self.tracks.sides.each_ref().map(|track| &track.recent), baselines);
-        // The course ends with the last throw that shows the size.
-        let since = stream.since_counted(weights);
-        let recent = stream.points(weights, self.now - since);
+        let (recent, since) = stream.points(weights, self.now);
         // The history consists of blocks, each with throws of both directions.
         let oldest = recent.first()?.age;
         let blocks = history.along(weights, self.now).map(|block| Point { age: block.age - since as f64, ..block });
@@ -139,7 +137,7 @@ impl<'a> Courses<'a> {
         let baselines = self.tracks.baselines();
         let baseline = baselines[at]?;
         let stream = Stream::of(&self.tracks.sides[at].recent, at, baselines);
-        let points = stream.points(weights, self.now - stream.since_counted(weights));
+        let (points, _) = stream.points(weights, self.now);
         Course::of(&points, self.noise(&baseline.scatter, baseline.centre_throws(), weights))
     }
 

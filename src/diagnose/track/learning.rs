@@ -134,7 +134,7 @@ impl Tracks {
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
-        // A trend that the last throws end was chance. It was chance in the other baseline too, which is taken again.
+        // If the last throws end a trend, the trend was chance, also in the other baseline, which is taken again.
         let is_final = track.is_final(settings);
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];

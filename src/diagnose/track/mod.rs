@@ -169,10 +169,11 @@ impl Tracks {
         if throw.ratios_only && !track.of_ratios {
             // The common scale is unknown. The coefficient with the middle residual counts as unchanged, as a single
             // fault leaves two of the three unchanged. The errors of the others are those of their ratios to this one.
+            let compensated = baseline.compensated((raw, distance));
             let mut order = [0, 1, 2];
-            order.sort_by(|a, b| raw[*a].total_cmp(&raw[*b]));
+            order.sort_by(|a, b| compensated[*a].total_cmp(&compensated[*b]));
             let fixed = order[1];
-            raw.add_scalar_mut(-raw[fixed]);
+            raw.add_scalar_mut(-compensated[fixed]);
             sensor = relative_to(fixed, &sensor);
             if suspicion.is_none() {
                 let departure = baseline.compensated((raw, distance));
@@ -422,7 +423,8 @@ impl Tracks {
 
     /// Whether a baseline is incomplete and has throws already.
     pub(super) fn is_learning(&self, settings: &Settings) -> bool {
-        let has_throws = |track: &Track| !track.learned.is_empty() || !track.aside.is_empty();
+        let has_throws =
+            |track: &Track| track.undecided.is_some() || !track.learned.is_empty() || !track.aside.is_empty();
         self.sides.iter().any(|track| has_throws(track) && !track.is_final(settings))
     }
 

@@ -67,7 +67,7 @@ const WHOLE_SIGMAS: f64 = 4.0;
 /// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
 pub(crate) const LONGEST_MOVEMENT_S: f64 = 30.0;
 /// Longest time that the motor of a complete throw runs after the arrival of the toe \[s\].
-const LONGEST_STALL_S: f64 = 0.5;
+pub(crate) const LONGEST_STALL_S: f64 = 0.5;
 /// Least peak current, in standard deviations of the noise. White noise exceeds six once in 10^9 samples.
 const LEAST_CURRENT_SIGMAS: f64 = 6.0;
 /// Largest movement backwards, or before the start of the motor: as share of the travel, as the rails spring, plus a

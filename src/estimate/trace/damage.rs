@@ -79,11 +79,7 @@ pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
         let after = drop_at(from + 2 * length - 1);
         let steep = CLIPPED_FLANK * quantum(current);
         if before.min(after).max(drop_at(from - 1)) > steep && before > steep {
-            return Err(Rejection::Clipped {
-                channel: Channel::Current,
-                limit: sign * limit,
-                at_s: from as f64 * interval_s,
-            });
+            return Err(Rejection::Clipped { limit: sign * limit, at_s: from as f64 * interval_s });
         }
     }
     Ok(())

@@ -56,9 +56,9 @@ const NOISE_QUANTA: f64 = 8.0;
 const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
 /// Rejects a current whose noise is different in one stretch, as there its gain was different. `usual` is the noise of
-/// the current until the end of the travel. The check needs a noise
-/// that comes from the sensor. There is no check if the supply ripples, the commutator makes noise, the converter is
-/// coarse, or the sensor is so good that it shows the vibrations of the machine.
+/// the current until the end of the travel. The check needs a noise that comes from the sensor. There is no check if the
+/// supply ripples, the commutator makes noise, the converter is coarse, or the sensor is so good that it shows the
+/// vibrations of the machine.
 pub(crate) fn noise_level(
     movement: &Movement<'_>,
     usual: f64,
