@@ -1,6 +1,6 @@
-//! The files of the database: broken, foreign, missing, deleted and replaced ones; moves to a new file.
+//! The files of the database: broken, foreign, missing, deleted and replaced ones; links; moves to a new file.
 
-use std::{fs, path::Path, time::Duration};
+use std::{fs, os::unix::fs::symlink, path::Path, process::Command, time::Duration};
 
 use pointsd::store::{Found, Settings, Store, StoreError, ThrowRow};
 use sqlx::Connection;
@@ -11,6 +11,7 @@ use crate::{
         settings, spooled, throw,
     },
     keeping::judged,
+    small_disk::SmallDisk,
 };
 
 #[tokio::test]
@@ -179,8 +180,9 @@ async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
     assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 
-fn remove_database(folder: &Path) {
-    for suffix in ["", "-wal", "-shm"] {
+/// Removes the files of the database with these suffixes.
+fn remove(folder: &Path, suffixes: &[&str]) {
+    for suffix in suffixes {
         fs::remove_file(folder.join(format!("points.db{suffix}"))).unwrap();
     }
 }
@@ -199,12 +201,12 @@ pub(crate) async fn until_trouble(store: &Store) {
 /// The writer still has the deleted files open, with all commits, and writes the rows to a new file.
 #[tokio::test]
 async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
-    for replaced in [false, true] {
+    for (deleted, replaced) in [(&["", "-wal", "-shm"][..], false), (&["", "-wal", "-shm"], true), (&["-wal"], false)] {
         let (folder, store) = fresh().await;
         judged(&store, 1, 30).await;
         store.outbox_sent(&[]).await.unwrap();
         let path = folder.path().join("points.db");
-        remove_database(folder.path());
+        remove(folder.path(), deleted);
         if replaced {
             fs::write(&path, "a backup of the operator").unwrap();
         }
@@ -283,7 +285,7 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
         // The writer checks its files at most once per second.
         tokio::time::sleep(Duration::from_millis(1_100)).await;
         store.outbox_sent(&[]).await.unwrap();
-        remove_database(folder.path());
+        remove(folder.path(), &["", "-wal", "-shm"]);
         if replaced {
             fs::rename(&old, &path).unwrap();
         }
@@ -329,6 +331,52 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     write_mib(BOUND_MIB + 1).await;
     let moved = folder.path().join("points.db-moved-1");
     assert!(moved.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
+}
+
+/// The configured path is a mount point, which no other file can replace: the last step of each move fails.
+#[tokio::test]
+async fn a_failed_move_leaves_no_file() {
+    let Some(disk) = SmallDisk::of_mib(64) else { return };
+    let settings = Settings { max_wal_mib: 1, ..settings(disk.folder()) };
+    let store = Store::open(&settings, at(0)).await.unwrap().store;
+    let mounted = Command::new("mount").arg("--bind").args([&settings.path, &settings.path]).status().unwrap();
+    assert!(mounted.success());
+    let holder = reading(&store).await;
+    let mut last = 0;
+    while store.wal_bytes() < 3 << 20 {
+        judged(&store, last + 1, last + 20).await;
+        last += 20;
+    }
+    assert!(!settings.path.is_symlink());
+    assert_eq!(files_with(disk.folder(), &["-moved-", "-copy", "-link"]), Vec::<String>::new());
+    holder.close().await.unwrap();
+    store.close().await.unwrap();
+}
+
+/// The configured path is an administrator's link to another disk. The database stays there.
+#[tokio::test]
+async fn a_link_into_another_folder_stays() {
+    let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let target = other.path().join("large.db");
+    symlink(&target, folder.path().join("points.db")).unwrap();
+    let settings = Settings { max_wal_mib: 1, ..settings(folder.path()) };
+    let store = Store::open(&settings, at(0)).await.unwrap().store;
+    let holder = reading(&store).await;
+    judged(&store, 1, 100).await;
+    holder.close().await.unwrap();
+    store.close().await.unwrap();
+    assert!(target.is_symlink(), "the database did not move");
+    let moved = fs::canonicalize(&target).unwrap();
+    overwrite(&moved, 8..fs::metadata(&moved).unwrap().len() / PAGE);
+
+    let opened = Store::open(&settings, at(0)).await.unwrap();
+    let Found::SetAside { to, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
+    assert_eq!(to.parent(), Some(other.path()));
+    judged(&opened.store, 101, 101).await;
+    opened.store.close().await.unwrap();
+    assert_eq!(Store::open(&settings, at(0)).await.unwrap().report.found, Found::Clean);
+    assert_eq!(fs::read_link(&settings.path).unwrap(), target);
+    assert_eq!(files_with(folder.path(), &["points.db"]), ["points.db"]);
 }
 
 /// After a move the configured path is a link. If a backup replaces the link, the history behind the link must stay.
