@@ -9,7 +9,7 @@ use pointsd::{
 };
 
 use crate::given::{
-    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, query, received, spooled, throw,
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, query, received, settings, spooled, throw,
 };
 
 /// Stores and judges the throws `first` to `last`, received one minute after another.
@@ -130,6 +130,22 @@ async fn a_disk_that_others_fill_does_not_end_the_retention() {
     store.keep_bounds(Some(at(0))).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.traces, statistics.throws), (0, 150));
+}
+
+/// Another program has copied the database without auto-vacuum, so its unused pages cannot be returned to the disk.
+#[tokio::test]
+async fn pages_that_cannot_be_returned_to_the_disk_are_not_counted() {
+    for mode in ["PRAGMA auto_vacuum = INCREMENTAL", "PRAGMA auto_vacuum = NONE"] {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings { low_disk_mib: 1 << 20, ..settings(folder.path()) };
+        Store::open(&settings, at(0)).await.unwrap().store.close().await.unwrap();
+        let large = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) \
+                     VALUES (0, '', '', 0, zeroblob(4 << 20))";
+        change(&settings.path, [mode, "VACUUM", large, "DELETE FROM quarantine"]).await;
+        let store = Store::open(&settings, at(0)).await.unwrap().store;
+        let returned = store.keep_bounds(None).await.unwrap();
+        assert_eq!(returned.contains_key(&Dropped::Pages), mode.ends_with("INCREMENTAL"), "{returned:?}");
+    }
 }
 
 /// Retention deletes the history of the largest machine first; the history of the other machines stays complete.
