@@ -28,7 +28,7 @@ pub enum Dropped {
 }
 
 impl Dropped {
-    /// Name of the counter in the database. A trigger counts the notifications.
+    /// Name of the counter in the database. A trigger counts `dropped_notifications`.
     pub fn counter(self) -> String {
         format!("dropped_{}", self.as_ref())
     }

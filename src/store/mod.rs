@@ -1,7 +1,8 @@
 //! The SQLite database: raw throws, estimates, baselines, alarms, and the outbox of alarm events to publish.
 //!
 //! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. When a write returns
-//! `Ok`, its data are on the disk and survive a power cut. Every write is idempotent, so a caller may repeat it.
+//! `Ok`, its data are on the disk and survive a power cut. A caller may repeat a write: its rows are stored once, and only
+//! the counters of losses may count twice.
 //!
 //! | module | contents |
 //! |---|---|

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{database::Store, error::StoreError, files::disk::DiskLevel, statements as sql};
 
-/// Figures of the database. Retention reads every second only the first seven, which are fast to read.
+/// Figures of the database. Retention reads every second only those of `FIGURES`, which are fast to read.
 #[derive(Debug, Clone, PartialEq, Eq, Default, sqlx::FromRow)]
 #[sqlx(default)]
 pub struct Statistics {

@@ -21,7 +21,7 @@ impl Store {
             DiskLevel::Ample => None,
             DiskLevel::Low => Some((
                 Severity::Warning,
-                "its disk is nearly full, and traces of judged throws are dropped. Free some space",
+                "its disk is nearly full, and traces of judged throws are dropped until there is space. Free some",
             )),
             DiskLevel::Full => Some((Severity::Critical, "its disk is full, and writes fail. Free some space now")),
             DiskLevel::Failing => Some((
@@ -49,8 +49,8 @@ impl Store {
             let file = self.path().display();
             let text = match replaced {
                 Replaced::WrittenAgain(None) => format!(
-                    "its database {file} was deleted during operation. All data were written to a new file there. \
-                     Find out who or what deleted it"
+                    "its database {file} or the write-ahead log of it was deleted during operation. All data were \
+                     written to a new file there. Find out who or what deleted it"
                 ),
                 Replaced::WrittenAgain(Some(foreign)) => format!(
                     "its database {file} was replaced during operation. All data were written to a new file there, and the file \

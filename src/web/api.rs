@@ -5,7 +5,7 @@
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
 //! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`; `machines`: up to 100 with state, present drifts, last throw; `next_page`: number of the next page, or null on the last page. Pages are counted from 0 |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
-//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `fault_count`: number of all of them; `common`: numbers of the others by cause and site, each with the address of its `machines` |
+//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `fault_count`: number of all of them; `common`: numbers of the others by cause, site, text and state, each with the address `machines` of all machines of its site with its cause |
 //!
 //! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size
 //! when it was raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw,
@@ -92,7 +92,7 @@ pub(super) async fn alarms(State(web): State<Arc<Web>>, RawQuery(query): RawQuer
     })))
 }
 
-/// A group of alarms, with the address of the list of its machines.
+/// A group of alarms, with the address of the list of all machines of its site with its cause.
 fn with_list(group: &CommonAlarm) -> serde_json::Value {
     let mut json = json!(group);
     json["is_over"] = json!(group.state == AlarmState::ClearedUnacknowledged);

@@ -10,6 +10,7 @@ use std::{
 };
 
 use axum::{Router, extract::DefaultBodyLimit};
+use futures_util::future::OptionFuture;
 use hyper::{
     Request,
     body::Incoming,
@@ -167,21 +168,13 @@ async fn serve_connection(stream: TcpStream, router: Router, waiting: Waiting, _
         tokio::select! {
             _ = &mut connection => return,
             () = &mut deadline => return,
-            () = eviction(&mut evicted) => return,
+            Some(_) = OptionFuture::from(evicted.as_mut()) => return,
             Ok(()) = next_step.changed() => {
                 let step = *next_step.borrow_and_update();
                 evicted = step.is_evictable().then(|| waiting.add());
                 deadline.as_mut().reset(Instant::now() + step.limit());
             }
         }
-    }
-}
-
-/// Waits until this connection must close for another one.
-async fn eviction(evicted: &mut Option<oneshot::Receiver<()>>) {
-    match evicted {
-        Some(evicted) => drop(evicted.await),
-        None => std::future::pending().await,
     }
 }
 

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     daemon::{StatusReport, View, clock},
-    diagnose::{AlarmState, Cause, MachineState, Severity},
+    diagnose::{AlarmState, Cause, MachineState, Settings, Severity},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, StateCounts, WORST_FIRST, Window},
     throw::{MachineId, Name, counted, utc},
     wire::{self, BaselineProgress},
@@ -162,7 +162,8 @@ fn wrong() -> Failure {
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     let mut query = filters(query.as_deref())?;
     let overview = web.overview().await?;
-    let itself = web.view.config().monitor.as_machine();
+    let config = web.view.config();
+    let itself = config.monitor.as_machine();
     let report = web.view.report();
     let _permit = web.read_permit().await?;
     let reader = web.reader();
@@ -171,7 +172,6 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let grouped = group_silent(&mut query, &tally);
     let rows = reader.fleet(&query, &itself).await?;
     let windows = reader.windows(None).await?;
-    let limit_pct = web.view.config().diagnosis.friction_limit_pct;
     let matching = match query.state {
         Some(state) => tally.of(state),
         None => tally.total().saturating_sub(grouped),
@@ -198,10 +198,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
             .collect(),
         causes: Cause::VARIANTS.iter().map(|it| (it.as_str(), it.to_string(), query.cause == Some(*it))).collect(),
         states: WORST_FIRST.iter().map(|it| (it.as_str(), Badge(*it).word(), query.state == Some(*it))).collect(),
-        rows: rows.iter().map(|row| table_row(row, &windows, limit_pct)).collect(),
+        rows: rows.iter().map(|row| table_row(row, &windows, &config.diagnosis)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
             0 if query.offset > 0 => "This page is beyond the last one.".to_owned(),
+            0 if overview.tally.total() == 0 => "No machine has sent a throw yet, or all are retired.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
@@ -288,7 +289,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
     kinds.into_iter().map(entry).collect()
 }
 
-fn table_row(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
+fn table_row(row: &FleetRow, windows: &[Window], settings: &Settings) -> Row {
     let drift = row.drifts.first().map(|drift| {
         let forecast = state::forecast(drift).unwrap_or_default();
         (drift.cause.to_string(), state::size(drift.change_pct, drift.change_pct_sd), forecast)
@@ -318,11 +319,13 @@ fn table_row(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     if let Some(quality) = row.quality.as_deref().filter(|quality| wire::is_rejection(quality)) {
         notes.push(format!("last throw rejected: {}", quality.replace('_', " ")));
     }
-    let (coefficient, sign) = match row.drifts.first().map(|drift| drift.cause) {
-        Some(Cause::Kt) => (0, 1.0),
+    let cause = row.drifts.first().map_or(Cause::Friction, |drift| drift.cause);
+    let limit_pct = settings.limit_pct(cause).unwrap_or(settings.friction_limit_pct);
+    let (coefficient, sign) = match cause {
+        Cause::Kt => (0, 1.0),
         // All coefficients fall when inertia rises.
-        Some(Cause::Inertia) => (0, -1.0),
-        Some(Cause::Stiffness) => (2, 1.0),
+        Cause::Inertia => (0, -1.0),
+        Cause::Stiffness => (2, 1.0),
         _ => (1, 1.0),
     };
     Row {
@@ -445,19 +448,21 @@ mod tests {
     }
 
     #[test]
-    fn an_alarm_that_is_over_is_noted_as_such() {
+    fn an_alarm_that_is_over_is_noted_as_such_and_the_small_chart_has_the_limit_of_the_part_that_drifts() {
         let row = FleetRow {
             machine: MachineId::new("north", "21B").unwrap(),
             state: MachineState::Healthy,
-            drifts: Vec::new(),
+            drifts: serde_json::from_str(r#"[{"cause": "kt", "change_pct": -5.0, "change_pct_sd": 0.5}]"#).unwrap(),
             causes: vec![Cause::NotMonitored, Cause::DataLoss],
             causes_over: vec![Cause::NotMonitored],
             started_at: None,
             quality: None,
             baseline: None,
-            spark: Vec::new(),
+            spark: vec![[0.0; 3], [-5.0, 9.0, 9.0]],
         };
-        assert_eq!(table_row(&row, &[], 15.0).notes, ["not monitored (over), data loss"]);
+        let shown = table_row(&row, &[], &Settings { kt_limit_pct: 5.0, ..Settings::default() });
+        assert_eq!(shown.notes, ["not monitored (over), data loss"]);
+        assert_eq!(shown.spark, "0,12.0 100,23.0 ");
     }
 
     #[test]

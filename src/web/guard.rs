@@ -40,6 +40,7 @@ pub(super) async fn guard(
     let wants_gzip = accepts_gzip(request.headers());
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let is_api = request.uri().path().starts_with("/api/");
+    let failed = |failure: &Failure| if is_api { failure.json() } else { failure.page(trouble::of_daemon(&web.view)) };
     let config = web.view.config();
     let commands = config.web.token.is_some();
     let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, commands) {
@@ -64,16 +65,14 @@ pub(super) async fn guard(
             time::timeout(LIMIT, answer).await.unwrap_or_else(|_| Failure::busy().into_response())
         };
         match response.extensions_mut().remove::<Failure>() {
-            Some(failure) if is_api => failure.json(),
-            Some(failure) => failure.page(trouble::of_daemon(&web.view)),
+            Some(failure) => failed(&failure),
             None => response,
         }
     };
     if response.body().size_hint().lower() > SMALL {
         match web.large_permit() {
             Some(permit) => progress.hold(permit),
-            None if is_api => response = Failure::busy().json(),
-            None => response = Failure::busy().page(trouble::of_daemon(&web.view)),
+            None => response = failed(&Failure::busy()),
         }
     }
     let headers = response.headers_mut();

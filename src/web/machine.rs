@@ -260,10 +260,7 @@ async fn rows(
         Span::Newest(limit) => {
             trend::thinned(reader.throws_in(machine, direction, ThrowSelection::Newest(limit)).await?)
         }
-        Span::All => {
-            let choice = ThrowSelection::Spread(u32::try_from(trend::POINTS).unwrap_or(u32::MAX));
-            reader.throws_in(machine, direction, choice).await?
-        }
+        Span::All => reader.throws_in(machine, direction, ThrowSelection::Spread(trend::POINTS)).await?,
     };
     // The rows are in the order of arrival. Throws from a backlog arrive after newer ones.
     rows.sort_by_key(|row| row.started_at);

@@ -123,10 +123,9 @@ pub(super) fn throw_path(throw: &ThrowRef) -> String {
     format!("{}/{}", utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC), throw.throw_no)
 }
 
-/// A maintenance or a shelving, as "in maintenance until … by …: …".
+/// A maintenance, as "in maintenance until … by …: …".
 pub(super) fn window(window: &Window) -> String {
-    let what = window.cause.map_or_else(|| "in maintenance".to_owned(), |cause| format!("{cause} shelved"));
-    format!("{what} {}", window.sentence())
+    format!("in maintenance {}", window.sentence())
 }
 
 /// A duration \[s\] as "3 d 4 h", "4 h 5 min", "5 min" or "6 s".

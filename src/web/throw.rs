@@ -131,7 +131,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     Ok(page::html(&Page { trouble, stored, health, before, after, measured, pictures, typical }))
 }
 
-/// Reads a good throw of the same direction, made when the newest baseline was learned.
+/// Reads a typical throw of the same direction, made when the newest baseline was learned.
 async fn typical(
     web: &Web,
     machine: &MachineId,

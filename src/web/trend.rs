@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// Largest number of points of a curve: more than a chart resolves.
-pub(super) const POINTS: usize = 250;
+pub(super) const POINTS: u32 = 250;
 /// A long trace is divided into this number of stretches. Only the least and the greatest sample of each are drawn.
 const STRETCHES: usize = 300;
 /// Longest time without a sample that a curve crosses \[s\]: a toe sensor may be sampled less often than the current.
@@ -50,7 +50,7 @@ pub(super) fn all(directions: &Directions) -> impl Iterator<Item = &Health> {
 
 /// Every n-th row up to the last, at most [`POINTS`].
 pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
-    let step = rows.len().div_ceil(POINTS).max(1);
+    let step = rows.len().div_ceil(POINTS as usize).max(1);
     let first = rows.len().saturating_sub(1) % step;
     rows.into_iter().skip(first).step_by(step).collect()
 }

@@ -108,6 +108,21 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
     }
 }
 
+/// The throws of a machine without a toe sensor are never good.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_throw_is_drawn_with_one_of_the_baseline_of_any_quality() {
+    let (rig, daemon) = Rig::running_with(&format!("[diagnosis]\nbaseline_throws = 12\n{WEB}"));
+    let address = address(&daemon);
+    until_page(&address, "/", "No machine has sent a throw yet").await;
+    daemon.logger(KEY).await.send(throws("boot", 30)).await;
+    rig.judged(30).await;
+    for quality in ["good", "rough", "current_only"] {
+        rig.change(&format!("UPDATE estimate SET quality = '{quality}'")).await;
+        let page = get(&address, "/machines/north/21B/throws/boot/30").body;
+        assert!(page.contains("The curve “baseline” is <a"), "{quality}: {page}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_critical_alarm_stands_above_warnings_about_lost_data() {
     let (rig, daemon) = Rig::running_with(&format!("[diagnosis]\nbaseline_throws = 12\n{WEB}"));

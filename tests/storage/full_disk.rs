@@ -5,8 +5,8 @@ use std::{fs, process::Command};
 use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
+    files::until_trouble,
     given::{at, change, files_with, fresh, judge, judgement, machine, open, received, settings, spooled, throw},
-    keeping::until_trouble,
     small_disk::SmallDisk,
 };
 

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failure here fails the test")]
 
 mod commands;
+mod files;
 mod full_disk;
 mod given;
 mod judging;

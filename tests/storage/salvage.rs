@@ -234,6 +234,40 @@ async fn without_its_schema_a_database_is_read_where_this_program_puts_its_table
     }
 }
 
+/// There is space for the machines with their alarms and boots, but not for the 20,000 throws. The boots keep their
+/// highest numbers, so the backlogs of the loggers are not fetched again.
+#[tokio::test]
+async fn with_little_space_the_boots_are_kept_without_their_throws() {
+    let Some(disk) = SmallDisk::of_mib(32) else { return };
+    let path = disk.folder().join("points.db");
+    database(disk.folder()).await;
+    let throws = [
+        "WITH RECURSIVE n(i) AS (SELECT 1001 UNION ALL SELECT i + 1 FROM n WHERE i < 21000) \
+         INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz, \
+         samples, content_crc32, judged_at_us) SELECT i, 1, 1, i, i, 0, 1000, 1, 0, 1 FROM n",
+        "UPDATE boot SET highest_no = 21000 WHERE boot_row = 1",
+        "PRAGMA wal_checkpoint(TRUNCATE)",
+    ];
+    change(&path, throws).await;
+    let mut outsider = outsider(&path).await;
+    let page: i64 = sqlx::query_scalar("SELECT max(pageno) FROM dbstat WHERE name = 'trace' AND pagetype = 'leaf'")
+        .fetch_one(&mut outsider)
+        .await
+        .unwrap();
+    outsider.close().await.unwrap();
+    let page = page.cast_unsigned();
+    overwrite(&path, page - 1..page);
+    disk.fill();
+    let filler = disk.folder().join("filler");
+    let left = fs::metadata(&filler).unwrap().len() - (3 << 20);
+    fs::OpenOptions::new().write(true).open(filler).unwrap().set_len(left).unwrap();
+
+    let (store, salvaged) = salvaged(disk.folder()).await;
+    assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm"), salvaged.saved("throw")), (10, 10, 0));
+    let boots = "SELECT boot_row, highest_no FROM boot ORDER BY boot_row LIMIT 2";
+    assert_eq!(query::<(i64, i64)>(&store, boots).await, [(1, 21_000), (2, 100)]);
+}
+
 /// Without space for a copy of the broken file, an empty database would hide its baselines for ever.
 #[tokio::test]
 async fn without_space_a_database_without_its_schema_is_read_at_a_later_start() {

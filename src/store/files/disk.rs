@@ -41,8 +41,8 @@ pub enum DiskLevel {
 /// Outcome after the database file was found deleted or replaced during operation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Replaced {
-    /// The database was written again. Has the new path of the file that was found in its place; `None` if it was
-    /// deleted.
+    /// The database was written again. Has the new path of the file that was found in its place; `None` if the database
+    /// or its log was deleted.
     WrittenAgain(Option<PathBuf>),
     /// The database could not be written again.
     Failed,

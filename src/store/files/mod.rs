@@ -1,4 +1,5 @@
-//! The files of the database: the file at the configured path, or the file to which a link there points.
+//! The files of the database: the file at the configured path, or the file to which a link there points. A link into
+//! another folder, as to a larger disk, is an administrator's and stays: its target counts as the configured path.
 //!
 //! A program that keeps reading an old state prevents the reuse of the write-ahead log, and its lock cannot be removed.
 //! So when the log reaches its limit, the database moves: a compact copy is written, the copy gets the next free number
@@ -18,7 +19,7 @@ pub(super) mod salvage;
 
 use std::{
     fs::File,
-    io,
+    io, iter,
     os::unix::fs::{MetadataExt, symlink},
     path::{Path, PathBuf},
 };
@@ -63,7 +64,10 @@ pub(super) struct Identity {
 
 impl DatabaseFiles {
     pub(super) fn new(path: &Path) -> Self {
-        Self { path: path.to_owned() }
+        let target = |link: &PathBuf| Some(folder_of(link).join(std::fs::read_link(link).ok()?));
+        let elsewhere = |link: &PathBuf| target(link).filter(|target| folder_of(target) != folder_of(link));
+        // Linux also follows at most 40 links.
+        Self { path: iter::successors(Some(path.to_owned()), elsewhere).take(40).last().unwrap_or_default() }
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -149,10 +153,12 @@ impl DatabaseFiles {
             number += 1;
         }
         let moved = numbered(number);
+        symlink(moved.file_name().unwrap_or_default(), &link).map_err(error("link to"))?;
         rename(copy, &moved)?;
-        let target = moved.file_name().map_or_else(|| moved.clone(), PathBuf::from);
-        symlink(target, &link).map_err(error("link to"))?;
-        std::fs::rename(&link, &self.path).map_err(error("switch to"))?;
+        std::fs::rename(&link, &self.path).map_err(error("switch to")).inspect_err(|_| {
+            // Otherwise each failed move would leave a copy of the database. A second error is ignored.
+            let _ = [&moved, &link].map(|file| remove_one(file));
+        })?;
         self.sync_folder().map_err(error("sync the folder of"))?;
         // At the first move the old file had the configured name, which the link has now.
         let names = if old_had_own_name { &SUFFIXES[..] } else { &SUFFIXES[..2] };

@@ -83,7 +83,7 @@ pub struct Report {
 
 /// Options of the writing connection. Only a `fresh` database gets the auto-vacuum mode: SQLite writes it to the header
 /// at each opening, and a broken or too new file must not be changed.
-fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
+pub(crate) fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
     let options = SqliteConnectOptions::new();
     let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
     options
@@ -94,18 +94,6 @@ fn write_options(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
         .busy_timeout(BUSY)
         .pragma("journal_size_limit", LOG_KEPT.to_string())
         .disable_statement_logging()
-}
-
-/// Moves SQLite's temporary data of `connection` from a file to memory, and returns the options of a later connection
-/// with the same setting. SQLite copies each page that a statement changes; in memory this takes a tenth less processor
-/// time. Called after the migrations: the indexes that they create are too large for memory.
-pub(crate) async fn use_memory_for_temporary_data(
-    settings: &Settings,
-    connection: &mut SqliteConnection,
-) -> Result<SqliteConnectOptions, StoreError> {
-    let set = sqlx::query("PRAGMA temp_store = memory").execute(connection).await;
-    set.map_err(StoreError::open(&settings.path))?;
-    Ok(write_options(settings, false).pragma("temp_store", "memory"))
 }
 
 /// Options of reading connections.

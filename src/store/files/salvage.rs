@@ -40,6 +40,11 @@ static TABLES: [Table; 15] = [
         key: "machine_row",
         sound: "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
     },
+    Table {
+        name: "boot",
+        key: "boot_row",
+        sound: "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)",
+    },
     Table { name: "monitor", key: "machine_row", sound: "json_valid(snapshot)" },
     Table {
         name: "alarm",
@@ -59,11 +64,6 @@ static TABLES: [Table; 15] = [
     },
     Table { name: "notification", key: "notification_row", sound: "json_valid(payload)" },
     Table { name: "command", key: "command_row", sound: "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'" },
-    Table {
-        name: "boot",
-        key: "boot_row",
-        sound: "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)",
-    },
     Table { name: "gap", key: "gap_row", sound: "kind IS NOT NULL" },
     Table { name: "backlog", key: "machine_row", sound: "since_us IS NOT NULL" },
     Table {
@@ -89,7 +89,7 @@ static TABLES: [Table; 15] = [
 pub(super) enum Extent {
     All,
     WithoutTraces,
-    /// The tables that the diagnosis needs.
+    /// The tables that the diagnosis needs, and the boots, without which the backlogs would be fetched again.
     Diagnosis,
 }
 
@@ -100,7 +100,7 @@ impl Extent {
         match self {
             Self::All => &TABLES,
             Self::WithoutTraces => &TABLES[..TABLES.len() - 1],
-            Self::Diagnosis => &TABLES[..8],
+            Self::Diagnosis => &TABLES[..9],
         }
     }
 }

@@ -178,7 +178,8 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace.
+    /// A typical throw of the baseline taken at `at`: the last good throw of the direction until then with a trace, or
+    /// without a good one the last accepted one.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,

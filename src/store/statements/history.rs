@@ -123,12 +123,14 @@ statements! {
         AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
         ORDER BY near.started_at_us, near.throw_row LIMIT 1)) \
         JOIN boot USING (boot_row)";
-    // The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
+    // The newest good throw of a direction with a trace, up to a time, among the 300 throws before it; without a good one,
+    // as of a machine without a toe sensor, the newest accepted one.
     TYPICAL = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM ( \
         SELECT throw_row, started_at_us FROM throw WHERE machine_row = ", one_machine!(), " \
         AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300) \
         JOIN estimate USING (throw_row) JOIN trace USING (throw_row) \
-        WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1)");
+        WHERE estimate.direction = ?3 AND quality IN ('good', 'rough', 'current_only') \
+        ORDER BY quality = 'good' DESC, started_at_us DESC LIMIT 1)");
     // Whether a machine has a throw, an alarm or a monitor.
     IS_KNOWN = concat!("SELECT EXISTS (SELECT 1 FROM throw WHERE machine_row = ", one_machine!(), ") \
         OR EXISTS (SELECT 1 FROM alarm WHERE machine_row = ", one_machine!(), ") \

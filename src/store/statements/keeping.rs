@@ -42,13 +42,13 @@ statements! {
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time
     // ?4 is not usable: such a trace is as old as the next one with a usable time. No trace after the first young one
-    // is aged.
-    AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM trace JOIN throw USING (throw_row) \
-        WHERE throw_row <= (SELECT max(throw_row) FROM trace JOIN throw USING (throw_row) \
+    // is aged. Reads only the oldest 64 rows, as it runs every second: if no time among them is usable, the traces wait
+    // for the other limits.
+    AGED_TRACES = "WITH oldest AS MATERIALIZED (SELECT throw_row, received_at_us, judged_at_us \
+        FROM trace JOIN throw USING (throw_row) ORDER BY throw_row LIMIT 64) \
+        SELECT throw_row FROM oldest WHERE judged_at_us IS NOT NULL AND throw_row <= (SELECT max(throw_row) FROM oldest \
             WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \
-                (SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE received_at_us BETWEEN ?2 AND ?4 \
-                ORDER BY throw_row LIMIT 1), 9223372036854775807)) \
-        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
+                (SELECT min(throw_row) FROM oldest WHERE received_at_us BETWEEN ?2 AND ?4), 9223372036854775807)) LIMIT ?1";
     DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
     // The traces of pending throws before the dropped ones stay, and are dropped later.
     TRACES_FROM = concat!("UPDATE machine SET traces_from = min(last + 1, coalesce((SELECT min(throw_row) \

@@ -101,11 +101,12 @@ statements! {
     ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start, boot_id, throw_no) \
         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
     IS_QUARANTINED = "SELECT EXISTS (SELECT 1 FROM quarantine WHERE received_at_us = ?1 AND key = ?2 AND payload_bytes = ?3)";
-    // The oldest messages of the keys with the most: a flood from one machine removes its own messages only.
+    // The oldest messages of the keys with the most: a flood from one machine removes its own messages only. As all
+    // messages are sorted for this, it also removes a 64th of the bound, and then has nothing to do for some time.
     TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row IN (SELECT quarantine_row FROM ( \
         SELECT quarantine_row, row_number() OVER (PARTITION BY key ORDER BY quarantine_row DESC) AS newest \
-        FROM quarantine INDEXED BY quarantine_by_key) ORDER BY newest DESC, quarantine_row \
-        LIMIT max(0, (SELECT count(*) FROM quarantine) - ?1))";
+        FROM quarantine INDEXED BY quarantine_by_key WHERE (SELECT count(*) FROM quarantine) > ?1) \
+        ORDER BY newest DESC, quarantine_row LIMIT (SELECT count(*) FROM quarantine) - ?1 + ?1 / 64)";
     // The last reason of each machine without a throw.
     LAST_REFUSED = "SELECT key, reason, max(received_at_us) AS received_at_us FROM quarantine \
         WHERE key NOT IN (SELECT 'points/v1/' || site || '/' || machine || '/throw' FROM machine) \

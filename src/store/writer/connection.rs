@@ -1,7 +1,8 @@
 //! The writing connection: commits, replacement after a failure, and the limit of the write-ahead log.
 //!
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
-//! and the result of a failed commit is unknown. Then the group of writes runs once more, as every write is idempotent.
+//! and the result of a failed commit is unknown. Then the group of writes runs once more: each stores its rows once, and
+//! only the counters of losses may count twice.
 //! If SQLite refuses the group again (constraint, type), each write runs alone, so that one refused write costs no other.
 
 use std::{
@@ -159,7 +160,7 @@ impl WritingConnection {
             return;
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
-        let outcome = match self.write_again().await {
+        let outcome = match self.write_again(now.database != known.database).await {
             Ok(()) => Replaced::WrittenAgain(self.foreign.take()),
             Err(error) => {
                 tracing::error!(%error, "writing the database again failed; retrying");
@@ -171,10 +172,13 @@ impl WritingConnection {
     }
 
     /// Writes the rows of the deleted database to a new file. The open connection has their only copy, and is closed when
-    /// a write fails: so a copy without enough space is not begun, and the rest of a failed copy is removed.
-    async fn write_again(&mut self) -> Result<(), StoreError> {
-        let found = self.files.rename_foreign_files()?;
-        self.foreign = self.foreign.take().or(found);
+    /// a write fails: so a copy without enough space is not begun, and the rest of a failed copy is removed. If only the
+    /// log was deleted, no file is foreign: the new file replaces the old database.
+    async fn write_again(&mut self, has_foreign_files: bool) -> Result<(), StoreError> {
+        if has_foreign_files {
+            let found = self.files.rename_foreign_files()?;
+            self.foreign = self.foreign.take().or(found);
+        }
         let connection = self.connected().await.map_err(store_error)?;
         let needed: i64 = sqlx::query_scalar(sql::FILE_BYTES).fetch_one(connection).await.map_err(store_error)?;
         if self.disk.free_bytes().is_some_and(|free| free < needed.cast_unsigned()) {

@@ -145,7 +145,7 @@ fn shares(machines: Vec<Usage>, rows: u64) -> BTreeMap<i64, u64> {
 enum Retention {
     /// Drops up to this number of rows. Rows of a later kind are dropped only if the earlier kinds have too few.
     Rows(Vec<DroppableRows>, u64),
-    /// Returns [`PAGES`] unused pages of the file to the disk.
+    /// Returns up to [`PAGES`] unused pages of the file to the disk.
     Pages,
 }
 
@@ -155,10 +155,16 @@ impl Write for Retention {
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
         let mut done = BTreeMap::new();
         let &Self::Rows(ref kinds, mut rest) = self else {
+            let unused = || sqlx::query_scalar::<_, i64>("PRAGMA freelist_count");
+            let before = unused().fetch_one(&mut *connection).await?;
             let vacuum = AssertSqlSafe(format!("PRAGMA incremental_vacuum({PAGES})"));
             sqlx::query(vacuum).execute(&mut *connection).await?;
-            count(connection, &Dropped::Pages.counter(), PAGES.cast_signed()).await?;
-            done.insert(Dropped::Pages, PAGES);
+            let returned = before - unused().fetch_one(&mut *connection).await?;
+            // A database that another program has created or copied may have no auto-vacuum.
+            if returned > 0 {
+                count(connection, &Dropped::Pages.counter(), returned).await?;
+                done.insert(Dropped::Pages, returned.cast_unsigned());
+            }
             return Ok(done);
         };
         for kind in kinds {

@@ -247,17 +247,6 @@ async fn in_sequence<'a>(connection: &mut SqliteConnection, throws: &'a [Spool])
     Ok(found)
 }
 
-/// A throw that is later than the stored ones of its boot. The statement makes an array, so the order of the fields counts.
-#[derive(serde::Deserialize)]
-struct NextThrow {
-    /// Position among the throws of the query.
-    at: usize,
-    machine_row: i64,
-    boot_row: i64,
-    position: i64,
-    highest_no: i64,
-}
-
 /// The throws of [`in_sequence`] whose boots are known.
 async fn next_of_known_boots<'a>(
     connection: &mut SqliteConnection,
@@ -269,10 +258,10 @@ async fn next_of_known_boots<'a>(
         find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
         find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
     }
-    let found: Vec<NextThrow> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
+    let found: Vec<(usize, i64, i64, i64, i64)> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
     let mut machines = HashSet::new();
-    let first = found.into_iter().filter(|next| machines.insert(next.machine_row));
-    let place = |NextThrow { at, machine_row, boot_row, position, highest_no }| Placed {
+    let first = found.into_iter().filter(|(_, machine_row, ..)| machines.insert(*machine_row));
+    let place = |(at, machine_row, boot_row, position, highest_no): (usize, _, _, _, _)| Placed {
         throw: &throws[at],
         machine_row,
         boot_row,
