@@ -282,6 +282,21 @@ fn an_unrecorded_repair_is_proposed_not_acted_on() {
     assert!(machine.monitor.baseline(Direction::NormalToReverse).is_some());
 }
 
+/// Fresh grease leaves less friction than the baseline has: the alarm about the rise is over.
+#[test]
+fn a_repair_that_does_more_than_restore_the_baseline_ends_the_alarm() {
+    for (seed, (cause, fault_pct, after_pct)) in
+        [(Cause::Friction, 50.0, -8.0), (Cause::Kt, -15.0, 4.0), (Cause::Stiffness, 35.0, -8.0)].into_iter().enumerate()
+    {
+        let mut machine = Machine::learned(900 + seed as u64, Scatter::USUAL);
+        let raised = machine.events(60, shift(cause, fault_pct));
+        assert!(!raised.is_empty() && raised.iter().all(|event| event.cause == cause), "{raised:?}");
+        let ended = machine.events(40, shift(cause, after_pct));
+        assert_eq!(states(&ended), [AlarmState::ClearedUnacknowledged], "{ended:?}");
+        assert!(ended[0].text.contains("below its warning limit again"), "{}", ended[0].text);
+    }
+}
+
 #[test]
 fn a_lasting_step_is_raised_once_and_stays() {
     let lasting =

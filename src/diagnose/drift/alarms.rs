@@ -115,7 +115,8 @@ impl DriftAlarms {
         alarms: &Alarms,
     ) -> AlarmEvidence {
         let LatestThrow { drift, settings, .. } = latest;
-        let mut evidence = drift.evidence(cause, settings);
+        let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
+        let mut evidence = drift.evidence(cause, raised_pct.unwrap_or_default(), settings);
         let (latest_side, _) = drift.latest;
         let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
         evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
@@ -143,7 +144,6 @@ impl DriftAlarms {
             }
         }
         if let (Claim::Named, Some((now, size))) = (evidence.claim, now) {
-            let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
             evidence.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
             let least = 1.0 - settings.deadband_pct / 100.0;
             // A part is named only if its change is significant.
@@ -432,9 +432,10 @@ impl DriftAlarms {
 
     fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {
         let LatestThrow { drift, order, at, tracks, settings, .. } = latest;
-        let mut attribution = *drift.attribution.as_ref()?;
-        let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
         let direction = latest.direction(cause);
+        let attribution = *drift.attribution.as_ref()?;
+        let mut attribution = if direction.is_some() { attribution.in_one_direction() } else { attribution };
+        let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
         let mut limit_in_throws = None;
         if let Some((now, course)) = latest.named_part(direction, &self.history)
             && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming

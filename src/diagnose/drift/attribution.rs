@@ -397,6 +397,11 @@ impl Attribution {
         has_stiffer_ratio.then_some(Cause::Stiffness)
     }
 
+    /// The attribution of a drift in one direction only, about which the back-EMF, a mean over both, says nothing.
+    pub(super) fn in_one_direction(self) -> Self {
+        Self { back_emf: None, ..self }
+    }
+
     /// Change of the back-EMF, if it shows that weak magnets are not the reason of a lost torque: gear, clutch and
     /// brushes lose torque without a change of the back-EMF.
     pub(crate) fn sound_magnets(&self) -> Option<Level> {

@@ -5,7 +5,7 @@
 //! throws. If it names no single cause, or an uncertain one, it waits for more throws. The alarm is cleared after one
 //! of these:
 //! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the
-//!   limit;
+//!   limit; a size of the opposite sense counts as none, as after a repair that did more than restore the baseline;
 //! - likely health for 24 throws, the longest window: the size is below half of the limit, and plus two standard
 //!   deviations below the limit, as on a repaired machine whose estimates scatter;
 //! - a size below the limit for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
@@ -58,10 +58,13 @@ pub(crate) struct AlarmEvidence {
     pub(super) certain_size: f64,
     /// Number of throws to wait in addition to the on delay.
     pub(super) patience: u32,
-    /// Whether the size plus two standard deviations is below half of the limit.
+    /// Whether the size, in the sense of the alarm, plus two standard deviations is below half of the limit.
     pub(super) plain_health: bool,
-    /// Whether the size is below half of the limit, and plus two standard deviations below the limit.
+    /// Whether the size, in the sense of the alarm, is below half of the limit, and plus two standard deviations below
+    /// the limit.
     pub(super) likely_health: bool,
+    /// Whether the size in either sense is below half of the limit.
+    pub(super) is_normal: bool,
     /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(crate) below: bool,
     /// Whether another cause explains the drift.
@@ -82,8 +85,8 @@ pub(crate) enum Transition {
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The alarm ends. `is_normal`: the machine is healthy again, while otherwise the drift is below the limit only;
-    /// `at_once`: the size fell within a few throws.
+    /// The alarm ends. `is_normal`: the machine is healthy again, while otherwise the drift is below the limit only, or
+    /// has the opposite sense; `at_once`: the size fell within a few throws.
     Clear {
         is_normal: bool,
         at_once: bool,
@@ -193,7 +196,7 @@ impl Condition {
             Transition::Escalate
         } else {
             ending.update_level(evidence.latest);
-            ending.transition(settings)
+            ending.transition(evidence.is_normal, settings)
         };
         *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
         transition
@@ -255,11 +258,12 @@ impl Ending {
         self.reached >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
     }
 
-    fn transition(&mut self, settings: &Settings) -> Transition {
+    fn transition(&mut self, is_normal: bool, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
-        let is_normal = self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
-            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW));
-        if is_normal || self.below >= settings.hold_throws {
+        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
+            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
+            || self.below >= settings.hold_throws
+        {
             Transition::Clear { is_normal, at_once: self.fell_at_once() }
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw

@@ -26,7 +26,7 @@ pub(super) use course::{Course, Point};
 pub(super) use evidence::{Known, MotorEvidence};
 pub(super) use explain::Explanation;
 pub(super) use history::History;
-pub(super) use instruments::Instruments;
+pub(super) use instruments::{Instruments, KnownFault};
 use intermittent::During;
 pub(super) use intermittent::{Departure, Intermittent, IntermittentFault};
 pub(super) use latest_throw::LatestThrow;
@@ -156,8 +156,8 @@ impl Drift {
         self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
     }
 
-    /// The evidence about `cause`.
-    pub(super) fn evidence(&self, cause: Cause, settings: &Settings) -> AlarmEvidence {
+    /// The evidence about `cause`. `sense`: the sign of the change in its active alarm; 0 without one.
+    pub(super) fn evidence(&self, cause: Cause, sense: f64, settings: &Settings) -> AlarmEvidence {
         let excused = self.origin.is_instrument();
         let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         // A past fault of a sensor or the supply raises no alarm, but it ends none either.
@@ -172,13 +172,14 @@ impl Drift {
         let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
         // Fitted together with a second part, a part has another size.
         let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
-        let extent = |window: &Window| extent(cause, other_part, window, settings);
-        let (size, bound) = levels.map(extent).fold((0.0, 0.0), max_of_each);
+        let extent = |window: &Window, sense| extent((cause, sense), other_part, window, settings);
+        let of_levels = |sense| levels.clone().map(|level| extent(level, sense)).fold((0.0, 0.0), max_of_each);
+        let ((size, _), (in_sense, bound)) = (of_levels(0.0), of_levels(sense));
         let last_few = self.latest.1.as_ref();
         let latest = last_few.filter(|window| self.alarmed.contains(&cause) && window.shows(cause));
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
-        let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window).0 < deadband);
+        let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window, 0.0).0 < deadband);
         let claim = match named {
             Some(_) if self.matters() => {
                 // The next throw confirms a step, but not an outlier.
@@ -200,12 +201,13 @@ impl Drift {
             }),
             patience: named.map_or(0, |attribution| self.patience(attribution)),
             plain_health: is_shown && bound < HEALTHY_BELOW,
-            likely_health: is_shown && size < HEALTHY_BELOW && bound < 1.0,
+            likely_health: is_shown && in_sense < HEALTHY_BELOW && bound < 1.0,
+            is_normal: size < HEALTHY_BELOW,
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,
             unchecked: false,
-            latest: latest.map(|window| extent(window).0),
+            latest: latest.map(|window| extent(window, sense).0),
         }
     }
 
@@ -286,15 +288,18 @@ pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) ->
 }
 
 /// Size of `cause` in a window relative to the warning limit, and the same for the size plus two standard deviations;
-/// with `beside`, in a fit of both parts together.
-fn extent(cause: Cause, beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
+/// with `beside`, in a fit of both parts together. With a `sense`, a size of the opposite sign counts as negative, and
+/// both are at least 0.
+fn extent((cause, sense): (Cause, f64), beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
         let e = match beside {
             Some(other) => window.fit([cause, other], settings).parts[0],
             None => window.single(cause, settings),
         };
-        let bound = e.size.abs() + 2.0 * e.size_sd;
-        (settings.relevance(cause, e.size), settings.relevance(cause, bound))
+        let size = if sense == 0.0 { e.size.abs() } else { e.size * sense.signum() };
+        let relevance = |size: f64| if size > 0.0 { settings.relevance(cause, size) } else { 0.0 };
+        let own = if sense == 0.0 { settings.relevance(cause, e.size) } else { relevance(size) };
+        (own, relevance(size + 2.0 * e.size_sd))
     };
     alarm_causes(cause).filter(|part| window.shows(*part)).map(of).fold((0.0, 0.0), max_of_each)
 }

@@ -50,7 +50,7 @@ const NO_SCALE: f64 = 0.05;
 pub(crate) struct RecentThrow {
     /// Number of the throw among those of the machine. 32 bits keep the memory of a fleet small.
     #[serde(rename = "n")]
-    order: u32,
+    pub(crate) order: u32,
     #[serde(rename = "r")]
     residual: [f32; 3],
     #[serde(rename = "c")]
@@ -98,6 +98,12 @@ impl RecentThrow {
     /// The residual without temperature compensation, and the distance from the reference temperature \[K\].
     pub(crate) fn raw(&self) -> (Vector3<f64>, f64) {
         (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
+    }
+
+    /// Adds a change of the coefficients to the residual.
+    pub(crate) fn shift(&mut self, change: &Vector3<f64>) {
+        let (raw, _) = self.raw();
+        self.residual = (raw + change).map(to_f32).into();
     }
 
     /// Converts a throw of a snapshot of version 1, which stored residuals with temperature compensation.

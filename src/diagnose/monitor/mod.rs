@@ -326,6 +326,7 @@ impl MachineMonitor {
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct.into())))
             .chain(self.drift.shared_changes().map(|(cause, pct)| text::shared(&self.name, cause, pct)))
+            .chain(self.instruments.known.map(|known| text::taken_out(&self.name, known.channel, known.pct())))
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::machine(&self.name, text::ONLY_FEATURES)))
             .chain(self.operation.is_contradicted().then(|| text::machine(&self.name, text::CONTRADICTED)))

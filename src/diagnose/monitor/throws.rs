@@ -95,6 +95,10 @@ impl MachineMonitor {
             })
             .map(|throw| self.tracks.compared(throw));
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
+        if let Some((known, throws)) = self.instruments.learn_fault(step.alarms, settings) {
+            self.tracks.take_out(&known, self.order.saturating_sub(throws));
+            self.drift.forget_history();
+        }
         if let Some(throw) = &mut evaluated {
             if self.maintenance.is_none()
                 && let Some((residual, of_one_throw)) = residual.as_ref().zip(self.tracks.of_one_throw(throw.direction))
@@ -103,7 +107,8 @@ impl MachineMonitor {
             }
             let shared = residual.map_or_else(Vector3::zeros, |residual| site::shared_part(&residual, common));
             self.drift.share(&shared, settings);
-            throw.log = (Vector3::from(throw.log) - shared).into();
+            let of_sensor = self.instruments.known.map_or_else(Vector3::zeros, |known| known.effect(throw.ratios_only));
+            throw.log = (Vector3::from(throw.log) - shared - of_sensor).into();
         }
         let mut baselines_taken = Vec::new();
         if self.maintenance.is_none() {

@@ -93,6 +93,14 @@ pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
     )
 }
 
+/// Caveat about a sensor whose known fault is taken out of the coefficients.
+pub(crate) fn taken_out(name: &str, sensor: SensorChannel, pct: f64) -> String {
+    format!(
+        "Machine {name}: while the {sensor} reads or runs wrong by {pct:+.1} %, this effect is subtracted from the \
+         coefficients before parts are judged, so sizes of faults are less certain. Repair it."
+    )
+}
+
 pub(crate) fn offset_over(name: &str, sensor: Channel) -> String {
     let reads = match sensor {
         Channel::Current => "between throws the current sensor",
