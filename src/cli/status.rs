@@ -221,6 +221,10 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     let twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
+        // Another daemon may have served the machine before, and still have its last health.
+        if daemons.len() < 2 {
+            continue;
+        }
         let daemons = bus::serving(session, machine).await?;
         let names: BTreeSet<&String> = daemons.iter().collect();
         let advice = if names.len() == daemons.len() {
@@ -230,7 +234,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
         };
         sentences.push(format!("{machine} is served by {}: {advice}", daemons.join(" and ")));
     }
-    if twice.len() > MAX_ASKED {
+    if twice.len() > MAX_ASKED && !sentences.is_empty() {
         sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
     Ok(sentences)

@@ -275,6 +275,7 @@ impl Starting {
         machines.retain(|machine| monitor.reserves(machine).is_none());
         let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
         status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
+        machines.retain(|machine| subscribe.serves(machine));
         status.edit().key = subscribe.key.clone().into();
         for (key, reason, at_us) in store.reader().last_refused().await? {
             if let Some((machine, _)) = wire::parse_key(&key).ok().filter(|(machine, _)| subscribe.serves(machine)) {

@@ -305,7 +305,10 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.shared.loggers.borrow().clone();
-        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers);
+        // `subscribe.key` need not include the names of the daemon and of its sites.
+        let is_served =
+            |machine: &MachineId| config.subscribe.serves(machine) || config.monitor.reserves(machine).is_some();
+        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, is_served);
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;

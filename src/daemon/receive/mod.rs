@@ -80,7 +80,7 @@ pub(super) struct Intake {
 }
 
 impl Intake {
-    /// `machines` are those of the database.
+    /// `machines` are those of the database that this daemon serves.
     pub(super) fn new(shared: Arc<Shared>, machines: Vec<MachineId>) -> Self {
         let machines = machines.into_iter().map(|machine| (machine, LoggerSeen::default())).collect();
         Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
