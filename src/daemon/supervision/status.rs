@@ -124,12 +124,9 @@ pub struct StatusReport {
     #[serde(default)]
     pub not_served: Vec<String>,
     /// Number of loggers, of the last 32, that date their throws a day or more after this computer; 0 if they are not
-    /// the majority.
-    #[serde(default)]
+    /// the majority, or a single logger.
     pub loggers_ahead: usize,
-    /// Number of loggers, of the last 32, that date their throws a day or more before this computer, all by the same
-    /// time; 0 if they are not the majority.
-    #[serde(default)]
+    /// The same for a day or more before this computer, all by the same time.
     pub loggers_behind: usize,
     /// Messages received.
     pub received: u64,
