@@ -217,10 +217,7 @@ impl Config {
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         // First, as its errors explain more than those of zenoh's own type.
         let section = section(document)?;
-        let config: Self = document.deserialize()?;
-        check_ranges(&config, document)?;
-        check_names(&config.monitor, document)?;
-        let machines = machines(&config, document)?;
+        let config = Self::offline(document)?;
         check_web(&config.web, document)?;
         config.webhook.check(document)?;
         check_log(&config.log, document)?;
@@ -230,7 +227,20 @@ impl Config {
             let problem = format!("{address} is an address of zenoh.listen.endpoints: choose another port");
             return Err(document.error_at("web.listen", problem));
         }
-        Ok(Self { machines, zenoh: session, ..config })
+        Ok(Self { zenoh: session, ..config })
+    }
+
+    /// Checks the settings that change judgements, for a command without a daemon: its user may have no right to the
+    /// files and folders that the other settings name.
+    ///
+    /// # Errors
+    /// The first error of these settings, with file, line and key.
+    pub fn offline(document: &Document) -> Result<Self, ConfigError> {
+        let config: Self = document.deserialize()?;
+        check_ranges(&config, document)?;
+        check_names(&config.monitor, document)?;
+        let machines = machines(&config, document)?;
+        Ok(Self { machines, ..config })
     }
 }
 
