@@ -169,6 +169,12 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
+    // The replacement of a retired machine, whose every message is refused too.
+    daemon.says(0, &["retire", "north/21B", "--why", "replaced", "--by", "tester"]);
+    for _ in 0..6 {
+        publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    }
+    daemon.until_status("the machine after its removal", is_named).await;
 }
 
 /// Its throws would go to quarantine, page by page, in each round.

@@ -316,11 +316,13 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Reports consecutive invalid messages to the monitors of their machines.
+    /// Reports consecutive invalid messages to the monitors of their machines. Those of a machine without a monitor, as
+    /// after `retire`, count as those of an unknown machine, which the status lists.
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
             if !is_judged(&self.judge, &config, &machine) {
+                self.shared.status.count_invalid(machine, false, &reason, clock::monotonic());
                 continue;
             }
             let invalid = Irregularity::Invalid { count, reason: &reason };
