@@ -370,7 +370,11 @@ impl JudgeLoop {
                 missing.refused += gap.refused.min(throws);
             }
             let outcome = self.judge.monitors.report_gap(&machine, missing, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
+            let report = Outcome { reported_gaps: gaps, ..outcome };
+            // A report that the database rejects would be repeated at each tick, and would add up the same throws.
+            if !self.record(report.clone()).await? && !self.shared.stops.give_up.is_cancelled() {
+                self.record(Outcome { monitor: None, events: Vec::new(), ..report }).await?;
+            }
         }
         Ok(())
     }
@@ -500,8 +504,8 @@ impl JudgeLoop {
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
-            let text = "the database did not store the command. It is in effect, but is missing in operator_commands: look in \
-                        the log";
+            let text = "the database did not store the command. It may hold until the next start only, and is missing in \
+                        operator_commands: look in the log";
             return Err(NotApplied::Refused(text.to_owned()));
         }
         tracing::info!(%machine, command = wire::json(command), "operator's command applied");
