@@ -185,10 +185,10 @@ impl Intake {
         has_queryable || !seen.had_queryable
     }
 
-    /// The known machines whose loggers never had a token.
+    /// The known machines whose loggers have no token now. A logger that lost its token may go on without it.
     fn without_token(&self) -> Vec<MachineId> {
         let loggers = self.shared.loggers.borrow();
-        self.machines.lock().keys().filter(|machine| !loggers.had_token(machine)).cloned().collect()
+        self.machines.lock().keys().filter(|machine| !loggers.alive.contains(*machine)).cloned().collect()
     }
 
     /// Whether a throw of a machine was ever received.
