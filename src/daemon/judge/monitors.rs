@@ -48,7 +48,8 @@ pub(crate) struct Monitors {
     of_machines: BTreeMap<MachineId, Box<MachineMonitor>>,
     /// Machines whose stored monitor may differ from the monitor in memory. They are stored again at the next tick.
     to_store: HashSet<MachineId>,
-    /// The disconnections of loggers that the monitors know: each is applied once, as a logger may go on without token.
+    /// The last loss of its token that each monitor knows. A loss is applied once: the logger may go on without a token,
+    /// and must not be announced again.
     gone_before: HashMap<MachineId, Instant>,
     /// Number of ticks since the start, modulo [`TICKS_AN_HOUR`].
     ticks: u64,
@@ -261,8 +262,8 @@ impl Monitors {
         now: Timestamp,
         settings: &Settings,
         loggers: &Loggers,
-    ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         is_served: impl Fn(&MachineId) -> bool,
+    ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
         self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
         let served = self.of_machines.iter_mut().filter(|(machine, _)| is_served(machine));

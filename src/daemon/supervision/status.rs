@@ -232,7 +232,7 @@ impl Status {
         let refused = self.machines_refused.shown().map(|refused| {
             format!(
                 "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
-                 {max_machines}. Look in the quarantine who sends them"
+                 {max_machines}. The view quarantined_messages shows the senders"
             )
         });
         // Without a number: each new number would be a new alarm event, which the database may reject too.
@@ -250,7 +250,7 @@ impl Status {
         let dropped_messages = at_least(&self.dropped).map(|at_least| {
             let text = format!(
                 "at least {at_least} dropped since the start, as more arrived than could be stored. The throws are fetched \
-                 from the backlogs of the loggers where possible. Look in the log who sends so many"
+                 from the backlogs of the loggers where possible. The log names the keys"
             );
             (Severity::Warning, text)
         });
