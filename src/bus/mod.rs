@@ -19,7 +19,7 @@ pub(crate) use backlog::{has_queryable, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::Message;
-pub(crate) use operator::{ANSWER_TIMEOUT, command, is_running, monitors, require_monitored, require_running, serving};
+pub(crate) use operator::{ANSWER_TIMEOUT, command, monitors, require_monitored, require_running, serving};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
 pub(crate) use presence::watch_tokens;

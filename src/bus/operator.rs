@@ -11,7 +11,7 @@ use zenoh::{
 use super::error::BusError;
 use crate::{
     throw::MachineId,
-    wire::{CommandTarget, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
+    wire::{CommandTarget, EVERY_MONITOR_ALIVE, Kind, machine_key, parse_monitor_key},
 };
 
 /// Time until a query of an operator fails: longer than a daemon takes for a batch of throws before it replies.
@@ -181,18 +181,18 @@ pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Ve
     Ok(daemons.map(|daemon| daemon.monitor).collect())
 }
 
-/// Whether a daemon of this name runs.
-pub(crate) async fn is_running(session: &Session, monitor: &MachineId) -> Result<bool, OperatorError> {
-    Ok(!alive(session, &monitor_alive_key(monitor)).await?.is_empty())
-}
-
-/// The names of the running daemons, from their liveliness tokens.
+/// The names of the running daemons: those that have a liveliness token here.
 ///
 /// # Errors
 /// When zenoh refuses the query.
 pub(crate) async fn monitors(session: &Session) -> Result<Vec<MachineId>, OperatorError> {
-    let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
-    Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).collect())
+    let asked = session.liveliness().get(EVERY_MONITOR_ALIVE).await;
+    let tokens = asked.map_err(BusError::new("ask for liveliness tokens"))?;
+    let mut monitors = Vec::new();
+    while let Ok(reply) = tokens.recv_async().await {
+        monitors.extend(reply.result().ok().and_then(|token| parse_monitor_key(token.key_expr())));
+    }
+    Ok(monitors)
 }
 
 /// Checks that the daemon `expected` runs behind this session.
@@ -213,24 +213,15 @@ pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> 
 /// Distinguishes "no alarms" from "not monitored by any daemon": checks that a daemon runs and, if a machine is given,
 /// that a daemon knows it.
 pub(crate) async fn require_monitored(session: &Session, machine: Option<&MachineId>) -> Result<(), OperatorError> {
-    if monitors(session).await?.is_empty() {
+    let running = monitors(session).await?;
+    if running.is_empty() {
         return Err(OperatorError::NoDaemon);
     }
     let Some(machine) = machine else { return Ok(()) };
     let health = ask(session, &machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
-    if health.is_empty() && !is_running(session, machine).await? {
+    if health.is_empty() && !running.contains(machine) {
         return Err(OperatorError::Unknown(machine.clone()));
     }
     Ok(())
-}
-
-/// The keys of the liveliness tokens on a key expression.
-async fn alive(session: &Session, key: &str) -> Result<Vec<String>, OperatorError> {
-    let replies = session.liveliness().get(key).await.map_err(BusError::new("ask for liveliness tokens"))?;
-    let mut keys = Vec::new();
-    while let Ok(reply) = replies.recv_async().await {
-        keys.extend(reply.result().ok().map(|token| token.key_expr().to_string()));
-    }
-    Ok(keys)
 }

@@ -80,7 +80,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
-        if is_history && arguments.limit.is_none() && found.len() >= MAX_HISTORY as usize {
+        if is_history && (arguments.limit.is_none() || selects(arguments)) && found.len() >= MAX_HISTORY as usize {
             terminal::complain(format_args!(
                 "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
                 found.len()
@@ -107,8 +107,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (reports, _) = operator::values::<StatusReport>(&daemons);
                 let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();
                 let (health, _) = operator::values(&health);
-                let is_selected = arguments.cause.is_some() || arguments.severity.is_some();
-                let none = if is_selected { "no alarms with this cause and severity" } else { "no alarms" };
+                let none = if selects(arguments) { "no alarms with this cause and severity" } else { "no alarms" };
                 print_open(&alarms, &operator::answered(&daemons), &health, &windows, arguments.all, none)?;
             } else {
                 print_events(&alarms)?;
@@ -118,6 +117,12 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         output::after(print(), if is_negative { Exit::Negative } else { Exit::Ok })
     })
+}
+
+/// Whether only some causes or severities are requested. A query cannot select them: the daemon then sends all events,
+/// up to its own limit, and this command selects and limits.
+fn selects(arguments: &Arguments) -> bool {
+    arguments.cause.is_some() || arguments.severity.is_some()
 }
 
 fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
@@ -133,10 +138,7 @@ fn key(machine: Option<&MachineId>, kind: Kind) -> String {
 fn selector(arguments: &Arguments) -> String {
     let key = key(arguments.machine.as_ref(), Kind::Alarm);
     let since = arguments.since.map(|since| format!("since={since}"));
-    // A query cannot select by cause or severity. The daemon then sends all events, and this command selects and
-    // limits.
-    let selects = arguments.cause.is_some() || arguments.severity.is_some();
-    let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
+    let limit = arguments.limit.filter(|_| !selects(arguments)).unwrap_or(MAX_HISTORY);
     match (since, arguments.limit) {
         (None, None) => key,
         (Some(since), _) => format!("{key}?{since};limit={limit}"),

@@ -33,7 +33,7 @@ pub(super) struct Arguments {
     /// Seed of the whole run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Simulate only a tenth of all lives of machines.
+    /// Simulate only a tenth of the lives of machines (a quarter in the section about the budget).
     #[arg(long)]
     quick: bool,
     /// Number of threads [default: number of cores].

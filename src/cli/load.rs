@@ -6,7 +6,8 @@ use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, operator::Connection, output, simulate_run};
 use crate::{
-    logger::{LoadResult, LoadTest, quantile},
+    evaluate::quantile,
+    logger::{LoadResult, LoadTest},
     throw::{MachineId, Name, counted},
 };
 

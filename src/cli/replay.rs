@@ -13,7 +13,10 @@ use serde::Serialize;
 
 use super::{Exit, Failure, Outcome, ResultExt as _, database, output, runtime};
 use crate::{
-    daemon::{Offline, config::Config},
+    daemon::{
+        Offline,
+        config::{Config, Document},
+    },
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::{MachineId, counted},
@@ -39,7 +42,7 @@ const BATCH: u32 = 16;
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
 pub(super) struct Arguments {
-    /// The changed configuration.
+    /// The changed configuration. Files that it names for the dashboard, the webhook and zenoh are not read.
     #[arg(long, value_name = "NEW")]
     config: PathBuf,
     /// The database with the stored throws [default: that of the configuration].
@@ -88,7 +91,8 @@ struct Report {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let mut config = Config::load(Some(&arguments.config)).or_exit(Exit::Config)?;
+    let document = Document::read(&arguments.config).or_exit(Exit::Config)?;
+    let mut config = Config::offline(&document).or_exit(Exit::Config)?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
     let into = arguments.into.clone().unwrap_or_else(|| beside(&from, ".replay"));
     require(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;

@@ -39,10 +39,9 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, dropped or lost messages), a
-/// machine or all machines of a site have an alarm, a machine is not monitored, in maintenance or served by several
-/// daemons, or an alarm is shelved; 64 an option is wrong; 69 no daemon answers, or no machine of --site is known; 78
-/// the file of --config is invalid.
+/// Exit codes: 0 no problem; 1 a daemon has a problem (first below its name), a machine or all machines of a site have
+/// an alarm, a machine is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an
+/// option is wrong; 69 no daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
                         pointsd status --connect tcp/cabinet-7:7447 --json")]
@@ -222,6 +221,10 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
         let daemons = bus::serving(session, machine).await?;
+        // Another daemon may have served the machine before, and still have its last health.
+        if daemons.len() < 2 {
+            continue;
+        }
         let names: BTreeSet<&String> = daemons.iter().collect();
         let advice = if names.len() == daemons.len() {
             "correct subscribe.key of all but one"
@@ -230,7 +233,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
         };
         sentences.push(format!("{machine} is served by {}: {advice}", daemons.join(" and ")));
     }
-    if twice.len() > MAX_ASKED {
+    if twice.len() > MAX_ASKED && !sentences.is_empty() {
         sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
     Ok(sentences)

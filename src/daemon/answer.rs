@@ -14,6 +14,10 @@ use crate::{
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
+/// The reply to a query for the history whose limit would be applied before [`messages`] filters.
+const NO_PATTERN: &str =
+    "the key expression of a query for the history must be that of machines, with `**` at most once";
+
 /// Answers one kind of queries.
 pub(super) enum Responder {
     /// To health queries.
@@ -47,7 +51,9 @@ impl Responder {
     async fn replies(&self, question: &Query, arrived: Instant) -> Replies {
         match self {
             Self::Health(reader) => health_replies(question, reader).await,
-            Self::Alarms { elsewhere: Some(elsewhere), .. } if asks_about(question, elsewhere) => Ok(Vec::new()),
+            Self::Alarms { elsewhere: Some(elsewhere), .. } if bus::intersect(question.key_expr(), elsewhere) => {
+                Ok(Vec::new())
+            }
             Self::Alarms { reader, status, .. } => alarm_replies(question, reader, status).await,
             Self::Commands { .. } if is_about_others(question) => Ok(Vec::new()),
             Self::Commands { sender, itself } => {
@@ -69,11 +75,6 @@ impl Responder {
     }
 }
 
-/// Whether the key expression of a query includes `key`.
-fn asks_about(question: &Query, key: &str) -> bool {
-    bus::intersect(question.key_expr(), key)
-}
-
 /// Whether a query on a wildcard as `points/v1/north/21B/*` is no command, as it has no payload. Health and alarms
 /// answer it.
 fn is_about_others(question: &Query) -> bool {
@@ -82,8 +83,10 @@ fn is_about_others(question: &Query) -> bool {
 
 async fn health_replies(question: &Query, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters().as_str())? {
-        HistoryQuery::Current => reader.latest_health(&selector(question)).await,
-        HistoryQuery::History { since, limit } => reader.health_history(&past(question)?, since, limit).await,
+        HistoryQuery::Current => reader.latest_health(&patterns(question).unwrap_or_default()).await,
+        HistoryQuery::History { since, limit } => {
+            reader.health_history(&patterns(question).ok_or(NO_PATTERN)?, since, limit).await
+        }
     };
     let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(&health));
     messages(question, rows, message)
@@ -91,10 +94,13 @@ async fn health_replies(question: &Query, reader: &Reader) -> Replies {
 
 async fn alarm_replies(question: &Query, reader: &Reader, status: &Status) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters().as_str())? {
-        HistoryQuery::Current => {
-            reader.open_alarms(&selector(question)).await.map(|stored| status.with_uncommitted(stored))
+        HistoryQuery::Current => reader
+            .open_alarms(&patterns(question).unwrap_or_default())
+            .await
+            .map(|stored| status.with_uncommitted(stored)),
+        HistoryQuery::History { since, limit } => {
+            reader.alarm_history(&patterns(question).ok_or(NO_PATTERN)?, since, limit).await
         }
-        HistoryQuery::History { since, limit } => reader.alarm_history(&past(question)?, since, limit).await,
     };
     let message = |alarm: Alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message());
     messages(question, rows, message)
@@ -107,7 +113,7 @@ fn messages<T>(
     message: impl Fn(T) -> (String, Vec<u8>),
 ) -> Replies {
     let rows = rows.map_err(|error| format!("the daemon cannot answer: {error}"))?;
-    Ok(rows.into_iter().map(message).filter(|(key, _)| asks_about(question, key)).collect())
+    Ok(rows.into_iter().map(message).filter(|(key, _)| bus::intersect(question.key_expr(), key)).collect())
 }
 
 async fn command_reply(question: &Query, arrived: Instant, sender: &CommandSender, itself: &CommandTarget) -> Replies {
@@ -122,18 +128,8 @@ async fn command_reply(question: &Query, arrived: Instant, sender: &CommandSende
     Ok(vec![(key, wire::json_bytes(&reply))])
 }
 
-/// Selects the machines of a query for the history. Its limit is applied before [`messages`] filters, so each key
-/// expression must be a pattern.
-fn past(question: &Query) -> Result<Selector, String> {
-    let patterns = wire::machine_patterns(question.key_expr());
-    let [site, machine] = patterns
-        .ok_or("the key expression of a query for the history must be that of machines, with `**` at most once")?;
-    Ok(Selector { site, machine })
-}
-
-/// Selects the machines of a query. A key expression that is no pattern of SQLite selects all machines; [`messages`]
-/// then filters their replies.
-fn selector(question: &Query) -> Selector {
-    wire::machine_patterns(question.key_expr())
-        .map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
+/// Selects the machines of a query. `None` if its key expression is no pattern of SQLite: a query without a limit then
+/// selects all machines, and [`messages`] filters their replies.
+fn patterns(question: &Query) -> Option<Selector> {
+    wire::machine_patterns(question.key_expr()).map(|[site, machine]| Selector { site, machine })
 }

@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use jiff::{SignedDuration, Timestamp, Unit};
+use jiff::{SignedDuration, Timestamp};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 /// Wall time, for records and texts only, as it may jump.
@@ -12,9 +12,10 @@ pub(crate) fn now() -> Timestamp {
     Timestamp::now()
 }
 
-/// The end of a window of this `length` that begins `now`, rounded to a whole second for people.
+/// The end of a window of this `length` that begins `now`, at a whole second for people. The window is not longer than
+/// `length`, which may be the longest that a command allows.
 pub(crate) fn end_of_window(now: Timestamp, length: SignedDuration) -> Result<Timestamp, jiff::Error> {
-    now.checked_add(length)?.round(Unit::Second)
+    Timestamp::from_second(now.checked_add(length)?.as_second())
 }
 
 /// Ticks with this period, the first at once. Ticks that were missed are left out: after an hour in which a loop waited
@@ -37,6 +38,13 @@ mod tests {
     use futures_util::FutureExt;
 
     use super::*;
+
+    #[test]
+    fn a_window_is_not_longer_than_its_length() {
+        let now: Timestamp = "2026-05-04T10:11:12.7Z".parse().unwrap();
+        let end = end_of_window(now, SignedDuration::from_hours(744)).unwrap();
+        assert_eq!(end.to_string(), "2026-06-04T10:11:12Z");
+    }
 
     #[tokio::test]
     async fn missed_ticks_are_left_out() {

@@ -148,11 +148,11 @@ impl Daemon {
         start.tasks.spawn("retention", retention::run(store.clone(), last_received));
         start.tasks.spawn("watchdog", watchdog::watch(Arc::clone(&shared)));
         let own = at_start.monitor.as_machine();
-        match bus::is_running(session, &own).await {
-            Ok(true) => tracing::warn!(
+        match bus::monitors(session).await {
+            Ok(running) if running.contains(&own) => tracing::warn!(
                 "another daemon with the name {own} is connected: give each its own monitor.site and monitor.id, or stop one"
             ),
-            Ok(false) => {}
+            Ok(_) => {}
             Err(error) => tracing::debug!(%error, "looking for a daemon of the same name failed"),
         }
         let alive = bus::declare_alive(session, &monitor_alive_key(&own)).await?;
@@ -275,6 +275,7 @@ impl Starting {
         machines.retain(|machine| monitor.reserves(machine).is_none());
         let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
         status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
+        machines.retain(|machine| subscribe.serves(machine));
         status.edit().key = subscribe.key.clone().into();
         for (key, reason, at_us) in store.reader().last_refused().await? {
             if let Some((machine, _)) = wire::parse_key(&key).ok().filter(|(machine, _)| subscribe.serves(machine)) {

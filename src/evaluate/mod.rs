@@ -78,6 +78,7 @@ mod weather;
 
 pub use picture::picture;
 pub use plan::{Amount, Outcome, Plan};
+pub(crate) use report::quantile;
 pub use report::{Budget, Healthy, Report, Row, Tally};
 pub use scatter::Scatter;
 pub use scenario::{Depth, Growth, Noise};

@@ -48,7 +48,7 @@ impl Amount {
         fleet_throws: 200_000,
         budget_lives: 400,
     };
-    /// About a tenth of [`Self::FULL`].
+    /// A tenth of [`Self::FULL`]; a quarter of the lives in the budget section.
     pub const QUICK: Self = Self {
         trials: 50,
         trace_trials: 2,

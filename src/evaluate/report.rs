@@ -162,17 +162,17 @@ impl Tally {
             }
         }
         delays.sort_unstable();
-        tally.delay_median = quantile(&delays, 0.5);
-        tally.delay_p95 = quantile(&delays, 0.95);
+        [tally.delay_median, tally.delay_p95] =
+            [0.5, 0.95].map(|share| quantile(&delays, share).map(|delay| delay as f64));
         tally
     }
 }
 
 /// Quantile of sorted values: the smallest value such that at least this share of the values is not larger.
-fn quantile(sorted: &[usize], share: f64) -> Option<f64> {
+pub(crate) fn quantile<T: Copy>(sorted: &[T], share: f64) -> Option<T> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count, at least 1")]
     let rank = (share * sorted.len() as f64).ceil().max(1.0) as usize;
-    sorted.get(rank - 1).map(|&delay| delay as f64)
+    sorted.get(rank - 1).copied()
 }
 
 /// Serializes the tally of a comparator. An alarm without a name counts as missed.

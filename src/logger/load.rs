@@ -74,13 +74,6 @@ pub struct LoadResult {
     pub behind: Duration,
 }
 
-/// The quantile of sorted latencies at the share `share` (0 to 1); `None` without latencies.
-pub fn quantile(latencies: &[Duration], share: f64) -> Option<Duration> {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
-    let rank = (share * latencies.len() as f64).ceil() as usize;
-    latencies.get(rank.max(1) - 1).copied()
-}
-
 /// The published throws whose message has not been received yet, and the latencies of the others.
 #[derive(Default)]
 struct Tracking {

@@ -24,7 +24,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
 pub use error::LoggerError;
-pub use load::{LoadResult, LoadTest, quantile};
+pub use load::{LoadResult, LoadTest};
 pub use settings::LoggerSettings;
 
 use crate::{

@@ -98,6 +98,8 @@ impl FleetClimate {
         self.check_ranges()?;
         let swing_k = self.daily_swing_k + self.yearly_swing_k;
         let [coldest_c, hottest_c] = TEMPERATURES_C;
+        If(2.0 * swing_k <= hottest_c - coldest_c, "at most 70 K together with yearly_swing_k")
+            .check("daily_swing_k", self.daily_swing_k)?;
         Within(coldest_c + swing_k, hottest_c - swing_k, "°C with these swings").check("mean_c", self.mean_c)
     }
 

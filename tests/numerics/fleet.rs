@@ -239,4 +239,7 @@ fn settings_are_checked_and_read_from_toml_without_unknown_keys() {
     let hot = FleetClimate { mean_c: 50.0, daily_swing_k: 40.0, ..FleetClimate::default() };
     let error = FleetSettings { climate: hot, ..FleetSettings::default() }.check().unwrap_err();
     assert_eq!(error.to_string(), "climate.mean_c is 50, must be -20 to 40 °C with these swings");
+    let wild = FleetClimate { daily_swing_k: 40.0, yearly_swing_k: 40.0, ..FleetClimate::default() };
+    let error = FleetSettings { climate: wild, ..FleetSettings::default() }.check().unwrap_err();
+    assert_eq!(error.to_string(), "climate.daily_swing_k is 40, must be at most 70 K together with yearly_swing_k");
 }

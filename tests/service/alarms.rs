@@ -100,6 +100,24 @@ async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_onl
     assert!(events[0]["text"].as_str().unwrap().contains("3 throws never arrived"), "{events:?}");
 }
 
+/// Each repetition would add up the same throws. A trigger stands for a schema that another program has changed.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn missing_throws_whose_alarm_the_database_rejects_are_reported_once() {
+    let (rig, daemon) = Rig::running();
+    rig.change(
+        "CREATE TRIGGER reject BEFORE INSERT ON alarm \
+         WHEN NEW.machine_row = (SELECT machine_row FROM machine WHERE machine = '21B') \
+         BEGIN SELECT RAISE(ABORT, 'no such machine'); END",
+    )
+    .await;
+    let logger = daemon.logger(KEY).await;
+    logger.send([1, 5].map(|number| stub("boot", number))).await;
+    daemon.until_status("the rejection", |status| status["alarm_events_lost"] == 1).await;
+    // The next tick.
+    tokio::time::sleep(std::time::Duration::from_secs(6)).await;
+    assert_eq!(daemon.status()["alarm_events_lost"], 1);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer() {
     // A daemon with its own name outside its part of the fleet.

@@ -169,6 +169,12 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
+    // The replacement of a retired machine, whose every message is refused too.
+    daemon.says(0, &["retire", "north/21B", "--why", "replaced", "--by", "tester"]);
+    for _ in 0..6 {
+        publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    }
+    daemon.until_status("the machine after its removal", is_named).await;
 }
 
 /// Its throws would go to quarantine, page by page, in each round.
@@ -242,6 +248,21 @@ async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_toke
     .await;
     let _daemon = rig.start();
     rig.judged(6).await;
+}
+
+/// The logger makes a throw available that it did not publish.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_logger_that_goes_on_without_its_token_is_queried_now_and_then() {
+    let (rig, daemon) = Rig::running();
+    let logger = daemon.logger(KEY).await;
+    logger.send([stub("boot", 1)]).await;
+    rig.judged(1).await;
+    let token = logger.session.liveliness().declare_token(ALIVE).await.unwrap();
+    daemon.until_status("the token", |status| status["loggers"] == 1).await;
+    token.undeclare().await.unwrap();
+    daemon.until_status("no token", |status| status["loggers"] == 0).await;
+    keep(&logger.session, KEY, vec![(id(2), encode_throw(Encoding::Cbor, &stub("boot", 2)))]).await;
+    rig.judged(2).await;
 }
 
 /// The link closes after the first live throw, so the queries for the missing throw end without a reply. Nothing but the

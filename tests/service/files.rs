@@ -11,9 +11,9 @@ use pointsd::throw::Throw;
 use sqlx::{Connection as _, Executor as _, sqlite::SqliteLockingMode};
 
 use crate::{
-    http::small_history,
+    http::{KEY, small_history},
     operators::daemon_with_alarm,
-    rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, throws},
+    rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, stub, throws},
 };
 
 type Row = std::collections::HashMap<String, String>;
@@ -157,6 +157,30 @@ fn a_trace_goes_through_a_pipe() {
     identify.stdin.take().unwrap().write_all(&made.stdout).unwrap();
     let found = identify.wait_with_output().unwrap();
     assert!(found.status.success() && String::from_utf8_lossy(&found.stdout).contains("95 % interval"), "{found:?}");
+}
+
+/// The files that a daemon uses may be readable for the daemon only.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_replay_does_not_need_the_files_of_the_daemon() {
+    let (rig, daemon) = Rig::running();
+    daemon.logger(KEY).await.send([stub("boot", 1)]).await;
+    rig.judged(1).await;
+    daemon.terminate();
+    let private = "[webhook]\nurl = \"https://a/\"\nca_file = \"/no/such/file\"\n\
+                   [zenoh.transport.link.tls]\nroot_ca_certificate = \"/no/such/file\"";
+    let config = Rig::with(private).in_folder(rig.folder()).write_config();
+    let database = rig.database();
+    let replay = |into: &str| {
+        let mut command = pointsd(&["replay", "--from"]);
+        command.arg(&database).arg("--into").arg(rig.folder().join(into)).arg("--config");
+        command
+    };
+    let said = ends(0, replay("private.db").arg(&config));
+    assert!(said.contains("1 throw run again"), "{said}");
+    fs::write(&config, "[store]\npath = \"/no/such/folder/points.db\"").unwrap();
+    ends(0, replay("elsewhere.db").arg(&config));
+    fs::write(&config, "[diagnosis]\nmodel_error = 7").unwrap();
+    ends(78, replay("wrong.db").arg(&config));
 }
 
 /// Commands that only read a database, such as an old backup, do not migrate it.

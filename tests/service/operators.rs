@@ -345,6 +345,16 @@ async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_t
     }
     // A daemon sends at most 10,000 events.
     daemon.says(64, &["alarms", "--limit", "20000"]);
+    let (key, one) = ("points/v1/east/m3/alarm", event(13, "warning"));
+    let on_query = move |query: zenoh::query::Query| {
+        let limit = query.parameters().get("limit").map_or(0, |limit| limit.parse().unwrap());
+        (0..limit).for_each(|_| query.reply(key, one.clone()).wait().unwrap());
+    };
+    session.declare_queryable(key).callback(on_query).background().await.unwrap();
+    for (arguments, is_warned) in [(&["--severity", "critical"][..], true), (&[], false)] {
+        let text = daemon.says(0, &[&["alarms", "--limit", "1"], arguments].concat());
+        assert_eq!(text.contains("older ones may be missing"), is_warned, "{arguments:?}: {text}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,12 +1,14 @@
 //! A region: a router, and four daemons behind it, each of which serves a site.
 
-use std::fs;
+use std::{fs, time::Duration};
 
+use pointsd::wire;
 use zenoh::Session;
 
 use crate::{
-    http::KEY,
-    rig::{PATIENCE, Rig, Sender, client_of, ends, listen, next, pointsd, throws, until},
+    backlogs::keep,
+    http::{ALIVE, KEY},
+    rig::{PATIENCE, Rig, Sender, client_of, ends, listen, next, pointsd, stub, throws, until},
 };
 
 const SITES: [&str; 4] = ["east", "north", "south", "west"];
@@ -124,6 +126,41 @@ async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup
     assert_eq!(history.iter().map(|health| health.throw.throw_no).collect::<Vec<_>>(), [1, 2]);
     until_machines(&session, &SITES).await;
     assert!(alarms.try_recv().unwrap().is_none(), "an alarm without a fault");
+}
+
+/// The first daemon would continue the alarms of a machine that another daemon serves now.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_that_moved_to_another_daemon_is_left_to_it() {
+    let (_router, endpoint) = router().await;
+    let first = Rig::new().behind(&endpoint);
+    let daemon = first.start();
+    let session = client_of(&endpoint).await;
+    let token = session.liveliness().declare_token(ALIVE).await.unwrap();
+    Sender::of(&session, KEY).await.send([stub("boot", 1)]).await;
+    first.judged(1).await;
+    first.until_sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"logger\":\"there\"%'").await;
+    daemon.terminate();
+
+    let other = Rig::with("[monitor]\nid = \"north\"\n[subscribe]\nkey = \"points/v1/north/**\"").behind(&endpoint);
+    let _other = other.start();
+    let kept = [1, 2].map(|throw_no| {
+        let throw = stub("boot", throw_no);
+        (throw.id.clone(), wire::encode_throw(wire::Encoding::Cbor, &throw))
+    });
+    keep(&session, KEY, kept.to_vec()).await;
+    Sender::of(&session, KEY).await.send([stub("boot", 3)]).await;
+    other.judged(3).await;
+    let south = "[subscribe]\nkey = \"points/v1/south/**\"\n[diagnosis]\nlogger_gone_minutes = 0.01";
+    let narrowed = Rig::with(south).behind(&endpoint).in_folder(first.folder());
+    let _narrowed = narrowed.start();
+    // Two ticks, and the first rounds in which loggers without a token are queried.
+    tokio::time::sleep(Duration::from_secs(7)).await;
+    let said = ends(1, &mut pointsd(&["status", "--connect", &endpoint]));
+    let is_served_twice = said.contains("north/21B is served by");
+    let alarm_events = first.number("SELECT count(*) FROM alarm_events");
+    assert_eq!((first.history().await.len(), alarm_events, is_served_twice), (1, 0, false), "{said}");
+    assert!(said.contains("NOT SERVED: north/21B"), "{said}");
+    drop(token);
 }
 
 /// Their alarms would stay open for ever, and no command could end them.

@@ -17,7 +17,7 @@ use tokio_rustls::rustls::{
 };
 
 use crate::{
-    http::{address, get},
+    http::{self, address, get},
     operators::logger,
     rig::{Daemon, PATIENCE, Program, Rig, ends, free_address, has},
 };
@@ -367,7 +367,17 @@ fn an_alarm_becomes_a_mail() {
     let mut receiver = Program(Command::new(script).args(arguments).stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(receiver.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let rig = rig(&format!("http://{host}:{}/", line.trim().rsplit(' ').next().unwrap()), "");
+    let receiver_at = format!("{host}:{}", line.trim().rsplit(' ').next().unwrap());
+    let post = |alarm: &str| {
+        let length = alarm.len();
+        http::Answer::to(&receiver_at, &format!("POST / HTTP/1.0\r\nContent-Length: {length}\r\n\r\n{alarm}")).status
+    };
+    // A text with a boot_id of a logger, and a text that no e-mail can have.
+    assert_eq!(post("{\"severity\": \"warning\", \"text\": \"Machine\u{2028}north/1:\u{85}\\r\\nworn\"}"), 204);
+    let text = mails.recv_timeout(PATIENCE).unwrap();
+    assert!(text.contains("Subject: [warning] Machine north/1: worn"), "{text}");
+    assert_eq!(post("{\"text\": \"\\ud800\"}"), 400);
+    let rig = rig(&format!("http://{receiver_at}/"), "");
     let daemon = rig.start();
     weak_motor(&daemon);
     // The alarm may begin as a warning.

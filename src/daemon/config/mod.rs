@@ -207,7 +207,7 @@ impl Config {
             .then(|| "[web]: has no effect without web.listen".to_owned());
         let webhook = (self.webhook.url.is_none() && self.webhook != Webhook::default())
             .then(|| "[webhook]: has no effect without webhook.url".to_owned());
-        other.chain(web).chain(webhook).chain(self.log.without_effect()).collect()
+        other.chain(web).chain(webhook).collect()
     }
 
     /// Checks a document.
@@ -217,10 +217,7 @@ impl Config {
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         // First, as its errors explain more than those of zenoh's own type.
         let section = section(document)?;
-        let config: Self = document.deserialize()?;
-        check_ranges(&config, document)?;
-        check_names(&config.monitor, document)?;
-        let machines = machines(&config, document)?;
+        let config = Self::offline(document)?;
         check_web(&config.web, document)?;
         config.webhook.check(document)?;
         check_log(&config.log, document)?;
@@ -230,7 +227,20 @@ impl Config {
             let problem = format!("{address} is an address of zenoh.listen.endpoints: choose another port");
             return Err(document.error_at("web.listen", problem));
         }
-        Ok(Self { machines, zenoh: session, ..config })
+        Ok(Self { zenoh: session, ..config })
+    }
+
+    /// Checks the settings that change judgements, for a command without a daemon: its user may have no right to the
+    /// files and folders that the other settings name.
+    ///
+    /// # Errors
+    /// The first error of these settings, with file, line and key.
+    pub fn offline(document: &Document) -> Result<Self, ConfigError> {
+        let config: Self = document.deserialize()?;
+        check_ranges(&config, document)?;
+        check_names(&config.monitor, document)?;
+        let machines = machines(&config, document)?;
+        Ok(Self { machines, ..config })
     }
 }
 
@@ -324,29 +334,6 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
         return Err(document.error_at("web.token", problem));
     }
     Ok(())
-}
-
-/// Other crates that write log lines; those of zenoh begin with its name. A directive applies to every module whose path
-/// begins with its own.
-const LOGGING_CRATES: [&str; 6] = ["zenoh", "sqlx", "hyper", "rustls", "tokio", "axum"];
-
-impl Log {
-    /// Warnings about directives for modules that do not exist.
-    fn without_effect(&self) -> impl Iterator<Item = String> {
-        let modules = self.level.split(',').filter_map(|part| part.split_once('=')).map(|(module, _)| module);
-        modules.filter(|module| !is_module(module)).map(|module| {
-            format!(
-                "log.level: {module:?} has no effect, as no module of this program begins with it; modules are \
-                 pointsd::daemon, pointsd::store or zenoh, for example"
-            )
-        })
-    }
-}
-
-fn is_module(path: &str) -> bool {
-    let own = include_str!("../../lib.rs").lines().filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
-    let mut all = own.map(|module| format!("pointsd::{module}")).chain(LOGGING_CRATES.map(str::to_owned));
-    all.any(|known| known.starts_with(path) || path.starts_with(&known))
 }
 
 /// Checks the `[log]` section.

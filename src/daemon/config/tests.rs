@@ -210,23 +210,6 @@ fn a_section_that_is_off_is_warned_about() {
 }
 
 #[test]
-fn a_log_level_for_a_module_that_does_not_exist_is_warned_about() {
-    let level = |level: &str| load(&format!("[log]\nlevel = {level:?}")).unwrap().warnings();
-    for fine in
-        ["warn", "info,zenoh=debug", "zenoh_link_tls=trace", "pointsd=debug,sqlx=info", "pointsd::store::writer=debug"]
-    {
-        assert_eq!(level(fine), [""; 0], "{fine}");
-    }
-    for (wrong, module) in [("info,pointd=debug", "pointd"), ("pointsd::receive=debug", "pointsd::receive")] {
-        let warnings = level(wrong);
-        assert!(
-            matches!(&warnings[..], [one] if one.starts_with(&format!("log.level: {module:?} has no effect"))),
-            "{warnings:?}"
-        );
-    }
-}
-
-#[test]
 fn a_command_that_reads_some_sections_refuses_an_unknown_one() {
     let check = |text: &str| check_sections(&Document::parse(Path::new("x.toml"), text.to_owned()).unwrap());
     assert_eq!(check(&shipped()), Ok(()));

@@ -305,7 +305,10 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.shared.loggers.borrow().clone();
-        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers);
+        // `subscribe.key` need not include the names of the daemon and of its sites.
+        let is_served =
+            |machine: &MachineId| config.subscribe.serves(machine) || config.monitor.reserves(machine).is_some();
+        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, is_served);
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
@@ -313,11 +316,13 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Reports consecutive invalid messages to the monitors of their machines.
+    /// Reports consecutive invalid messages to the monitors of their machines. Those of a machine without a monitor, as
+    /// after `retire`, count as those of an unknown machine, which the status lists.
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
             if !is_judged(&self.judge, &config, &machine) {
+                self.shared.status.count_invalid(machine, false, &reason, clock::monotonic());
                 continue;
             }
             let invalid = Irregularity::Invalid { count, reason: &reason };
@@ -365,7 +370,11 @@ impl JudgeLoop {
                 missing.refused += gap.refused.min(throws);
             }
             let outcome = self.judge.monitors.report_gap(&machine, missing, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
+            let report = Outcome { reported_gaps: gaps, ..outcome };
+            // A report that the database rejects would be repeated at each tick, and would add up the same throws.
+            if !self.record(report.clone()).await? && !self.shared.stops.give_up.is_cancelled() {
+                self.record(Outcome { monitor: None, events: Vec::new(), ..report }).await?;
+            }
         }
         Ok(())
     }
@@ -495,8 +504,8 @@ impl JudgeLoop {
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
-            let text = "the database did not store the command. It is in effect, but is missing in operator_commands: look in \
-                        the log";
+            let text = "the database did not store the command. It may hold until the next start only, and is missing in \
+                        operator_commands: look in the log";
             return Err(NotApplied::Refused(text.to_owned()));
         }
         tracing::info!(%machine, command = wire::json(command), "operator's command applied");

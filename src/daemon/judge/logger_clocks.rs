@@ -81,19 +81,20 @@ impl LoggerClocks {
         }
     }
 
-    /// Number of loggers that date their throws a day or more after this computer; 0 if they are not the majority.
+    /// Number of loggers that date their throws a day or more after this computer; 0 if they are not the majority, or a
+    /// single logger, whose own clock may be wrong.
     pub(crate) fn ahead(&self) -> usize {
         self.if_most(self.0.iter().filter(|logger| logger.is_ahead).count())
     }
 
-    /// Number of loggers that date their throws a day or more before this computer, all by the same time; 0 if they are
-    /// not the majority, or a single logger, whose own clock may be wrong.
+    /// Number of loggers that date their throws a day or more before this computer, all by the same time; 0 as for
+    /// [`Self::ahead`].
     pub(crate) fn behind(&self) -> usize {
         let mut behind: Vec<SignedDuration> = self.0.iter().filter_map(|logger| logger.behind).collect();
         behind.sort_unstable();
         let Some(median) = behind.get(behind.len() / 2).copied() else { return 0 };
         let same = behind.iter().filter(|age| (**age - median).abs() <= SAME).count();
-        if same > 1 { self.if_most(same) } else { 0 }
+        self.if_most(same)
     }
 
     /// Whether the clock of the logger that was noted last is a day or more behind. Its throws must be published at
@@ -109,7 +110,7 @@ impl LoggerClocks {
     }
 
     fn if_most(&self, count: usize) -> usize {
-        if 2 * count > self.0.len() { count } else { 0 }
+        if count > 1 && 2 * count > self.0.len() { count } else { 0 }
     }
 }
 
@@ -173,5 +174,9 @@ mod tests {
         assert_eq!(loggers([wrong(0), wrong(600)]), (0, 0), "each by another time");
         let one = |at: i64| [OLD, 0, 0].map(|age| (at - age, at));
         assert_eq!(loggers([one(0), one(600)]), (0, 0), "one alone");
+        let mut clocks = LoggerClocks::default();
+        let now = Timestamp::from_second(1_800_000_000).unwrap();
+        clocks.note(&MachineId::new("north", "a").unwrap(), now + 3 * DAY, now);
+        assert_eq!(clocks.ahead(), 0, "the only one, ahead");
     }
 }

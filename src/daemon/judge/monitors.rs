@@ -48,7 +48,8 @@ pub(crate) struct Monitors {
     of_machines: BTreeMap<MachineId, Box<MachineMonitor>>,
     /// Machines whose stored monitor may differ from the monitor in memory. They are stored again at the next tick.
     to_store: HashSet<MachineId>,
-    /// The disconnections of loggers that the monitors know: each is applied once, as a logger may go on without token.
+    /// The last loss of its token that each monitor knows. A loss is applied once: the logger may go on without a token,
+    /// and must not be announced again.
     gone_before: HashMap<MachineId, Instant>,
     /// Number of ticks since the start, modulo [`TICKS_AN_HOUR`].
     ticks: u64,
@@ -254,16 +255,19 @@ impl Monitors {
     }
 
     /// Advances the time of every monitor, and updates it with the liveliness tokens. Returns the machines to store,
-    /// with their events. Each monitor is stored at least once an hour, as it counts the time without a throw.
+    /// with their events. Each monitor is stored at least once an hour, as it counts the time without a throw. The state
+    /// and the alarms of a machine that the daemon does not serve stay as they are: another daemon may publish its alarms.
     pub(crate) fn tick(
         &mut self,
         now: Timestamp,
         settings: &Settings,
         loggers: &Loggers,
+        is_served: impl Fn(&MachineId) -> bool,
     ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
         self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
-        for (index, (machine, monitor)) in self.of_machines.iter_mut().enumerate() {
+        let served = self.of_machines.iter_mut().filter(|(machine, _)| is_served(machine));
+        for (index, (machine, monitor)) in served.enumerate() {
             let before = (monitor.is_announced(), monitor.state());
             let mut events = Vec::new();
             let gone_at = loggers.gone.get(machine);
@@ -463,7 +467,7 @@ mod tests {
         let ended = |changed: Vec<(MachineId, Vec<AlarmEvent>)>| {
             changed.into_iter().filter(|(_, events)| !events.is_empty()).map(|(machine, _)| machine).collect::<Vec<_>>()
         };
-        assert_eq!(ended(monitors.tick(now, &settings, &Loggers::default())), []);
+        assert_eq!(ended(monitors.tick(now, &settings, &Loggers::default(), |_| true)), []);
         let without = monitors.without_logger(&own);
         assert!(matches!(&without[..], [only] if *only == former), "{without:?}");
         let adopted = monitors.adopt(Vec::new(), &without, &own, now, &settings);
@@ -483,18 +487,18 @@ mod tests {
         let is_announced = |monitors: &Monitors| monitors.of_machines[&machine].is_announced();
         monitors.judge(&still_throw(&machine, 1), None, context(&settings));
         let is_raised = (0..1000).any(|_| {
-            let changed = monitors.tick(now, &settings, &loggers);
+            let changed = monitors.tick(now, &settings, &loggers, |_| true);
             assert!(is_announced(&monitors));
             now += SignedDuration::from_secs(30);
             changed.iter().any(|(_, events)| !events.is_empty())
         });
         assert!(is_raised);
         monitors.judge(&still_throw(&machine, 2), None, context(&settings));
-        monitors.tick(now, &settings, &loggers);
+        monitors.tick(now, &settings, &loggers, |_| true);
         assert!(!is_announced(&monitors));
         // It connects and disconnects between two ticks.
         loggers.gone.insert(machine.clone(), clock::monotonic());
-        monitors.tick(now, &settings, &loggers);
+        monitors.tick(now, &settings, &loggers, |_| true);
         assert!(is_announced(&monitors));
     }
 

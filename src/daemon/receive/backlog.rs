@@ -158,9 +158,10 @@ impl Backlog {
     }
 
     /// Requests a query of a logger as soon as possible. Throws that would go to quarantine are not requested: their
-    /// logger would send its whole backlog in each round.
+    /// logger would send its whole backlog in each round. Nor are the missing throws of a machine that this daemon does
+    /// not serve any more.
     fn request(&mut self, machine: &MachineId) {
-        if !self.intake.may_store(machine) {
+        if !self.shared.config.subscribe.serves(machine) || !self.intake.may_store(machine) {
             return;
         }
         let turns = match self.turns.entry(machine.clone()) {

@@ -80,7 +80,7 @@ pub(super) struct Intake {
 }
 
 impl Intake {
-    /// `machines` are those of the database.
+    /// `machines` are those of the database that this daemon serves.
     pub(super) fn new(shared: Arc<Shared>, machines: Vec<MachineId>) -> Self {
         let machines = machines.into_iter().map(|machine| (machine, LoggerSeen::default())).collect();
         Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
@@ -185,10 +185,10 @@ impl Intake {
         has_queryable || !seen.had_queryable
     }
 
-    /// The known machines whose loggers never had a token.
+    /// The known machines whose loggers have no token now. A logger that lost its token may go on without it.
     fn without_token(&self) -> Vec<MachineId> {
         let loggers = self.shared.loggers.borrow();
-        self.machines.lock().keys().filter(|machine| !loggers.had_token(machine)).cloned().collect()
+        self.machines.lock().keys().filter(|machine| !loggers.alive.contains(*machine)).cloned().collect()
     }
 
     /// Whether a throw of a machine was ever received.

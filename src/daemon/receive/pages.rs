@@ -26,11 +26,11 @@ const PAGE_BYTES: u64 = 1 << 20;
 const SAMPLE_BYTES: u64 = 8;
 /// Largest number of pages of one logger in a turn.
 const TURN: usize = 8;
-/// Number of pages without a new throw after which the turn ends. A logger that does not know the boot of the cursor,
-/// for example after an import of recordings, starts with its oldest throw, so some pages repeat stored throws. While
-/// throws are missing, pages count only if they do not come later in the order of throws than the page before: then the
-/// whole backlog is read. Otherwise the newest throws can be hidden until the next live throw: without this bound the
-/// whole backlog would be sent again in each round.
+/// The turn ends after this many pages without a new throw. Such pages come from a logger that does not know the boot of
+/// the cursor, as after an import of recordings, and begins with its oldest throw. While throws are missing, a page that
+/// comes later than the one before does not count, so the whole backlog is read. While none is missing, the turn ends
+/// here: otherwise the whole backlog would be sent again in each round. A newer throw behind these pages is found with
+/// the next live throw.
 const REPEATED_PAGES: usize = 4;
 /// After a page without a usable throw, the next query begins at the same throw and asks for this many times more
 /// throws. The size grows from one throw to [`wire::MAX_PAGE`] within a turn.

@@ -30,13 +30,6 @@ pub(crate) struct Loggers {
     pub(crate) gone: HashMap<MachineId, Instant>,
 }
 
-impl Loggers {
-    /// Whether the logger of a machine has a token, or had one since the start.
-    pub(super) fn had_token(&self, machine: &MachineId) -> bool {
-        self.alive.contains(machine) || self.gone.contains_key(machine)
-    }
-}
-
 /// Keeps `loggers` up to date with the tokens on `key_expression`, while the session is open.
 pub(crate) async fn watch(
     session: &Session,

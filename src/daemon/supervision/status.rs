@@ -89,15 +89,15 @@ impl FleetCounts {
     }
 }
 
-/// The status, as in `pointsd status --json`.
+/// The status, as in `pointsd status --json`. A daemon of an earlier version does not send all fields.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct StatusReport {
     /// Program version.
     pub version: String,
     /// Time since the start \[s\].
     pub uptime_s: u64,
     /// The key expression of its machines: `subscribe.key`.
-    #[serde(default)]
     pub key: String,
     /// The database file.
     pub database: String,
@@ -105,7 +105,6 @@ pub struct StatusReport {
     pub disk: DiskLevel,
     /// Whether the database is being copied to a new file, because another program keeps reading an old state of it.
     /// Writes wait meanwhile.
-    #[serde(default)]
     pub copying: bool,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
@@ -114,22 +113,16 @@ pub struct StatusReport {
     /// Number of loggers that have a liveliness token now.
     pub loggers: usize,
     /// Machines whose loggers are connected and have sent no throw yet; at most 20.
-    #[serde(default)]
     pub without_throw: Vec<String>,
     /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
-    #[serde(default)]
     pub refused: Vec<String>,
     /// Machines of the database that `subscribe.key` does not include, at the start; at most 20. Their states and alarms
     /// stay as they were, and no command reaches them.
-    #[serde(default)]
     pub not_served: Vec<String>,
     /// Number of loggers, of the last 32, that date their throws a day or more after this computer; 0 if they are not
-    /// the majority.
-    #[serde(default)]
+    /// the majority, or a single logger.
     pub loggers_ahead: usize,
-    /// Number of loggers, of the last 32, that date their throws a day or more before this computer, all by the same
-    /// time; 0 if they are not the majority.
-    #[serde(default)]
+    /// The same for a day or more before this computer, all by the same time.
     pub loggers_behind: usize,
     /// Messages received.
     pub received: u64,
@@ -137,10 +130,9 @@ pub struct StatusReport {
     /// the logger of a known machine for them, if it has a backlog.
     pub dropped: u64,
     /// Replies of loggers that do not match the query for a backlog.
-    #[serde(default)]
     pub ignored: u64,
     /// Missing throws that may be in the backlogs of their loggers.
-    #[serde(default, alias = "behind")]
+    #[serde(alias = "behind")]
     pub backlog: u64,
     /// Throws stored.
     pub stored: u64,
@@ -151,7 +143,6 @@ pub struct StatusReport {
     /// Received messages that could not be stored, since the start.
     pub lost: u64,
     /// Live throws of new machines that went to quarantine because `subscribe.max_machines` was reached.
-    #[serde(default)]
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
     pub judged: u64,
@@ -160,17 +151,14 @@ pub struct StatusReport {
     /// Alarm events since the start.
     pub alarm_events: u64,
     /// Alarm events that the database rejected, since the start.
-    #[serde(default)]
     pub alarm_events_lost: u64,
     /// Published messages.
     pub published: u64,
     /// Health messages dropped because the publishing queue was full.
     pub unpublished: u64,
     /// Whether the receiver of the webhook did not accept the last message yet, and it is sent again.
-    #[serde(default)]
     pub webhook_fails: bool,
     /// Alarm events that the webhook refused.
-    #[serde(default)]
     pub webhook_refused: u64,
     /// Names of the loops without a fresh heartbeat.
     pub silent: Vec<String>,
@@ -178,7 +166,6 @@ pub struct StatusReport {
     #[serde(flatten)]
     pub fleet_counts: FleetCounts,
     /// Open maintenance windows and shelvings; only in the reply to a `status` query.
-    #[serde(default)]
     pub windows: Vec<Window>,
 }
 
@@ -245,7 +232,7 @@ impl Status {
         let refused = self.machines_refused.shown().map(|refused| {
             format!(
                 "throws of new machines refused: {refused}. As many machines are known as subscribe.max_machines allows: \
-                 {max_machines}. Look in the quarantine who sends them"
+                 {max_machines}. The view quarantined_messages shows the senders"
             )
         });
         // Without a number: each new number would be a new alarm event, which the database may reject too.
@@ -263,7 +250,7 @@ impl Status {
         let dropped_messages = at_least(&self.dropped).map(|at_least| {
             let text = format!(
                 "at least {at_least} dropped since the start, as more arrived than could be stored. The throws are fetched \
-                 from the backlogs of the loggers where possible. Look in the log who sends so many"
+                 from the backlogs of the loggers where possible. The log names the keys"
             );
             (Severity::Warning, text)
         });
