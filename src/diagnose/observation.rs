@@ -224,7 +224,7 @@ impl Missing<'_> {
 pub struct Parameters {
     /// Stroke \[mm\]. Only coefficients without a toe position depend on it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    stroke_mm: Option<f64>,
+    pub(super) stroke_mm: Option<f64>,
     /// Ball-screw lead \[mm per revolution\].
     lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\].

@@ -112,6 +112,19 @@ fn an_adjusted_stroke_is_normal_after_a_new_baseline() {
 
 /// The motor is switched off by time, as nothing detects the end. With a configured stroke the throws are complete; without
 /// one, the travel is that of all throws before.
+/// The throws back begin where such a throw ended: they are whole.
+#[test]
+fn a_motor_that_runs_on_in_one_direction_hides_no_throw_of_the_other() {
+    let mut drive = Drive::after(60, 86, Voltage::Published);
+    let mut events = Vec::new();
+    for throw in 0..36 {
+        drive.push_s = if throw % 2 == 0 { 1.5 } else { 0.0 };
+        events.extend(drive.events(1, State::SOUND));
+    }
+    let causes: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
+    assert_eq!(causes, [(Cause::Unattributed, Severity::Warning)], "{events:?}");
+}
+
 #[test]
 fn a_motor_that_runs_on_at_the_end_is_named_and_is_no_obstruction() {
     for stroke_mm in [None, Some(115.0)] {

@@ -116,7 +116,9 @@ impl DriftAlarms {
     ) -> AlarmEvidence {
         let LatestThrow { drift, settings, .. } = latest;
         let raised_pct = alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
-        let mut evidence = drift.evidence(cause, raised_pct.unwrap_or_default(), settings);
+        // That of a drift without a name is the size of one of its parts.
+        let sense = raised_pct.filter(|_| cause != Cause::Unattributed).unwrap_or_default();
+        let mut evidence = drift.evidence(cause, sense, settings);
         let (latest_side, _) = drift.latest;
         let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
         evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
@@ -186,12 +188,12 @@ impl DriftAlarms {
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
             (Transition::Turn(_), Some(event)) => step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-            (Transition::Clear { is_normal, at_once }, _) => {
+            (Transition::Clear { left, at_once }, _) => {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None if at_once => text::cleared_at_once(name, cause, is_normal),
-                    None => text::cleared(name, cause, is_normal),
+                    None if at_once => text::cleared_at_once(name, cause, left),
+                    None => text::cleared(name, cause, left),
                 };
                 step.clear(cause, |_| text);
             }
@@ -289,7 +291,10 @@ impl DriftAlarms {
     /// The suspicion of a drift, as a reason not to add the last throw to a baseline. What happens at the end of the
     /// stroke and after it does not change the coefficients.
     pub(crate) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
-        let is_of_movement = |event: &AlarmEvent| !alarms.rule(event.cause).is_some_and(|rule| OF_END.contains(&rule));
+        let is_of_movement = |event: &AlarmEvent| {
+            let alarm = alarms.find_active(event.cause);
+            alarm.is_none_or(|alarm| [&alarm.rule].into_iter().chain(&alarm.added).any(|rule| !OF_END.contains(rule)))
+        };
         if alarms.active().any(|event| event.cause.is_drift() && is_of_movement(event)) {
             Suspicion::Alarmed
         } else if drift.is_some_and(Drift::matters) {

@@ -63,8 +63,8 @@ pub(crate) struct AlarmEvidence {
     /// Whether the size, in the sense of the alarm, is below half of the limit, and plus two standard deviations below
     /// the limit.
     pub(super) likely_health: bool,
-    /// Whether the size in either sense is below half of the limit.
-    pub(super) is_normal: bool,
+    /// The size in either sense, as part of the limit.
+    pub(super) size: f64,
     /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(crate) below: bool,
     /// Whether another cause explains the drift.
@@ -78,17 +78,17 @@ pub(crate) struct AlarmEvidence {
     pub(crate) latest: Option<f64>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Transition {
     Stay,
     Raise(Severity),
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The alarm ends. `is_normal`: the machine is healthy again, while otherwise the drift is below the limit only, or
-    /// has the opposite sense; `at_once`: the size fell within a few throws.
+    /// The alarm ends. `left`: the size in either sense, as part of the limit; `at_once`: the size fell within a few
+    /// throws.
     Clear {
-        is_normal: bool,
+        left: f64,
         at_once: bool,
     },
     /// Most of the drift has ended within a few throws, as after a repair, but a part is left.
@@ -196,7 +196,7 @@ impl Condition {
             Transition::Escalate
         } else {
             ending.update_level(evidence.latest);
-            ending.transition(evidence.is_normal, settings)
+            ending.transition(evidence.size, settings)
         };
         *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
         transition
@@ -258,13 +258,13 @@ impl Ending {
         self.reached >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
     }
 
-    fn transition(&mut self, is_normal: bool, settings: &Settings) -> Transition {
+    fn transition(&mut self, left: f64, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
         if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
             || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
             || self.below >= settings.hold_throws
         {
-            Transition::Clear { is_normal, at_once: self.fell_at_once() }
+            Transition::Clear { left, at_once: self.fell_at_once() }
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw
         } else if self.fell_at_once() && !self.proposed && self.since_level >= 2 * LONGEST_WINDOW {

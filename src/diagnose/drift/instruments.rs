@@ -30,7 +30,7 @@ use super::{
 use crate::{
     diagnose::{
         AlarmEvent, Cause, RunnerUp, SensorChannel, Settings, Severity,
-        alarm::{Alarms, Rule, RuleResult, Step, count_over},
+        alarm::{Rule, RuleResult, Step, count_over},
         gauges::{Circuit, Gauge, Gauges, ShownBy},
         statistics::{LONGEST_WINDOW, Level, WINDOWS, is_default, percent, streak, to_f32},
         text,
@@ -63,9 +63,9 @@ const INRUSH_SLACK_SD: f64 = 1.0;
 /// Throws for which a past fault of a sensor or the supply can explain a drift: a longest window of each direction.
 const LINGERS: u32 = 2 * LONGEST_WINDOW;
 
-/// Number of throws with an alarm about a sensor, whose gauges show its fault, after which the effect of the fault is
-/// known: the gauges are means over as many.
-const KNOWN_AFTER: u8 = WINDOWS[2] as u8;
+/// Number of throws with an alarm about the current sensor after which its gain is known: the gauges are means over as
+/// many.
+pub(crate) const KNOWN_AFTER: u8 = WINDOWS[2] as u8;
 
 /// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -90,12 +90,14 @@ pub(crate) struct Instruments {
     channel: Option<SensorChannel>,
     /// Size of its fault: logarithm of the gain, or of the rate of the clock.
     size: f32,
-    /// Consecutive throws with an alarm about a sensor, whose gauges show its fault.
+    /// Consecutive throws with an alarm about the gain of the current sensor, which the gauges show.
     #[serde(skip_serializing_if = "is_default")]
     standing: u8,
-    /// This fault, once its effect is known.
+    /// Logarithm of this gain, once it is known. Its effect is taken out of the coefficients, so that a fault of a part
+    /// beside it is found, with its own size. Back-EMF, travel and duration do not depend on this gain; other sensors
+    /// change the gauges that distinguish the parts.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) known: Option<KnownFault>,
+    pub(crate) known_gain: Option<f32>,
     sensor: FaultCounts,
     supply: FaultCounts,
     circuit: FaultCounts,
@@ -103,34 +105,6 @@ pub(crate) struct Instruments {
     rest: FaultCounts,
     /// For an offset of the position sensor.
     shift: FaultCounts,
-}
-
-/// A lasting fault of a sensor, or of the clock, of which an alarm is open. Its effect is taken out of the coefficients,
-/// so that a fault of a part beside it is found, with its own size.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct KnownFault {
-    pub(crate) channel: SensorChannel,
-    /// Logarithm of the gain, or of the rate of the clock.
-    size: f32,
-}
-
-impl KnownFault {
-    /// The change of (ln b0, ln a1, ln a0), or of their ratios to b0.
-    pub(crate) fn effect(&self, of_ratios: bool) -> Vector3<f64> {
-        let suspect = SUSPECTS.iter().find(|suspect| suspect.channel == self.channel);
-        let effect = suspect.map_or([0.0; 3], |suspect| suspect.effect.map(|effect| effect * self.of(suspect)));
-        Vector3::from(effect).add_scalar(if of_ratios { -effect[0] } else { 0.0 })
-    }
-
-    /// The change \[%\] of what the sensor reads, or of the rate of the clock.
-    pub(crate) fn pct(&self) -> f64 {
-        percent(self.size.into())
-    }
-
-    /// The size of `suspect`, of which this is the fault.
-    fn of(&self, suspect: &Suspect) -> f64 {
-        f64::from(self.size) / suspect.gain
-    }
 }
 
 /// A sensor, or the clock, that may explain a drift.
@@ -164,9 +138,12 @@ impl Instruments {
         {
             return Origin::Supply;
         }
-        let levels = self.unexplained(window.throws);
+        let mut levels = self.levels(window.throws);
+        if let (Some(gain), [_, _, Some(resistance), _]) = (self.known_gain, &mut levels) {
+            resistance.value += f64::from(gain);
+        }
         let (part, score) = best_part(window, &levels, settings);
-        let lingers = self.sensor.lingers && self.known.is_none();
+        let lingers = self.sensor.lingers && self.known_gain.is_none();
         let judged = SUSPECTS.iter().filter_map(|suspect| {
             let Suspect { channel, effect, gauges, gain } = suspect;
             let is_known = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
@@ -331,11 +308,7 @@ impl Instruments {
         }
         let suspect = SUSPECTS.iter().find(|suspect| suspect.channel == sensor)?;
         let levels = self.levels(WINDOWS[1]);
-        let left = |effects: [f64; 4]| weighed(Level { value: 0.0, sd: f64::INFINITY }, &levels, &effects);
-        // A fault of a part beside it changes back-EMF and duration too.
-        let [travel, _, resistance, _] = suspect.gauges;
-        let of_sensor = Some(left([travel, 0.0, resistance, 0.0])).filter(|left| left.sd.is_finite());
-        let left = of_sensor.unwrap_or_else(|| left(suspect.gauges));
+        let left = weighed(Level { value: 0.0, sd: f64::INFINITY }, &levels, &suspect.gauges);
         let named = named / suspect.gain;
         (left.sd.is_finite() && named != 0.0).then_some(left.value / named)
     }
@@ -352,31 +325,19 @@ impl Instruments {
         if back_emf.is_some() { [travel, back_emf, ohms, None] } else { [travel, None, None, duration] }
     }
 
-    /// The levels of these gauges beyond the changes by the known fault of a sensor.
-    fn unexplained(&self, throws: usize) -> [Option<Level>; 4] {
-        let known = self.known.as_ref();
-        let suspect = known.and_then(|known| SUSPECTS.iter().find(|suspect| suspect.channel == known.channel));
-        let mut levels = self.levels(throws);
-        if let (Some(known), Some(suspect)) = (known, suspect) {
-            for (level, effect) in levels.iter_mut().zip(suspect.gauges) {
-                *level = level.map(|level| Level { value: level.value - effect * known.of(suspect), ..level });
-            }
+    /// Makes the gain of the current sensor known, after enough throws with an alarm about it; then returns true.
+    pub(crate) fn learn_gain(&mut self) -> bool {
+        let learns = self.standing == KNOWN_AFTER && self.known_gain.is_none();
+        if learns {
+            self.known_gain = Some(self.size);
         }
-        levels
+        learns
     }
 
-    /// Makes the fault of a standing alarm about a sensor known, after enough throws; then returns it with the number of
-    /// throws that have it. Called before the effect of a known fault is taken out of a throw.
-    pub(crate) fn learn_fault(&mut self, alarms: &Alarms, settings: &Settings) -> Option<(KnownFault, u64)> {
-        if self.standing < KNOWN_AFTER || self.known.is_some() {
-            return None;
-        }
-        let AlarmEvent { channel, change_pct, .. } = alarms.find_active(Cause::Sensor)?.last;
-        let channel = channel.filter(|channel| SUSPECTS.iter().any(|suspect| suspect.channel == *channel))?;
-        let size = if self.channel == Some(channel) { self.size } else { to_f32((change_pct? / 100.0).ln_1p()) };
-        let known = KnownFault { channel, size };
-        self.known = Some(known);
-        Some((known, u64::from(self.standing) + u64::from(settings.on_delay_throws)))
+    /// The change of (ln b0, ln a1, ln a0), or of their ratios to b0, by the known gain of the current sensor.
+    pub(crate) fn of_known_gain(&self, of_ratios: bool) -> Vector3<f64> {
+        let of_b0 = -f64::from(self.known_gain.unwrap_or_default());
+        Vector3::new(of_b0, 0.0, 0.0).add_scalar(if of_ratios { -of_b0 } else { 0.0 })
     }
 
     /// Updates the alarm about a sensor after a throw with this drift.
@@ -388,9 +349,10 @@ impl Instruments {
             let runner_up = RunnerUp { cause: Cause::Supply, margin: (size.value / size.sd).powi(2).min(MAX_MISFIT) };
             Some(SensorFault { cause: Cause::Sensor, channel: SensorChannel::Supply, size, runner_up })
         };
-        // The drift is what the known fault does not explain: its end, or its growth, which the gauges show.
-        let is_known = |fault: &SensorFault| self.known.is_some_and(|known| known.channel == fault.channel);
-        let fault = of_drift.or_else(of_voltage).filter(|fault| !is_known(fault));
+        // A drift of the known gain is its end, which the gauges show, or its growth.
+        let is_known = |fault: &SensorFault| self.known_gain.is_some() && fault.channel == SensorChannel::Current;
+        let has_changed = of_drift.is_some_and(|fault| is_known(&fault)) && drift.matters();
+        let fault = of_drift.filter(|fault| !is_known(fault)).or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
         if fault.is_some() && !same {
             self.sensor.named = 0;
@@ -409,15 +371,12 @@ impl Instruments {
         let shown = shown.filter(|(channel, _)| !is_of_stroke || *channel == SensorChannel::Position);
         let shown = of_alarm.filter(|_| !is_of_stroke).or(shown);
         let left = shown.and_then(|shown| self.left_of(shown)).or_else(|| drift.attribution.is_none().then_some(0.0));
-        let of_clock = self.known.is_some_and(|known| known.channel == SensorChannel::Clock);
-        let is_beside_part = drift.attribution.is_some() && !drift.origin.is_instrument();
-        let left = left.filter(|_| !(of_clock && is_beside_part));
         let matters = fault.map(|_| of_drift.is_none() || drift.matters());
         self.sensor.follow(matters, is_alike, left, delay);
-        // The first throws of a part that fails change the gauges of the clock, and not yet the drift.
-        let stands = is_of_sensor && (self.sensor.over == 0 || of_clock);
-        self.standing = if stands { self.standing.saturating_add(1) } else { 0 };
-        if self.standing == 0 && self.known.take().is_some() {
+        let is_of_current = of_alarm.is_some_and(|(channel, _)| channel == SensorChannel::Current);
+        let stands = is_of_current && self.channel == Some(SensorChannel::Current) && self.sensor.over == 0;
+        self.standing = if stands && !has_changed { (self.standing + 1).min(KNOWN_AFTER) } else { 0 };
+        if self.standing == 0 && self.known_gain.take().is_some() {
             // The effect was taken out of throws that did not have it any more.
             (self.sensor.lingers, self.sensor.unseen) = (true, 0);
         }
@@ -439,7 +398,7 @@ impl Instruments {
         } else if self.sensor.over >= settings.off_delay_throws {
             RuleResult::Nothing.apply(Rule::Stroke, step);
             if is_of_sensor {
-                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor, true));
+                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor, 0.0));
             }
         }
     }
@@ -477,7 +436,7 @@ impl Instruments {
         let matters = lost.map(|lost| of_limit(lost) > 1.0);
         self.supply.follow(matters.max(explained), false, left, delay);
         // A gain error of the current sensor changes the resistance too.
-        let is_doubtful = self.sensor.named > 0 || self.sensor.lingers || self.known.is_some();
+        let is_doubtful = self.sensor.named > 0 || self.sensor.lingers || self.known_gain.is_some();
         let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
@@ -504,7 +463,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply, true));
+            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply, 0.0));
         }
     }
 

@@ -26,7 +26,7 @@ pub(super) use course::{Course, Point};
 pub(super) use evidence::{Known, MotorEvidence};
 pub(super) use explain::Explanation;
 pub(super) use history::History;
-pub(super) use instruments::{Instruments, KnownFault};
+pub(super) use instruments::{Instruments, KNOWN_AFTER};
 use intermittent::During;
 pub(super) use intermittent::{Departure, Intermittent, IntermittentFault};
 pub(super) use latest_throw::LatestThrow;
@@ -66,7 +66,7 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 
 /// Part of the warning limit for health: plain health if the size plus two standard deviations is below it, likely
 /// health if the size alone is.
-const HEALTHY_BELOW: f64 = 0.5;
+pub(super) const HEALTHY_BELOW: f64 = 0.5;
 /// Largest change of b0 or a0, relative to that of a1, in a change of friction, which the weather can cause.
 const BESIDE_WEATHER: f64 = 0.67;
 /// Least size of a part that both directions show, in standard deviations.
@@ -202,7 +202,7 @@ impl Drift {
             patience: named.map_or(0, |attribution| self.patience(attribution)),
             plain_health: is_shown && bound < HEALTHY_BELOW,
             likely_health: is_shown && in_sense < HEALTHY_BELOW && bound < 1.0,
-            is_normal: size < HEALTHY_BELOW,
+            size,
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,
@@ -296,10 +296,10 @@ fn extent((cause, sense): (Cause, f64), beside: Option<Cause>, window: &Window, 
             Some(other) => window.fit([cause, other], settings).parts[0],
             None => window.single(cause, settings),
         };
-        let size = if sense == 0.0 { e.size.abs() } else { e.size * sense.signum() };
-        let relevance = |size: f64| if size > 0.0 { settings.relevance(cause, size) } else { 0.0 };
-        let own = if sense == 0.0 { settings.relevance(cause, e.size) } else { relevance(size) };
-        (own, relevance(size + 2.0 * e.size_sd))
+        let is_opposite = e.size * sense < 0.0;
+        let (size, largest) =
+            if is_opposite { (0.0, 2.0 * e.size_sd - e.size.abs()) } else { (e.size, e.size.abs() + 2.0 * e.size_sd) };
+        (settings.relevance(cause, size), settings.relevance(cause, largest.max(0.0)))
     };
     alarm_causes(cause).filter(|part| window.shows(*part)).map(of).fold((0.0, 0.0), max_of_each)
 }

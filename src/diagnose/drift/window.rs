@@ -100,10 +100,10 @@ impl RecentThrow {
         (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
     }
 
-    /// Adds a change of the coefficients to the residual.
-    pub(crate) fn shift(&mut self, change: &Vector3<f64>) {
-        let (raw, _) = self.raw();
-        self.residual = (raw + change).map(to_f32).into();
+    /// The throw without this effect on the coefficients, or on their ratios.
+    pub(crate) fn without(self, effect: impl Fn(bool) -> Vector3<f64>) -> Self {
+        let raw = self.raw().0 - effect(!self.has_scale());
+        Self { residual: raw.map(to_f32).into(), ..self }
     }
 
     /// Converts a throw of a snapshot of version 1, which stored residuals with temperature compensation.

@@ -202,7 +202,7 @@ impl FeatureWatch {
 
     /// Whether features of the last throws were compared with normal values.
     pub(crate) fn is_monitoring(&self) -> bool {
-        self.sides.iter().any(|side| !side.is_empty())
+        self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
     /// Whether these `changes` are a fall of the load that may pass: rain and grease lower the friction for some days.

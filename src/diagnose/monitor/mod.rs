@@ -14,6 +14,7 @@ use super::{
     gauges::{FeatureWatch, SideWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
     snapshot::{Header, VersionOne},
+    statistics::percent,
     text,
     track::Tracks,
 };
@@ -192,7 +193,11 @@ impl MachineMonitor {
     /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has
     /// the events.
     pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
-        let changed = self.parameters.replace(parameters)?.changed(&parameters, self.has_position)?;
+        let before = self.parameters.replace(parameters)?;
+        if let Some(kept) = self.parameters.as_mut().filter(|kept| kept.stroke_mm.is_none()) {
+            kept.stroke_mm = before.stroke_mm;
+        }
+        let changed = before.changed(&parameters, self.has_position)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
         let now = to_micros(now);
@@ -326,7 +331,7 @@ impl MachineMonitor {
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(self.features.season_pct.map(|pct| text::season_of_features(&self.name, pct.into())))
             .chain(self.drift.shared_changes().map(|(cause, pct)| text::shared(&self.name, cause, pct)))
-            .chain(self.instruments.known.map(|known| text::taken_out(&self.name, known.channel, known.pct())))
+            .chain(self.instruments.known_gain.map(|gain| text::known_gain(&self.name, percent(gain.into()))))
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::machine(&self.name, text::ONLY_FEATURES)))
             .chain(self.operation.is_contradicted().then(|| text::machine(&self.name, text::CONTRADICTED)))

@@ -10,8 +10,8 @@ use crate::{
     diagnose::{
         AlarmEvent, Cause, Common, Observation, SensorChannel, Settings, Verdict,
         alarm::{Alarms, Rule, RuleResult, Step, rule_result},
-        baseline::BaselineRecord,
-        drift::{Drift, Known, LatestThrow, Origin},
+        baseline::{BaselineRecord, Suspicion},
+        drift::{Drift, KNOWN_AFTER, Known, LatestThrow, Origin},
         gauges::{judge_end, judge_travel},
         observation::{Evaluated, Unusable},
         operation::{Implausible, site},
@@ -53,12 +53,6 @@ impl MachineMonitor {
             observation.direction = None;
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
-        if self.operation.begins_open(&observation) {
-            // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
-            let observation = observation.to_mut();
-            (observation.began_open, observation.short_of_stroke_mm) = (true, None);
-            observation.outcome.take_if(|outcome| outcome.is_ok());
-        }
         if self.runs_on_at_its_end(&observation) {
             // The points arrived, and only detection or switch-off failed. The current is not that of the movement
             // alone.
@@ -68,6 +62,12 @@ impl MachineMonitor {
             for of_current in [running_current_a, mean_current_a, charge_as, energy_j] {
                 *of_current = None;
             }
+        }
+        if self.operation.begins_open(&observation) {
+            // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
+            let observation = observation.to_mut();
+            (observation.began_open, observation.short_of_stroke_mm) = (true, None);
+            observation.outcome.take_if(|outcome| outcome.is_ok());
         }
         if observation.temperature_c != temperature.celsius {
             observation.to_mut().temperature_c = temperature.celsius;
@@ -95,11 +95,14 @@ impl MachineMonitor {
             })
             .map(|throw| self.tracks.compared(throw));
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
-        if let Some((known, throws)) = self.instruments.learn_fault(step.alarms, settings) {
-            self.tracks.take_out(&known, self.order.saturating_sub(throws));
+        if self.instruments.learn_gain() {
+            let first = self.order.saturating_sub(KNOWN_AFTER.into());
+            self.tracks.take_out(|of_ratios| self.instruments.of_known_gain(of_ratios), first);
             self.drift.forget_history();
         }
         if let Some(throw) = &mut evaluated {
+            let of_sensor = self.instruments.of_known_gain(throw.ratios_only);
+            let residual = residual.map(|residual| residual - of_sensor);
             if self.maintenance.is_none()
                 && let Some((residual, of_one_throw)) = residual.as_ref().zip(self.tracks.of_one_throw(throw.direction))
             {
@@ -107,7 +110,6 @@ impl MachineMonitor {
             }
             let shared = residual.map_or_else(Vector3::zeros, |residual| site::shared_part(&residual, common));
             self.drift.share(&shared, settings);
-            let of_sensor = self.instruments.known.map_or_else(Vector3::zeros, |known| known.effect(throw.ratios_only));
             throw.log = (Vector3::from(throw.log) - shared - of_sensor).into();
         }
         let mut baselines_taken = Vec::new();
@@ -188,7 +190,7 @@ impl MachineMonitor {
         self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
         let has_gauges = if let Some(throw) = evaluated {
-            let suspicious = self.drift.is_suspicious(step.alarms);
+            let suspicious = self.drift.is_suspicious(step.alarms) || self.instruments.known_gain.is_some();
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             baselines_taken = self.observe_evaluated(throw, step);
             true
@@ -353,7 +355,9 @@ impl MachineMonitor {
         }
         let by_temperature = drift.and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
-        let suspicion = self.drift.suspicion(drift, step.alarms);
+        // A baseline must not learn the values of a faulty sensor.
+        let is_known = self.instruments.known_gain.is_some();
+        let suspicion = if is_known { Suspicion::Alarmed } else { self.drift.suspicion(drift, step.alarms) };
         let taken = self.tracks.learn(throw, self.order, step.at, suspicion, settings);
         if !taken.is_empty() {
             self.drift.forget_history();

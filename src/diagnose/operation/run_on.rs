@@ -32,8 +32,8 @@ pub(crate) struct RunOn {
     learned: [u8; 2],
     /// The last 32 throws of the machine as bits, 1 for a longer time.
     long: u32,
-    /// The largest time beyond the usual one of its direction, since [`CALM`] throws without a longer time \[s\].
-    beyond_s: f32,
+    /// The longest time of each direction since [`CALM`] throws without a longer one \[s\].
+    longest: [f32; 2],
 }
 
 impl RunOn {
@@ -49,9 +49,9 @@ impl RunOn {
         let is_long = is_known && run_on_s > usual_s + LONGER_S;
         self.long = self.long << 1 | u32::from(is_long);
         if is_long {
-            self.beyond_s = self.beyond_s.max(to_f32(run_on_s - usual_s));
+            self.longest[side] = self.longest[side].max(to_f32(run_on_s));
         } else if self.long.trailing_zeros() >= CALM {
-            self.beyond_s = 0.0;
+            self.longest = [0.0; 2];
             return RuleResult::Nothing;
         }
         let count = (self.long & 0xff).count_ones();
@@ -59,12 +59,14 @@ impl RunOn {
             return RuleResult::Unclear;
         }
         let severity = if count >= CRITICAL_OF_EIGHT { Severity::Critical } else { Severity::Warning };
-        let text = text::runs_on(step.name, count, usual_s + f64::from(self.beyond_s), usual_s);
+        let [beyond, beyond_of_other] = [side, 1 - side].map(|side| self.longest[side] - self.usual_s[side]);
+        let side = if beyond_of_other > beyond { 1 - side } else { side };
+        let text = text::runs_on(step.name, count, self.longest[side].into(), self.usual_s[side].into());
         RuleResult::Fault(Box::new(step.event(Cause::Unattributed, severity, text)))
     }
 
     /// Forgets the last throws, and keeps the usual time.
     pub(super) fn forget_recent(self) -> Self {
-        Self { long: 0, beyond_s: 0.0, ..self }
+        Self { long: 0, longest: [0.0; 2], ..self }
     }
 }

@@ -207,10 +207,11 @@ fn slow_change(name: &str, what: &str, pct: f64, least: &str) -> String {
 
 /// Text for a machine whose throws changed steadily while its baseline was taken, by `slopes` per throw.
 pub(crate) fn trend(name: &str, slopes: [f64; 3], of_ratios: bool) -> String {
-    let pct = |slope: f64| {
-        if percent(slope).abs() < 0.1 { format!("{:+.3}", percent(slope)) } else { format!("{:+.2}", percent(slope)) }
+    let of = |(slope, what): (f64, &str)| {
+        let pct = percent(slope);
+        let digits = if pct.abs() < 0.1 { 3 } else { 2 };
+        (slope != 0.0).then(|| format!("{what} {pct:+.digits$} %"))
     };
-    let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {} %", pct(slope)));
     let [of_b0, of_a1, of_a0] = slopes;
     let names = if of_ratios && of_b0 == 0.0 {
         ["b0", "a1/b0 (friction, or a weaker motor)", "a0/b0 (stiffness, or a weaker motor)"]

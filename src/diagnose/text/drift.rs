@@ -4,7 +4,10 @@ use super::sensor::look_at_sensor;
 use crate::{
     diagnose::{
         Cause, RunnerUp, SensorChannel,
-        drift::{Attribution, Awaited, CLOSE, DECISIVE, Explanation, IntermittentFault, LimitForecast, Naming, Rival},
+        drift::{
+            Attribution, Awaited, CLOSE, DECISIVE, Explanation, HEALTHY_BELOW, IntermittentFault, LimitForecast,
+            Naming, Rival,
+        },
         statistics::percent,
     },
     throw::{Direction, counted},
@@ -127,20 +130,20 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended; `is_normal`: the machine is healthy again, while otherwise the drift is below its
-/// limit only.
-pub(crate) fn cleared(name: &str, cause: Cause, is_normal: bool) -> String {
-    match (cause, is_normal) {
-        (Cause::Unattributed, true) => format!("Machine {name}: the reported change has ended."),
-        (_, true) => format!("Machine {name}: {cause} is back to normal."),
-        (_, false) => format!("Machine {name}: {cause} is below its warning limit again."),
+/// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit.
+pub(crate) fn cleared(name: &str, cause: Cause, left: f64) -> String {
+    match cause {
+        _ if left >= 1.0 => format!("Machine {name}: {cause} has now changed in the opposite sense."),
+        _ if left >= HEALTHY_BELOW => format!("Machine {name}: {cause} is below its warning limit again."),
+        Cause::Unattributed => format!("Machine {name}: the reported change has ended."),
+        _ => format!("Machine {name}: {cause} is back to normal."),
     }
 }
 
 /// Text of a drift that has ended within a few throws.
-pub(crate) fn cleared_at_once(name: &str, cause: Cause, is_normal: bool) -> String {
+pub(crate) fn cleared_at_once(name: &str, cause: Cause, left: f64) -> String {
     let (reason, when) = repair(cause);
-    cleared(name, cause, is_normal)
+    cleared(name, cause, left)
         + &format!(" It came back within a few throws, {reason}: if there was a repair, take a new baseline{when}.")
 }
 

@@ -93,11 +93,11 @@ pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
     )
 }
 
-/// Caveat about a sensor whose known fault is taken out of the coefficients.
-pub(crate) fn taken_out(name: &str, sensor: SensorChannel, pct: f64) -> String {
+/// Caveat about a current sensor whose known gain is taken out of the coefficients.
+pub(crate) fn known_gain(name: &str, pct: f64) -> String {
     format!(
-        "Machine {name}: while the {sensor} reads or runs wrong by {pct:+.1} %, this effect is subtracted from the \
-         coefficients before parts are judged, so sizes of faults are less certain. Repair it."
+        "Machine {name}: its current sensor reads {pct:+.1} % of the current too much or too little, which is subtracted \
+         from the coefficients before parts are judged. Sizes of faults are less certain. Repair the sensor."
     )
 }
 

@@ -13,8 +13,8 @@ use super::{
     Blindness, Cause, HidingTemperature, Settings,
     baseline::{Baseline, BaselineRecord, BaselineThrow, LONGEST_SPELL, Suspicion, WetSpell, covariance_of_effect},
     drift::{
-        Departure, Drift, Known, KnownFault, Origin, RecentThrow, RecentThrows, Stream, Tested, Thresholds,
-        UNKNOWN_SCALE_SD, Window, attribute, visible_pct, with_middle_kept,
+        Departure, Drift, Known, Origin, RecentThrow, RecentThrows, Stream, Tested, Thresholds, UNKNOWN_SCALE_SD,
+        Window, attribute, visible_pct, with_middle_kept,
     },
     observation::{Evaluated, relative_to},
     statistics::{LONGEST_WINDOW, Scatter, Sym3, WINDOWS, median, to_f32},
@@ -407,12 +407,11 @@ impl Tracks {
         normal.of_ratios && reverse.of_ratios || recent.len() >= LAST && recent.is_without_scale(LAST)
     }
 
-    /// Takes the effect of a sensor's fault out of the last throws from number `first` on.
-    pub(super) fn take_out(&mut self, known: &KnownFault, first: u64) {
-        for throw in self.sides.iter_mut().flat_map(|track| track.recent.iter_mut()) {
-            if u64::from(throw.order) >= first {
-                throw.shift(&-known.effect(!throw.has_scale()));
-            }
+    /// Takes the effect of a sensor's fault out of the last throws from number `first` on, and discards those before.
+    pub(super) fn take_out(&mut self, effect: impl Fn(bool) -> Vector3<f64>, first: u64) {
+        for track in &mut self.sides {
+            let since = track.recent.iter().filter(|throw| u64::from(throw.order) >= first).cloned();
+            track.recent = since.map(|throw| throw.without(&effect)).collect();
         }
     }
 
