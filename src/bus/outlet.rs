@@ -113,8 +113,8 @@ fn run(
     }
 }
 
-/// Publishes on a key. The key is not declared: zenoh would keep 2.6 kB for it and its route. It compares the key with
-/// every declared key of the site instead, which takes 0.2 µs for each of them.
+/// Publishes on a key. At each put, zenoh compares the key with every declared key of the site (0.2 µs for each). A
+/// declared key would take 2.6 kB.
 fn put(session: &Session, key: &str, payload: Vec<u8>, priority: Priority) -> Result<(), BusError> {
     session
         .put(key, payload)

@@ -42,7 +42,7 @@ const BATCH: u32 = 16;
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
 pub(super) struct Arguments {
-    /// The changed configuration. Files that it names for the dashboard, the webhook and zenoh are not read.
+    /// The changed configuration. The files that it names for the webhook and zenoh are not read.
     #[arg(long, value_name = "NEW")]
     config: PathBuf,
     /// The database with the stored throws [default: that of the configuration].

@@ -39,9 +39,10 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 no problem; 1 a daemon has a problem (first below its name), a machine or all machines of a site have
-/// an alarm, a machine is not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an
-/// option is wrong; 69 no daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
+/// Exit codes: 0 no problem; 1 a daemon has a problem (the lines in capitals below its name), a machine or all machines
+/// of a site have an alarm, a machine is not monitored, in maintenance or served by several daemons, or an alarm is
+/// shelved; 64 an option is wrong; 69 no daemon answers, or no machine of --site is known; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
                         pointsd status --connect tcp/cabinet-7:7447 --json")]
@@ -124,7 +125,7 @@ async fn gather(client: &Client, site: Option<&Name>) -> Result<Fleet, Failure> 
     let reports: Vec<_> = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
     let (health, health_problems) = operator::values::<Health>(&of_machines);
     let (alarms, alarm_problems) = operator::values::<Alarm>(&events);
-    let mut twice = served_twice(session, &health).await?;
+    let mut twice = served_twice(session, &health, &reports).await?;
     if twice.is_empty() {
         twice = overlaps(&reports);
     }
@@ -214,14 +215,23 @@ fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[MachineId], alarm
 }
 
 /// A sentence about each machine that several daemons serve: all of them publish its alarms, and commands for it fail.
-async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec<String>, Failure> {
+async fn served_twice(
+    session: &zenoh::Session,
+    health: &[Health],
+    reports: &[(String, StatusReport)],
+) -> Result<Vec<String>, Failure> {
     let mut seen = HashSet::new();
     let again = health.iter().filter(|row| !seen.insert((&row.machine, row.direction)));
-    let twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
+    let mut twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
+    // Another daemon may have served the machine before, and still have its last health. A daemon of an earlier version
+    // reports no key.
+    let serves = |report: &StatusReport, machine: &MachineId| {
+        report.key.is_empty() || bus::intersect(&report.key, &wire::machine_key(machine, Kind::Throw))
+    };
+    twice.retain(|machine| reports.iter().filter(|(_, report)| serves(report, machine)).count() > 1);
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
         let daemons = bus::serving(session, machine).await?;
-        // Another daemon may have served the machine before, and still have its last health.
         if daemons.len() < 2 {
             continue;
         }
@@ -233,7 +243,7 @@ async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec
         };
         sentences.push(format!("{machine} is served by {}: {advice}", daemons.join(" and ")));
     }
-    if twice.len() > MAX_ASKED && !sentences.is_empty() {
+    if twice.len() > MAX_ASKED {
         sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
     Ok(sentences)

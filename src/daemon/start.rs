@@ -273,9 +273,9 @@ impl Starting {
         let (inbox, dropped) = Inbox::subscribe(session, &key, subscribe.max_payload_bytes, counters).await?;
         let mut machines = store.reader().machines().await?;
         machines.retain(|machine| monitor.reserves(machine).is_none());
-        let left_out = machines.iter().filter(|machine| !subscribe.serves(machine));
-        status.edit().not_served = left_out.take(NAMED).map(ToString::to_string).collect();
-        machines.retain(|machine| subscribe.serves(machine));
+        let (machines, left_out): (Vec<_>, Vec<_>) =
+            machines.into_iter().partition(|machine| subscribe.serves(machine));
+        status.edit().not_served = left_out.iter().take(NAMED).map(ToString::to_string).collect();
         status.edit().key = subscribe.key.clone().into();
         for (key, reason, at_us) in store.reader().last_refused().await? {
             if let Some((machine, _)) = wire::parse_key(&key).ok().filter(|(machine, _)| subscribe.serves(machine)) {

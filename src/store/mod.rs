@@ -34,7 +34,7 @@ pub use error::StoreError;
 pub use files::disk::DiskLevel;
 pub(crate) use files::open::refuse_foreign;
 pub use files::open::{Found, Report};
-pub(crate) use files::path::{beside, folder_of, unwritable};
+pub(crate) use files::path::{beside, database_path, folder_of, unwritable};
 pub use files::salvage::Salvaged;
 pub(crate) use rate_limit::{LogRateLimit, RecentCount, seldom};
 pub use reader::Reader;

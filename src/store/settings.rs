@@ -27,8 +27,8 @@ settings! {
         pub max_throws: u64 = 5_000_000, Within(100.0, 1e9, "throws");
         /// Largest number of closed alarms with their events, 100 to 10,000,000.
         pub max_alarms: u64 = 100_000, Within(100.0, 1e7, "alarms");
-        /// Age at which a trace is dropped \[days\], 1 to 36,500; applied only while the clock is trusted (24 h without a
-        /// jump, and no more than 31 days after the newest throw, or set by systemd-timesyncd).
+        /// Age at which a trace is dropped \[days\], 1 to 36,500; applied only while the clock is trusted: no jump for
+        /// 24 h, and set by systemd-timesyncd or, at the start, at most 31 days after the newest throw.
         pub trace_days: u32 = 3650, Within(1.0, 36_500.0, "days");
         /// Free space on the disk below which traces are dropped \[MiB\], 0 to 1,048,576.
         pub low_disk_mib: u64 = 128, Within(0.0, f64::from(1 << 20), "MiB");

@@ -21,7 +21,7 @@ impl Store {
             DiskLevel::Ample => None,
             DiskLevel::Low => Some((
                 Severity::Warning,
-                "its disk is nearly full, and traces of judged throws are dropped until there is space. Free some",
+                "its disk is nearly full, and traces of judged throws are dropped. Free some space",
             )),
             DiskLevel::Full => Some((Severity::Critical, "its disk is full, and writes fail. Free some space now")),
             DiskLevel::Failing => Some((

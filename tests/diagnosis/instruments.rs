@@ -151,14 +151,15 @@ fn sensor_supply_and_machine_are_distinguished_in_forty_lives() {
 #[test]
 fn a_part_that_fails_beside_a_faulty_sensor_is_named_with_its_own_size() {
     let gains = [0.93, 1.07].map(|current_gain| State { current_gain, ..State::SOUND });
-    let parts: [(Cause, f64, fn(State) -> State); 4] = [
-        (Cause::Friction, 50.0, |state| State { friction: 1.5, ..state }),
-        (Cause::Kt, -12.0, |state| State { torque: 0.88, back_emf: 0.88, ..state }),
-        (Cause::Stiffness, 30.0, |state| State { stiffness: 1.3, ..state }),
-        (Cause::Inertia, 20.0, |state| State { inertia: 1.2, ..state }),
-    ];
+    let fails = |cause: Cause, state: State| match cause {
+        Cause::Friction => State { friction: 1.5, ..state },
+        Cause::Kt => State { torque: 0.88, back_emf: 0.88, ..state },
+        Cause::Stiffness => State { stiffness: 1.3, ..state },
+        _ => State { inertia: 1.2, ..state },
+    };
+    let parts = [(Cause::Friction, 50.0), (Cause::Kt, -12.0), (Cause::Stiffness, 30.0), (Cause::Inertia, 20.0)];
     for (at, faulty) in gains.into_iter().enumerate() {
-        for (cause, pct, fails) in parts {
+        for (cause, pct) in parts {
             let mut drive = Drive::after(120, 310 + at as u64, Voltage::Published);
             let mut of_sensor = drive.events(10, faulty);
             let snapshot = serde_json::to_string(&drive.monitor).unwrap();
@@ -168,7 +169,7 @@ fn a_part_that_fails_beside_a_faulty_sensor_is_named_with_its_own_size() {
                 !of_sensor.is_empty() && of_sensor.iter().all(|event| event.cause == Cause::Sensor),
                 "{of_sensor:?}"
             );
-            let events = drive.events(24, fails(faulty));
+            let events = drive.events(24, fails(cause, faulty));
             let named = events.iter().find(|event| event.cause == cause);
             let sizes = named.and_then(|event| event.change_pct.zip(event.change_pct_sd));
             assert!(
@@ -178,7 +179,7 @@ fn a_part_that_fails_beside_a_faulty_sensor_is_named_with_its_own_size() {
             assert!(events.iter().all(|event| [cause, Cause::Unattributed].contains(&event.cause)), "{events:?}");
             let caveats = drive.monitor.caveats();
             assert!(caveats.iter().any(|caveat| caveat.contains("is subtracted from the coefficients")), "{caveats:?}");
-            let mended = drive.events(100, fails(State::SOUND));
+            let mended = drive.events(100, fails(cause, State::SOUND));
             let ended: Vec<_> = mended.iter().filter(|event| event.cause == Cause::Sensor).collect();
             assert!(matches!(&ended[..], [only] if only.over), "sensor {at}, {cause}: {mended:?}");
             let other = |event: &&AlarmEvent| ![Cause::Sensor, cause].contains(&event.cause) && !event.over;

@@ -210,6 +210,20 @@ async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
     assert_eq!(left, [7, 5, 3, 3, 0]);
 }
 
+/// After a loss of power the daemon has stored a backlog before its clock was set.
+#[tokio::test]
+async fn many_traces_without_a_usable_time_do_not_stop_the_limit_of_age() {
+    let (_folder, store) = fresh_with(|settings| Settings { trace_days: 30, ..settings }).await;
+    let day = |days: i64| at(86_400 * days);
+    for throw_no in 1..=100 {
+        judged_at(&store, throw_no, Timestamp::UNIX_EPOCH).await;
+    }
+    judged_at(&store, 101, day(0)).await;
+    judged_at(&store, 102, day(50)).await;
+    store.keep_bounds(Some(day(60))).await.unwrap();
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM trace").await[0].0, 1);
+}
+
 /// Three hundred alarms with two events each. All alarms but the first are closed.
 const OLD_ALARMS: [&str; 3] = [
     "INSERT INTO machine (site, machine) VALUES ('north', '21B')",

@@ -367,15 +367,19 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     if path.file_name().is_none() {
         return invalid(format!("{} is not a file name", path.display()));
     }
-    let parent = store::folder_of(path);
-    match fs::metadata(parent) {
-        Ok(folder) if !folder.is_dir() => invalid(format!("{} is not a folder", parent.display())),
-        Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
-            invalid(format!("this user cannot write to the folder {}", parent.display()))
+    // Behind an administrator's link, the files are in another folder. The lock file is beside the link.
+    for path in [path, &store::database_path(path)] {
+        let parent = store::folder_of(path);
+        match fs::metadata(parent) {
+            Ok(folder) if !folder.is_dir() => return invalid(format!("{} is not a folder", parent.display())),
+            Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
+                return invalid(format!("this user cannot write to the folder {}", parent.display()));
+            }
+            Ok(_) => {}
+            Err(error) => return invalid(format!("the folder {} of the database: {error}", parent.display())),
         }
-        Ok(_) => Ok(()),
-        Err(error) => invalid(format!("the folder {} of the database: {error}", parent.display())),
     }
+    Ok(())
 }
 
 /// The `[zenoh]` section as written in the file.

@@ -362,6 +362,13 @@ impl JudgeLoop {
             of_machines.entry(gap.machine.clone()).or_default().push(gap);
         }
         for (machine, gaps) in of_machines {
+            if !config.subscribe.serves(&machine) && config.monitor.reserves(&machine).is_none() {
+                // Another daemon serves the machine now, and may have these throws.
+                let reported =
+                    Outcome { machine, at: now, monitor: None, events: Vec::new(), reported_gaps: gaps, command: None };
+                self.record(reported).await?;
+                continue;
+            }
             let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
             let mut missing = Missing { reason, ..Missing::default() };
             for gap in &gaps {
@@ -373,6 +380,7 @@ impl JudgeLoop {
             let report = Outcome { reported_gaps: gaps, ..outcome };
             // A report that the database rejects would be repeated at each tick, and would add up the same throws.
             if !self.record(report.clone()).await? && !self.shared.stops.give_up.is_cancelled() {
+                self.judge.monitors.store_again(&report.machine);
                 self.record(Outcome { monitor: None, events: Vec::new(), ..report }).await?;
             }
         }

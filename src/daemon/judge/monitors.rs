@@ -257,6 +257,7 @@ impl Monitors {
     /// Advances the time of every monitor, and updates it with the liveliness tokens. Returns the machines to store,
     /// with their events. Each monitor is stored at least once an hour, as it counts the time without a throw. The state
     /// and the alarms of a machine that the daemon does not serve stay as they are: another daemon may publish its alarms.
+    /// The alarms of the sites go on.
     pub(crate) fn tick(
         &mut self,
         now: Timestamp,

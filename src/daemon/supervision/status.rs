@@ -331,10 +331,7 @@ impl StatusReport {
     pub fn problems(&self) -> Vec<String> {
         let mut problems = Vec::new();
         let mut add = |is_so: bool, problem: &str| problems.extend(is_so.then(|| problem.to_owned()));
-        add(
-            self.disk == DiskLevel::Low,
-            "DISK LOW: traces of judged throws are dropped until there is space, free some",
-        );
+        add(self.disk == DiskLevel::Low, "DISK LOW: traces of judged throws are dropped, free some space");
         add(self.disk == DiskLevel::Full, "DISK FULL: nothing can be stored, free some space");
         add(self.disk == DiskLevel::Failing, "DATABASE FAILING: writes do not succeed");
         add(self.copying, "COPYING THE DATABASE to a new file: writes wait");

@@ -65,7 +65,8 @@ const LINGERS: u32 = 2 * LONGEST_WINDOW;
 
 /// Number of throws with an alarm about the current sensor after which its gain is known: the gauges are means over as
 /// many.
-pub(crate) const KNOWN_AFTER: u8 = WINDOWS[2] as u8;
+pub(crate) const KNOWN_AFTER: u8 = 12;
+const _: () = assert!(KNOWN_AFTER as usize == WINDOWS[2], "the same length, in another type");
 
 /// Counts of throws with and without a fault of a sensor or the supply.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]

@@ -19,14 +19,14 @@ pub(super) mod salvage;
 
 use std::{
     fs::File,
-    io, iter,
+    io,
     os::unix::fs::{MetadataExt, symlink},
     path::{Path, PathBuf},
 };
 
 use jiff::Timestamp;
 
-use self::path::{beside, folder_of};
+use self::path::{beside, database_path, folder_of, target};
 use super::error::StoreError;
 
 /// Suffixes of the files of one database; the database itself is last.
@@ -64,10 +64,7 @@ pub(super) struct Identity {
 
 impl DatabaseFiles {
     pub(super) fn new(path: &Path) -> Self {
-        let target = |link: &PathBuf| Some(folder_of(link).join(std::fs::read_link(link).ok()?));
-        let elsewhere = |link: &PathBuf| target(link).filter(|target| folder_of(target) != folder_of(link));
-        // Linux also follows at most 40 links.
-        Self { path: iter::successors(Some(path.to_owned()), elsewhere).take(40).last().unwrap_or_default() }
+        Self { path: database_path(path) }
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -76,8 +73,7 @@ impl DatabaseFiles {
 
     /// The database file, with links resolved. After a move it may be missing behind its link, and then still has a log.
     fn file(&self) -> PathBuf {
-        let behind_link = || Some(folder_of(&self.path).join(std::fs::read_link(&self.path).ok()?));
-        std::fs::canonicalize(&self.path).ok().or_else(behind_link).unwrap_or_else(|| self.path.clone())
+        std::fs::canonicalize(&self.path).ok().or_else(|| target(&self.path)).unwrap_or_else(|| self.path.clone())
     }
 
     /// Size of a file of the database \[bytes\]; 0 if it is missing.

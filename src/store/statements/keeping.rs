@@ -42,10 +42,11 @@ statements! {
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time
     // ?4 is not usable: such a trace is as old as the next one with a usable time. No trace after the first young one
-    // is aged. Reads only the oldest 64 rows, as it runs every second: if no time among them is usable, the traces wait
-    // for the other limits.
+    // is aged. Reads one row, as it runs every second, or the oldest 4,096 if that one is not young.
     AGED_TRACES = "WITH oldest AS MATERIALIZED (SELECT throw_row, received_at_us, judged_at_us \
-        FROM trace JOIN throw USING (throw_row) ORDER BY throw_row LIMIT 64) \
+        FROM trace JOIN throw USING (throw_row) ORDER BY throw_row \
+        LIMIT CASE WHEN (SELECT received_at_us BETWEEN ?2 AND ?4 FROM trace JOIN throw USING (throw_row) \
+        ORDER BY throw_row LIMIT 1) THEN 0 ELSE 4096 END) \
         SELECT throw_row FROM oldest WHERE judged_at_us IS NOT NULL AND throw_row <= (SELECT max(throw_row) FROM oldest \
             WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \
                 (SELECT min(throw_row) FROM oldest WHERE received_at_us BETWEEN ?2 AND ?4), 9223372036854775807)) LIMIT ?1";

@@ -258,18 +258,16 @@ async fn next_of_known_boots<'a>(
         find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
         find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
     }
+    // The columns of the statement, in its order.
     let found: Vec<(usize, i64, i64, i64, i64)> = from_json(find.fetch_one(connection).await?.try_get(0)?)?;
     let mut machines = HashSet::new();
-    let first = found.into_iter().filter(|(_, machine_row, ..)| machines.insert(*machine_row));
-    let place = |(at, machine_row, boot_row, position, highest_no): (usize, _, _, _, _)| Placed {
-        throw: &throws[at],
-        machine_row,
-        boot_row,
-        position,
-        highest_no,
-        throw_no: throws[at].throw_no(),
-    };
-    Ok(first.map(place).collect())
+    let first = found.into_iter().filter_map(|(at, machine_row, boot_row, position, highest_no)| {
+        let throw = &throws[at];
+        let throw_no = throw.throw_no();
+        let place = Placed { throw, machine_row, boot_row, position, highest_no, throw_no };
+        machines.insert(machine_row).then_some(place)
+    });
+    Ok(first.collect())
 }
 
 /// Adds the new machines among those of the throws `first`, each with the boot of its throw. Returns the number of
