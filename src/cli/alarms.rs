@@ -80,14 +80,13 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         let (found, problems) = operator::read::<Alarm>(&answers);
         let problems = problems + operator::silent(&present, &daemons).len();
-        let received = found.len();
-        let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
-        let is_incomplete = arguments.limit.is_none_or(|limit| found.len() < limit as usize);
-        if is_history && is_incomplete && received >= MAX_HISTORY as usize {
+        if is_history && (arguments.limit.is_none() || selects(arguments)) && found.len() >= MAX_HISTORY as usize {
             terminal::complain(format_args!(
-                "{received} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine"
+                "{} events, and a daemon sends only its newest {MAX_HISTORY}: older ones may be missing; ask for one machine",
+                found.len()
             ));
         }
+        let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
         if is_history {
             found.sort_by_key(|(_, alarm)| alarm.event_at);
             let newest = arguments.limit.map_or(usize::MAX, |limit| limit as usize);
