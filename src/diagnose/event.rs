@@ -76,7 +76,7 @@ impl Cause {
         Self::PHYSICAL.contains(&self)
     }
 
-    /// Whether the cause is one of [`Self::DRIFTS`].
+    /// Whether a drift of the coefficients may have this cause: a part, or `Unattributed`.
     pub fn is_drift(self) -> bool {
         Self::DRIFTS.contains(&self)
     }
