@@ -224,7 +224,7 @@ impl Missing<'_> {
 pub struct Parameters {
     /// Stroke \[mm\]. Only coefficients without a toe position depend on it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) stroke_mm: Option<f64>,
+    stroke_mm: Option<f64>,
     /// Ball-screw lead \[mm per revolution\].
     lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\].
@@ -238,6 +238,12 @@ impl Parameters {
     pub fn of(settings: &estimate::Settings) -> Self {
         let &estimate::Settings { stroke_mm, lead_mm, neutral_mm, motor, .. } = settings;
         Self { stroke_mm, lead_mm, neutral_mm, motor }
+    }
+
+    /// The parameters with the stroke of those `before`, if they have none: a stroke that is removed and set again is
+    /// compared with the last known one.
+    pub(super) fn with_last_stroke(self, before: Option<Self>) -> Self {
+        Self { stroke_mm: self.stroke_mm.or(before.and_then(|before| before.stroke_mm)), ..self }
     }
 
     /// The first parameter that differs, with both values; `None` without a difference. A stroke that was not known

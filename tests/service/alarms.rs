@@ -113,8 +113,7 @@ async fn missing_throws_whose_alarm_the_database_rejects_are_reported_once() {
     let logger = daemon.logger(KEY).await;
     logger.send([1, 5].map(|number| stub("boot", number))).await;
     daemon.until_status("the rejection", |status| status["alarm_events_lost"] == 1).await;
-    // The next tick.
-    tokio::time::sleep(std::time::Duration::from_secs(6)).await;
+    rig.until_sql("SELECT 1 AS n FROM gap WHERE told_at_us IS NOT NULL").await;
     assert_eq!(daemon.status()["alarm_events_lost"], 1);
 }
 

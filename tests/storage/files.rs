@@ -145,24 +145,18 @@ async fn a_file_that_was_broken_after_a_clean_stop_is_found_at_the_start() {
 
 #[tokio::test]
 async fn a_database_of_a_newer_version_opens_and_keeps_its_additions() {
-    let folder = tempfile::tempdir().unwrap();
-    let opened = open(folder.path()).await;
-    spooled(&opened.store, "21B", "b1", 1).await;
-    opened.store.close().await.unwrap();
+    let folder = stopped().await;
     let migration = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
                      VALUES (9999, 'wind', 1, x'00', 1)";
     change(folder.path().join("points.db"), ["ALTER TABLE throw ADD COLUMN wind_m_s REAL", migration]).await;
     let opened = open(folder.path()).await;
     assert!(opened.report.newer_schema && opened.report.found == Found::Clean);
-    spooled(&opened.store, "21B", "b1", 2).await;
+    spooled(&opened.store, "21B", "b1", 1501).await;
 }
 
 #[tokio::test]
 async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_as_it_is() {
-    let folder = tempfile::tempdir().unwrap();
-    let opened = open(folder.path()).await;
-    spooled(&opened.store, "21B", "b1", 1).await;
-    opened.store.close().await.unwrap();
+    let folder = stopped().await;
     change(folder.path().join("points.db"), ["PRAGMA user_version = 9999", "PRAGMA wal_checkpoint(TRUNCATE)"]).await;
     let before = fs::read(folder.path().join("points.db")).unwrap();
     let error = Store::open(&settings(folder.path()), at(0)).await.err().unwrap().to_string();

@@ -24,7 +24,7 @@ use crate::{
         supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
     diagnose::{AlarmEvent, Away, Command, Irregularity, MachineMonitor, Missing},
-    store::{ALL_MACHINES, Judgement, Outcome, StoreError, seldom},
+    store::{ALL_MACHINES, Gap, Judgement, Outcome, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
@@ -305,10 +305,7 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
         let loggers = self.shared.loggers.borrow().clone();
-        // `subscribe.key` need not include the names of the daemon and of its sites.
-        let is_served =
-            |machine: &MachineId| config.subscribe.serves(machine) || config.monitor.reserves(machine).is_some();
-        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, is_served);
+        let changed = self.judge.monitors.tick(now, &config.diagnosis, &loggers, |machine| is_served(&config, machine));
         for changed in changed.chunks(CHANGES) {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.monitors.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
@@ -362,11 +359,17 @@ impl JudgeLoop {
             of_machines.entry(gap.machine.clone()).or_default().push(gap);
         }
         for (machine, gaps) in of_machines {
-            if !config.subscribe.serves(&machine) && config.monitor.reserves(&machine).is_none() {
+            let told = |reported_gaps: Vec<Gap>| Outcome {
+                machine: machine.clone(),
+                at: now,
+                monitor: None,
+                events: Vec::new(),
+                reported_gaps,
+                command: None,
+            };
+            if !is_served(&config, &machine) {
                 // Another daemon serves the machine now, and may have these throws.
-                let reported =
-                    Outcome { machine, at: now, monitor: None, events: Vec::new(), reported_gaps: gaps, command: None };
-                self.record(reported).await?;
+                self.record(told(gaps)).await?;
                 continue;
             }
             let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
@@ -377,11 +380,11 @@ impl JudgeLoop {
                 missing.refused += gap.refused.min(throws);
             }
             let outcome = self.judge.monitors.report_gap(&machine, missing, now, &config.diagnosis);
-            let report = Outcome { reported_gaps: gaps, ..outcome };
+            let is_recorded = self.record(Outcome { reported_gaps: gaps.clone(), ..outcome }).await?;
             // A report that the database rejects would be repeated at each tick, and would add up the same throws.
-            if !self.record(report.clone()).await? && !self.shared.stops.give_up.is_cancelled() {
-                self.judge.monitors.store_again(&report.machine);
-                self.record(Outcome { monitor: None, events: Vec::new(), ..report }).await?;
+            if !is_recorded && !self.shared.stops.give_up.is_cancelled() {
+                self.judge.monitors.store_again(&machine);
+                self.record(told(gaps)).await?;
             }
         }
         Ok(())
@@ -545,6 +548,11 @@ impl JudgeLoop {
             () = self.shared.stops.give_up.cancelled() => {}
         }
     }
+}
+
+/// Whether this daemon serves a machine. `subscribe.key` need not include the names of the daemon and of its sites.
+fn is_served(config: &Config, machine: &MachineId) -> bool {
+    config.subscribe.serves(machine) || config.monitor.reserves(machine).is_some()
 }
 
 /// Whether throws of a machine are judged. A monitor with a reserved name is that of the daemon or of a site.

@@ -199,13 +199,16 @@ impl Alarms {
             Some(alarm) if rule == Rule::Usual && alarm.rule.gives_way() => {
                 let severity = alarm.last.severity.max(event.severity);
                 self.raise_anew(rule, AlarmEvent { severity, ..event });
+                true
             }
             Some(alarm) if !alarm.is_unchecked => {
-                return event.cause == Cause::Unattributed && alarm.rule != rule && self.add_fault(rule, event);
+                event.cause == Cause::Unattributed && alarm.rule != rule && self.add_fault(rule, event)
             }
-            _ => self.raise_anew(rule, event),
+            _ => {
+                self.raise_anew(rule, event);
+                true
+            }
         }
-        true
     }
 
     /// Adds a fault without a named part to the active alarm about another one, whose rule stays its owner: with a more

@@ -43,7 +43,8 @@ impl RuleResult {
             (Some(cause), Self::Nothing) => {
                 let supply =
                     alarms.is_active(Cause::Supply) && rule.knows_no_part() && rule.is_explained_by(Cause::Supply);
-                let text = if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, 0.0) };
+                let text =
+                    if supply { text::explained(name, Cause::Supply) } else { text::back_to_normal(name, cause) };
                 step.clear(cause, |_| text);
             }
             (Some(cause), Self::Fault(event) | Self::Larger(event))

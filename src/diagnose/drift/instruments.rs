@@ -399,7 +399,7 @@ impl Instruments {
         } else if self.sensor.over >= settings.off_delay_throws {
             RuleResult::Nothing.apply(Rule::Stroke, step);
             if is_of_sensor {
-                step.clear(Cause::Sensor, |name| text::cleared(name, Cause::Sensor, 0.0));
+                step.clear(Cause::Sensor, |name| text::back_to_normal(name, Cause::Sensor));
             }
         }
     }
@@ -464,7 +464,7 @@ impl Instruments {
             }
         }
         if is_over {
-            step.clear(Cause::Supply, |name| text::cleared(name, Cause::Supply, 0.0));
+            step.clear(Cause::Supply, |name| text::back_to_normal(name, Cause::Supply));
         }
     }
 

@@ -172,14 +172,13 @@ impl Drift {
         let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
         // Fitted together with a second part, a part has another size.
         let other_part = self.attribution.as_ref().and_then(|attribution| attribution.beside(cause));
-        let extent = |window: &Window, sense| extent((cause, sense), other_part, window, settings);
-        let of_levels = |sense| levels.clone().map(|level| extent(level, sense)).fold((0.0, 0.0), max_of_each);
-        let ((size, _), (in_sense, bound)) = (of_levels(0.0), of_levels(sense));
+        let extent = |window: &Window| extent((cause, sense), other_part, window, settings);
+        let Extent { size, in_sense, bound } = levels.map(extent).fold(Extent::default(), Extent::max_of_each);
         let last_few = self.latest.1.as_ref();
         let latest = last_few.filter(|window| self.alarmed.contains(&cause) && window.shows(cause));
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
-        let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window, 0.0).0 < deadband);
+        let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window).size < deadband);
         let claim = match named {
             Some(_) if self.matters() => {
                 // The next throw confirms a step, but not an outlier.
@@ -207,7 +206,7 @@ impl Drift {
             other_name: other,
             turned: false,
             unchecked: false,
-            latest: latest.map(|window| extent(window, sense).0),
+            latest: latest.map(|window| extent(window).in_sense),
         }
     }
 
@@ -287,21 +286,41 @@ pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) ->
     visible.is_finite().then_some(visible)
 }
 
-/// Size of `cause` in a window relative to the warning limit, and the same for the size plus two standard deviations;
-/// with `beside`, in a fit of both parts together. With a `sense`, a size of the opposite sign counts as negative, and
-/// both are at least 0.
-fn extent((cause, sense): (Cause, f64), beside: Option<Cause>, window: &Window, settings: &Settings) -> (f64, f64) {
+/// Size of a change relative to the warning limit.
+#[derive(Clone, Copy, Default)]
+struct Extent {
+    size: f64,
+    /// The size in the sense of the alarm: 0 if it has the opposite sign.
+    in_sense: f64,
+    /// `in_sense` with two standard deviations added to the size.
+    bound: f64,
+}
+
+impl Extent {
+    fn max_of_each(self, other: Self) -> Self {
+        Self {
+            size: self.size.max(other.size),
+            in_sense: self.in_sense.max(other.in_sense),
+            bound: self.bound.max(other.bound),
+        }
+    }
+}
+
+/// Extent of `cause` in a window; with `beside`, in a fit of both parts together. `sense`: the sign of the change in the
+/// active alarm; 0 without one.
+fn extent((cause, sense): (Cause, f64), beside: Option<Cause>, window: &Window, settings: &Settings) -> Extent {
     let of = |cause: Cause| {
         let e = match beside {
             Some(other) => window.fit([cause, other], settings).parts[0],
             None => window.single(cause, settings),
         };
+        let size = settings.relevance(cause, e.size);
         let is_opposite = e.size * sense < 0.0;
-        let (size, largest) =
-            if is_opposite { (0.0, 2.0 * e.size_sd - e.size.abs()) } else { (e.size, e.size.abs() + 2.0 * e.size_sd) };
-        (settings.relevance(cause, size), settings.relevance(cause, largest.max(0.0)))
+        let (in_sense, nearest) = if is_opposite { (0.0, -e.size.abs()) } else { (size, e.size.abs()) };
+        let bound = settings.relevance(cause, (nearest + 2.0 * e.size_sd).max(0.0));
+        Extent { size, in_sense, bound }
     };
-    alarm_causes(cause).filter(|part| window.shows(*part)).map(of).fold((0.0, 0.0), max_of_each)
+    alarm_causes(cause).filter(|part| window.shows(*part)).map(of).fold(Extent::default(), Extent::max_of_each)
 }
 
 /// The mean of both directions with equal weights, as dry friction may change the coefficients of each differently.
@@ -326,8 +345,4 @@ fn is_before_motor_fault(window: &Window, last: &Window, known: &Known, settings
 /// The physical causes of an alarm: its cause, or all four of an unattributed one.
 fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
     Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
-}
-
-fn max_of_each(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
-    (a.0.max(b.0), a.1.max(b.1))
 }

@@ -193,11 +193,9 @@ impl MachineMonitor {
     /// compared, so a change starts a new baseline; returns the command that does this. The verdict on the throw has
     /// the events.
     pub fn configured(&mut self, parameters: Parameters, now: Timestamp) -> Option<Command> {
-        let before = self.parameters.replace(parameters)?;
-        if let Some(kept) = self.parameters.as_mut().filter(|kept| kept.stroke_mm.is_none()) {
-            kept.stroke_mm = before.stroke_mm;
-        }
-        let changed = before.changed(&parameters, self.has_position)?;
+        let before = self.parameters;
+        self.parameters = Some(parameters.with_last_stroke(before));
+        let changed = before?.changed(&parameters, self.has_position)?;
         let why = format!("the configuration of the machine changed: {changed}");
         let by = "pointsd".to_owned();
         let now = to_micros(now);

@@ -132,9 +132,18 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
 
 /// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit.
 pub(crate) fn cleared(name: &str, cause: Cause, left: f64) -> String {
+    if left >= 1.0 {
+        format!("Machine {name}: {cause} has now changed in the opposite sense.")
+    } else if left >= HEALTHY_BELOW {
+        format!("Machine {name}: {cause} is below its warning limit again.")
+    } else {
+        back_to_normal(name, cause)
+    }
+}
+
+/// Text of an alarm whose reason has ended.
+pub(crate) fn back_to_normal(name: &str, cause: Cause) -> String {
     match cause {
-        _ if left >= 1.0 => format!("Machine {name}: {cause} has now changed in the opposite sense."),
-        _ if left >= HEALTHY_BELOW => format!("Machine {name}: {cause} is below its warning limit again."),
         Cause::Unattributed => format!("Machine {name}: the reported change has ended."),
         _ => format!("Machine {name}: {cause} is back to normal."),
     }

@@ -72,8 +72,8 @@ pub(crate) fn integrate(integral: &mut Vec<f64>, values: &[f64], level: f64, int
     let (mut sum, mut rest) = (0.0, values);
     // In blocks of four, so that one addition in four waits for the sum before it.
     while let [a, b, c, d, e, ..] = *rest {
-        let (one, two) = (area(a, b), area(a, b) + area(b, c));
-        let (third, last) = (area(c, d), area(c, d) + area(d, e));
+        let (one, third) = (area(a, b), area(c, d));
+        let (two, last) = (one + area(b, c), third + area(d, e));
         integral.extend([sum + one, sum + two, sum + (two + third), sum + (two + last)]);
         sum += two + last;
         rest = &rest[4..];
