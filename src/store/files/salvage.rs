@@ -80,7 +80,8 @@ static TABLES: [Table; 15] = [
     Table {
         name: "trace",
         key: "throw_row",
-        sound: "current_codec IN ('pco-f32', 'pco-f64', 'raw-f64') AND position_codec IN ('pco-f32', 'pco-f64', 'raw-f64')",
+        sound: "current_codec IN ('packed-f32', 'pco-f32', 'pco-f64', 'raw-f64') \
+                AND position_codec IN ('packed-f32', 'pco-f32', 'pco-f64', 'raw-f64')",
     },
 ];
 
