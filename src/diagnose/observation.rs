@@ -335,12 +335,11 @@ impl Evaluated {
 
     /// The throw for a comparison with a baseline of ratios: the logarithms of b0/b0, a1/b0 and a0/b0. Friction, which
     /// varies most, varies in only one of them. An error that is equal in every throw cancels in this comparison. The
-    /// errors of a complete estimate are not those of ratios, so its ratios come from [`Self::running`] if
-    /// `of_running`, as in all baselines but those of an earlier version of the program.
-    pub(super) fn ratios(self, of_running: bool) -> Self {
+    /// errors of a complete estimate are not those of ratios, so its ratios come from [`Self::running`] if it has them.
+    pub(super) fn ratios(self) -> Self {
         let repeats = if self.ratios_only { f64::from(LONGEST_WINDOW) } else { 1.0 };
         let own = || (self.log.map(|log| log - self.log[0]), relative_to(0, &self.sensor) / repeats);
-        let (log, sensor) = self.running.filter(|_| of_running).unwrap_or_else(own);
+        let (log, sensor) = self.running.unwrap_or_else(own);
         Self { log, sensor: sensor + Matrix3::repeat(SCALE_VARIANCE), ratios_only: true, ..self }
     }
 
@@ -384,7 +383,7 @@ mod tests {
         let complete = evaluated(complete);
         let rough = evaluated(Estimated { ratios_only: true, ..estimated([1.0, 0.38, 0.037]) });
         for shift in [0.0, 0.2] {
-            let of = |throw: &Evaluated| throw.clone().without_shift(shift).ratios(true).log;
+            let of = |throw: &Evaluated| throw.clone().without_shift(shift).ratios().log;
             let differences: Vec<f64> = of(&complete).iter().zip(of(&rough)).map(|(a, b)| (a - b).abs()).collect();
             assert!(differences.iter().all(|difference| *difference < 1e-12), "{differences:?} with {shift}");
         }

@@ -1,7 +1,5 @@
 //! Snapshots of earlier versions of the program, and their conversion to the present form.
 //!
-//! Early snapshots of version 2 store the owner of an alarm beside the alarm, as a flag of each rule.
-//!
 //! Snapshots of version 1 have no version number. They store the state of an alarm as flags and all counters of a
 //! condition together, and allow a maintenance window without end.
 
@@ -9,7 +7,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::{
-    AlarmEvent, Cause, SensorChannel,
+    AlarmEvent,
     alarm::{Acknowledgement, Alarm, Alarms, Maintenance, Rule, State},
     drift::{Beginning, Condition, Ending, History, Onset},
     operation::Operation,
@@ -91,55 +89,8 @@ impl ConditionOne {
     }
 }
 
-/// The version of a snapshot. For early snapshots of version 2 also the owners of the alarms: for each rule, the cause
-/// or the sensor of the alarm that it owns; and the reason why the machine is not monitored.
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
+/// The version of a snapshot.
+#[derive(Debug, Deserialize)]
 pub(super) struct Header {
     pub(super) version: Option<u32>,
-    features: Flag<bool>,
-    start: Flag<bool>,
-    drift: OfDrift,
-    instruments: Flag<Option<SensorChannel>>,
-    operation: OfOperation,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct OfDrift {
-    intermittent: Flag<Option<Cause>>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct OfOperation {
-    unmonitored: Option<String>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Flag<T> {
-    alarmed: T,
-}
-
-impl Header {
-    /// Sets the owners of the alarms.
-    pub(super) fn give_owners(&self, alarms: &mut Alarms) {
-        let of_sensor = self.instruments.alarmed.filter(|channel| alarms.faulty_sensor() == Some(*channel));
-        let is_unmonitored =
-            |reason: &str| (self.operation.unmonitored.as_deref() == Some(reason)).then_some(Cause::NotMonitored);
-        let owners = [
-            (self.start.alarmed.then_some(Cause::Unattributed), Rule::Start),
-            (self.features.alarmed.then_some(Cause::Unattributed), Rule::Features),
-            (self.drift.intermittent.alarmed, Rule::Intermittent),
-            (of_sensor.map(|_| Cause::Sensor), Rule::Gauges),
-            (is_unmonitored("silent"), Rule::Silence),
-            (is_unmonitored("two_loggers"), Rule::TwoLoggers),
-        ];
-        for (cause, rule) in owners {
-            if let Some(cause) = cause {
-                alarms.set_rule(cause, rule);
-            }
-        }
-    }
 }

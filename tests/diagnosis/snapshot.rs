@@ -6,8 +6,6 @@ use pointsd::{
     throw::Direction,
 };
 
-/// Version 2, when each rule had a flag for its own alarm. Two alarms are active: of the features and of the supply.
-const WITH_FLAGS: &str = include_str!("snapshots/version-2.json");
 /// Version 1: three machines of a demo. Their alarms are acknowledged, shelved, and in a maintenance without an end.
 const SNAPSHOTS: &str = include_str!("snapshots/version-1.ndjson");
 
@@ -54,32 +52,4 @@ fn a_snapshot_of_a_newer_version_is_refused_by_its_number() {
     let error = MachineMonitor::from_snapshot(r#"{"version": 99}"#).unwrap_err().to_string();
     assert!(error.contains("99"), "{error}");
     assert!(MachineMonitor::from_snapshot("[]").is_err());
-}
-
-#[test]
-fn the_owner_of_an_alarm_is_read_from_the_flags_of_an_earlier_program() {
-    let owners = |json: &serde_json::Value| {
-        let monitor = MachineMonitor::from_snapshot(&json.to_string()).unwrap();
-        let now = serde_json::to_value(&monitor).unwrap();
-        let again = MachineMonitor::from_snapshot(&now.to_string()).unwrap();
-        assert_eq!(again, monitor);
-        let open = now["alarms"]["open"].as_array().unwrap().clone();
-        open.into_iter().map(|alarm| (alarm["last"]["cause"].clone(), alarm["rule"].clone())).collect::<Vec<_>>()
-    };
-    let mut json: serde_json::Value = serde_json::from_str(WITH_FLAGS).unwrap();
-    let none = serde_json::Value::Null;
-    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "features".into())]);
-    json["features"]["alarmed"] = false.into();
-    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), none.clone())]);
-    json["start"]["alarmed"] = true.into();
-    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "start".into())]);
-    json["start"]["alarmed"] = false.into();
-    json["drift"]["intermittent"]["alarmed"] = "unattributed".into();
-    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "intermittent".into())]);
-    // The reason why the machine is not monitored.
-    json["alarms"]["open"][1]["last"]["cause"] = "not_monitored".into();
-    for (reason, rule) in [("silent", "silence".into()), ("two_loggers", "two_loggers".into()), ("unevaluated", none)] {
-        json["operation"]["unmonitored"] = reason.into();
-        assert_eq!(owners(&json)[1], ("not_monitored".into(), rule), "{reason}");
-    }
 }

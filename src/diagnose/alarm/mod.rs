@@ -445,13 +445,6 @@ impl Alarms {
         self.active_alarms().filter(|alarm| alarm.rule.gives_way()).map(|alarm| alarm.last.cause)
     }
 
-    /// Sets the owner of the alarm of `cause`, which snapshots of earlier versions store elsewhere.
-    pub(super) fn set_rule(&mut self, cause: Cause, rule: Rule) {
-        if let Some(index) = self.find(cause) {
-            self.open[index].rule = rule;
-        }
-    }
-
     /// The active alarm of `cause`.
     pub(super) fn find_active(&self, cause: Cause) -> Option<&Alarm> {
         self.active_alarms().find(|alarm| alarm.last.cause == cause)

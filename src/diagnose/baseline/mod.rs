@@ -117,11 +117,6 @@ impl BaselineThrow {
         }
     }
 
-    /// [`Baseline::relate_to_b0`] for a throw of a baseline.
-    pub(super) fn relate_to_b0(&mut self) {
-        self.log = self.log.map(|log| log - self.log[0]);
-    }
-
     /// The logarithms without the friction that rain took away.
     fn dry(&self, wet: &[WetSpell]) -> Vector3<f64> {
         let change: f64 = wet.iter().map(|spell| spell.change_at(self.order)).sum();
@@ -184,12 +179,6 @@ impl Baseline {
         throws.iter().zip(logs).map(|(throw, log)| (throw.order, clip(log - level, robust))).collect()
     }
 
-    /// Converts a baseline of ratios of an earlier version, which stored the logarithms minus their mean, to ratios to
-    /// b0.
-    pub(super) fn relate_to_b0(&mut self) {
-        self.centre = self.centre.map(|log| log - self.centre[0]);
-    }
-
     /// Whether errors that repeat in every throw count in a comparison with it. With a baseline of ratios they cancel.
     pub(super) fn counts_repeating_errors(&self) -> bool {
         self.differing.is_none()
@@ -235,7 +224,7 @@ impl Baseline {
             taken_at: self.taken_at,
             throws: self.throws,
             complete: self.complete,
-            center: self.centre.map(|log| (log - if ratios_only { self.centre[0] } else { 0.0 }).exp()),
+            center: self.centre.map(f64::exp),
             ratios_only,
             log_covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|j| s[(i, j)])),
             lag1: self.scatter.lag1,

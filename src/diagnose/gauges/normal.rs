@@ -1,6 +1,6 @@
 //! The normal values of the gauges in a direction, and the effect of a changed supply on them.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use super::{Gauge, Values, values};
 use crate::{
@@ -26,14 +26,7 @@ const CORRELATED: f64 = 1.7;
 pub(super) struct Normal {
     /// The values of each gauge while its normal value is learned; empty if there are none.
     learned: Vec<Vec<f32>>,
-    #[serde(deserialize_with = "padded")]
     known: [Option<(f32, f32)>; Gauge::COUNT],
-}
-
-/// Reads the normal values. The list is shorter in snapshots of a version with fewer gauges.
-fn padded<'de, D: Deserializer<'de>>(from: D) -> Result<[Option<(f32, f32)>; Gauge::COUNT], D::Error> {
-    let known = Vec::deserialize(from)?;
-    Ok(std::array::from_fn(|at| known.get(at).copied().flatten()))
 }
 
 /// The effects of a changed supply on a throw, as logarithms.

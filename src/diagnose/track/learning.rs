@@ -56,7 +56,7 @@ impl Track {
             return false;
         }
         let mut kept = self.undecided.take().unwrap_or_default();
-        let ratios = throw.clone().ratios(true);
+        let ratios = throw.clone().ratios();
         kept.rough += usize::from(throw.grade == Grade::Rough);
         kept.throws.push(BaselineThrow::new(order, &ratios));
         kept.sensor = mean_with(kept.sensor, &ratios.sensor, kept.throws.len());
@@ -67,7 +67,7 @@ impl Track {
         let Undecided { throws, rough, sensor } = *kept;
         let is_rough = rough as f64 >= ROUGH_SHARE * throws.len() as f64;
         if is_rough {
-            *self = Self { of_ratios: true, of_running: true, aside: throws, sensor, ..Self::default() };
+            *self = Self { of_ratios: true, aside: throws, sensor, ..Self::default() };
         }
         is_rough
     }

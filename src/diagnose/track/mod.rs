@@ -46,9 +46,6 @@ struct Track {
     undecided: Option<Box<Undecided>>,
     /// Whether the throws are compared by their ratios only, as many throws have no reliable common scale.
     of_ratios: bool,
-    /// Whether complete estimates are compared by [`Evaluated::running`]; not with a baseline of ratios of an earlier
-    /// version of the program, whose ratios are those of the coefficients.
-    of_running: bool,
     rough: RoughErrors,
 }
 
@@ -140,7 +137,7 @@ impl Tracks {
     /// The throw with the values that its direction compares: all coefficients, or ratios only.
     pub(super) fn compared(&self, throw: Evaluated) -> Evaluated {
         let track = &self.sides[throw.direction.side()];
-        if track.of_ratios { throw.ratios(track.of_running) } else { throw }
+        if track.of_ratios { throw.ratios() } else { throw }
     }
 
     /// Residual of a throw from the baseline of its direction, with temperature compensation. `None` without a
@@ -242,14 +239,6 @@ impl Tracks {
             if let Some(baseline) = &mut track.baseline {
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
-        }
-    }
-
-    /// Converts baselines of ratios of an earlier version of the program to ratios to b0; leaves others alone.
-    pub(super) fn relate_to_b0(&mut self) {
-        for track in self.sides.iter_mut().filter(|track| track.of_ratios) {
-            track.learned.iter_mut().chain(&mut track.aside).for_each(BaselineThrow::relate_to_b0);
-            track.baseline.iter_mut().for_each(Baseline::relate_to_b0);
         }
     }
 
