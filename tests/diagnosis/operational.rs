@@ -555,12 +555,21 @@ fn a_new_baseline_ends_the_alarms_that_compare_with_the_old_one() {
     feed(&mut slow, 5, |o| o.features.duration_s = Some(8.0));
     let mut hot = machine();
     feed(&mut hot, 20, |o| o.temperature_c = Some(850.0));
-    for (mut machine, cause, severity) in
-        [(slow, Cause::SlowThrow, Severity::Critical), (hot, Cause::Sensor, Severity::Warning)]
-    {
+    // Its scatter hides critical changes, so that its alarm asks for a new baseline.
+    let natural = Scatter::USUAL;
+    let wide = Scatter { sd: natural.sd.map(|sd| 3.0 * sd), phi: 0.97, ..natural };
+    let mut blind = Machine::learned(90_000, wide);
+    blind.events(100, Vector3::zeros());
+    for (mut machine, cause, severity) in [
+        (slow, Cause::SlowThrow, Severity::Critical),
+        (hot, Cause::Sensor, Severity::Warning),
+        (blind, Cause::NotMonitored, Severity::Warning),
+    ] {
         let at = machine.throw(Vector3::zeros()).started_at;
         let ended = machine.monitor.command(&rebaseline, at, &Settings::default()).unwrap();
         assert_eq!(summary(&ended), [(cause, severity, AlarmState::Normal)]);
+        // Throws from before the command are not counted on.
+        assert_eq!(feed(&mut machine, 1, |o| o.temperature_c = Some(850.0)), []);
     }
 }
 

@@ -119,9 +119,6 @@ impl DriftAlarms {
         // That of a drift without a name is the size of one of its parts.
         let sense = raised_pct.filter(|_| cause != Cause::Unattributed).unwrap_or_default();
         let mut evidence = drift.evidence(cause, sense, settings);
-        let (latest_side, _) = drift.latest;
-        let of_other = |now: &Drifting| now.direction.is_some_and(|direction| direction.side() != latest_side);
-        evidence.latest = evidence.latest.filter(|_| !self.present(cause).is_some_and(of_other));
         evidence.claim = evidence.claim.min(self.new_part(cause, latest).unwrap_or(weather));
         if self.opposite && cause == Cause::Stiffness {
             // Later the throws of one direction may give no estimate, and those of the other look like a spring.
@@ -188,18 +185,13 @@ impl DriftAlarms {
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
             (Transition::Turn(_), Some(event)) => step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-            (Transition::Clear { left, at_once }, _) => {
+            (Transition::Clear { left }, _) => {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None if at_once => text::cleared_at_once(name, cause, left),
                     None => text::cleared(name, cause, left),
                 };
                 step.clear(cause, |_| text);
-            }
-            // Beside another fault the size is not certain enough for this.
-            (Transition::ProposeRebaseline, _) if step.alarms.drifts().count() == 1 => {
-                step.remark(cause, text::maybe_repaired(name, cause));
             }
             (Transition::Withdraw, _) => {
                 let other = match latest.drift.origin {

@@ -21,15 +21,6 @@ use crate::diagnose::{
     statistics::{LONGEST_WINDOW, WINDOWS, streak},
 };
 
-/// Least part of the level ([`Ending::reached`]) at which a size still has this level: the scatter of a few throws can
-/// cause the difference.
-const NEAR_LEVEL: f64 = 0.75;
-/// Part of the level below which a size has left it: more than half of the drift has ended.
-const LEFT_LEVEL: f64 = 0.5;
-/// Number of throws within which the size falls after a repair: the last few throws of each direction.
-const REPAIR_SHOWS_WITHIN: u32 = 8;
-/// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
-const REPAIRABLE_LEVEL: f64 = 1.5;
 /// Least number of throws of plain health before an alarm is cleared. Sizes are judged from means over up to this
 /// number of throws of a direction; these follow a step with a delay, and still look healthy just after the raise.
 pub(super) const LEVELS_FOLLOW: u32 = 12;
@@ -73,9 +64,6 @@ pub(crate) struct AlarmEvidence {
     pub(super) turned: bool,
     /// Whether the alarm is from before a maintenance, and not confirmed since.
     pub(super) unchecked: bool,
-    /// Size in the last few throws relative to the warning limit; `None` without an alarm, and if these throws are of
-    /// the other direction than the alarm.
-    pub(crate) latest: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,14 +73,10 @@ pub(crate) enum Transition {
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The alarm ends. `left`: the size in either sense, as part of the limit; `at_once`: the size fell within a few
-    /// throws.
+    /// The alarm ends. `left`: the size in either sense, as part of the limit.
     Clear {
         left: f64,
-        at_once: bool,
     },
-    /// Most of the drift has ended within a few throws, as after a repair, but a part is left.
-    ProposeRebaseline,
     /// Another cause explains the drift.
     Withdraw,
 }
@@ -134,19 +118,6 @@ pub(crate) struct Ending {
     pub(crate) below: u32,
     pub(crate) other: u32,
     pub(super) turned: u32,
-    /// Largest size relative to the warning limit that two throws in a row have reached: an outlier remains among the
-    /// last few throws of its own direction only.
-    #[serde(rename = "level")]
-    pub(crate) reached: f64,
-    /// Size at the last throw relative to the warning limit.
-    last: f64,
-    /// Throws since the size was near `reached`. Snapshots of version 1 have another name for this field.
-    #[serde(alias = "below_level")]
-    pub(super) since_level: u32,
-    /// Throws in which the size fell from `reached` to less than half of it; `None` while it is above.
-    pub(super) fell_within: Option<u32>,
-    /// Whether a new baseline was proposed.
-    pub(super) proposed: bool,
     /// Whether the alarm was raised again soon after it cleared: then it lasts at least `hold_throws`.
     pub(super) restless: bool,
 }
@@ -195,7 +166,6 @@ impl Condition {
         } else if severity > active {
             Transition::Escalate
         } else {
-            ending.update_level(evidence.latest);
             ending.transition(evidence.size, settings)
         };
         *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
@@ -238,38 +208,15 @@ impl Ending {
         streak(&mut self.turned, evidence.turned);
     }
 
-    /// Updates the counters that show whether the size falls at once or slowly.
-    fn update_level(&mut self, latest: Option<f64>) {
-        self.since_level = self.since_level.saturating_add(1);
-        let Some(latest) = latest else { return };
-        self.reached = self.reached.max(latest.min(self.last));
-        self.last = latest;
-        if latest >= NEAR_LEVEL * self.reached {
-            (self.since_level, self.fell_within) = (0, None);
-        } else if latest >= LEFT_LEVEL * self.reached {
-            self.fell_within = None;
-        } else if self.fell_within.is_none() {
-            self.fell_within = Some(self.since_level);
-        }
-    }
-
-    /// Whether the size fell as after a repair: by half within a few throws of each direction.
-    fn fell_at_once(&self) -> bool {
-        self.reached >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
-    }
-
-    fn transition(&mut self, left: f64, settings: &Settings) -> Transition {
+    fn transition(&self, left: f64, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
         if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
             || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
             || self.below >= settings.hold_throws
         {
-            Transition::Clear { left, at_once: self.fell_at_once() }
+            Transition::Clear { left }
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw
-        } else if self.fell_at_once() && !self.proposed && self.since_level >= 2 * LONGEST_WINDOW {
-            self.proposed = true;
-            Transition::ProposeRebaseline
         } else {
             Transition::Stay
         }
@@ -303,25 +250,9 @@ mod tests {
         }
     }
 
-    /// After two throws at twice the size, which are scatter, and one below half of theirs.
-    #[test]
-    fn a_size_that_returns_above_half_of_its_level_is_no_repair() {
-        let settings = Settings::default();
-        let proposed = |sizes: &[f64]| {
-            let mut condition =
-                Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
-            let all = sizes.iter().map(|size| AlarmEvidence { latest: Some(*size), ..AlarmEvidence::default() });
-            let mut transitions = all.map(|evidence| condition.step(evidence, Some(Severity::Warning), &settings));
-            transitions.any(|transition| transition == Transition::ProposeRebaseline)
-        };
-        let after = |fallen: f64, rest: f64| [[4.0, 4.0, fallen].as_slice(), &[rest; 60]].concat();
-        assert!(proposed(&after(1.9, 1.9)));
-        assert!(!proposed(&after(1.9, 2.1)));
-    }
-
     #[test]
     fn an_alarm_ends_the_sooner_the_plainer_its_machine_is_healthy() {
-        let below = AlarmEvidence { below: true, latest: Some(0.2), ..AlarmEvidence::default() };
+        let below = AlarmEvidence { below: true, ..AlarmEvidence::default() };
         let likely = AlarmEvidence { likely_health: true, ..below };
         let plain = AlarmEvidence { plain_health: true, ..likely };
         assert_eq!([plain, likely, below].map(cleared_after), [Some(LEVELS_FOLLOW), Some(LONGEST_WINDOW), Some(200)]);

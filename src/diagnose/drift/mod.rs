@@ -175,7 +175,6 @@ impl Drift {
         let extent = |window: &Window| extent((cause, sense), other_part, window, settings);
         let Extent { size, in_sense, bound } = levels.map(extent).fold(Extent::default(), Extent::max_of_each);
         let last_few = self.latest.1.as_ref();
-        let latest = last_few.filter(|window| self.alarmed.contains(&cause) && window.shows(cause));
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         // After a repair, a longer window still contains throws from before it, so no single part explains its mean.
         let has_ended = cause == Cause::Unattributed && last_few.is_some_and(|window| extent(window).size < deadband);
@@ -206,7 +205,6 @@ impl Drift {
             other_name: other,
             turned: false,
             unchecked: false,
-            latest: latest.map(|window| extent(window).in_sense),
         }
     }
 

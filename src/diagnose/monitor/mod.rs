@@ -98,9 +98,7 @@ impl MachineMonitor {
         match header.version {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
             Some(version) if Version(version) == Version::default() => {
-                let mut monitor: Self = serde_json::from_str(json)?;
-                monitor.tracks.relate_to_b0();
-                header.give_owners(&mut monitor.alarms);
+                let monitor: Self = serde_json::from_str(json)?;
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
                 Ok(replaced.unwrap_or(monitor))
             }
@@ -231,6 +229,7 @@ impl MachineMonitor {
                 self.forget_boots(now);
                 self.in_service_since = Some(now);
                 self.rebaseline(by, why, actor, now);
+                self.unread = None;
             }
             Command::Retire { by, why } => {
                 // Maintenance would show the ended alarms as out of service.
@@ -255,6 +254,7 @@ impl MachineMonitor {
         // all learned anew.
         let compares = |event: &AlarmEvent| match event.cause {
             Cause::Sensor => self.alarms.owned_by(Rule::Dates).is_none(),
+            Cause::NotMonitored => self.alarms.owned_by(Rule::Blind).is_some(),
             cause => cause.is_drift() || matches!(cause, Cause::Supply | Cause::SlowThrow),
         };
         for cause in self.causes(compares) {
@@ -262,7 +262,7 @@ impl MachineMonitor {
         }
         self.forget_recent(now);
         self.drift.conditions = Default::default();
-        self.operation.forget_channel();
+        self.operation.forget_normal();
         self.thermometer = Thermometer::default();
         self.has_position = false;
         self.tracks = Tracks::default();
@@ -270,7 +270,6 @@ impl MachineMonitor {
         self.motor = ShownMotor::default();
         self.instruments = Instruments::default();
         self.trail = Trail::default();
-        self.unread = None;
     }
 
     /// Clears the alarms of rules that lose their last throws, and so could not clear them later.

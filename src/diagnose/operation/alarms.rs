@@ -378,9 +378,13 @@ impl Operation {
         sentences.into_iter().flatten().chain(often).collect()
     }
 
-    /// Forgets the unusable sensors, the usual direction and the usual time after the arrival, after a rebaseline.
-    pub(crate) fn forget_channel(&mut self) {
+    /// Forgets what is normal, after a rebaseline: the usual values, and the counters of the alarms that it ends.
+    pub(crate) fn forget_normal(&mut self) {
         (self.unusable_in, self.usable, self.usually_contradicted) = ([0; 3], 0, None);
+        (self.plausible, self.blind_in_a_row, self.fast_enough) = ([0; 2], Streaks::default(), 0);
+        for own in &mut self.sides {
+            (own.slow, own.very_slow) = (0, 0);
+        }
         self.run_on = RunOn::default();
     }
 

@@ -132,13 +132,17 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
 
 /// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit.
 pub(crate) fn cleared(name: &str, cause: Cause, left: f64) -> String {
-    if left >= 1.0 {
-        format!("Machine {name}: {cause} has now changed in the opposite sense.")
+    let state = if left >= 1.0 {
+        format!("Machine {name}: {cause} has now changed in the opposite sense")
     } else if left >= HEALTHY_BELOW {
-        format!("Machine {name}: {cause} is below its warning limit again.")
+        format!("Machine {name}: {cause} is below its warning limit again")
     } else {
-        back_to_normal(name, cause)
-    }
+        back_to_normal(name, cause).trim_end_matches('.').to_owned()
+    };
+    // Rain lowers friction, also that of worn slide chairs, and dry rails raise it again.
+    let (rain, when) =
+        if cause == Cause::Friction { (", or in rain, which passes", " on dry rails") } else { ("", "") };
+    format!("{state}, as after a repair{rain}: if there was a repair, take a new baseline{when} (rebaseline).")
 }
 
 /// Text of an alarm whose reason has ended.
@@ -146,23 +150,6 @@ pub(crate) fn back_to_normal(name: &str, cause: Cause) -> String {
     match cause {
         Cause::Unattributed => format!("Machine {name}: the reported change has ended."),
         _ => format!("Machine {name}: {cause} is back to normal."),
-    }
-}
-
-/// Text of a drift that has ended within a few throws.
-pub(crate) fn cleared_at_once(name: &str, cause: Cause, left: f64) -> String {
-    let (reason, when) = repair(cause);
-    cleared(name, cause, left)
-        + &format!(" It came back within a few throws, {reason}: if there was a repair, take a new baseline{when}.")
-}
-
-/// What resembles a drift that ends within a few throws, and the command for a new baseline after a repair. Rain lowers
-/// friction, also that of worn slide chairs, and dry rails raise it again.
-fn repair(cause: Cause) -> (&'static str, &'static str) {
-    if cause == Cause::Friction {
-        ("as after a repair, or in rain, which passes", " on dry rails (rebaseline)")
-    } else {
-        ("as after a repair", " (rebaseline)")
     }
 }
 
@@ -180,16 +167,6 @@ pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
     format!(
         "Machine {name}: a change of {cause} by {pct:+.0} % is common to most machines of the site, as by the \
          weather or the supply, and raises no alarm of this machine."
-    )
-}
-
-/// Text of a drift of which the larger part ended within a few throws.
-pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
-    let (reason, when) = repair(cause);
-    format!(
-        "Machine {name}: most of the {} ended within a few throws, {reason}, but the machine is not as its baseline. \
-         If it was repaired, take a new baseline{when}.",
-        if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
     )
 }
 
