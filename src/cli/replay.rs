@@ -23,9 +23,6 @@ use crate::{
     wire::{Alarm, BaselineProgress},
 };
 
-/// Number of throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
-const BATCH: u32 = 16;
-
 /// Runs stored throws again with a changed configuration, into a new database, and shows which alarms differ. The old
 /// database is only read; its daemon may run.
 ///
@@ -103,10 +100,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let old = Reader::open_outside(&from).await.map_err(database::unreadable)?;
         // Checked before the new database is created, so that an error leaves no file behind.
-        let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
-        require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;
+        let order = old.judged_order().await.or_exit(Exit::Io)?;
+        require(!order.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;
         let mut new = Offline::open(config).await?;
-        let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
+        let replayed = replay(&old, &order, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;
         let report = compare(&old, &new, replayed, into).await?;
@@ -128,28 +125,27 @@ struct Replayed {
     incomplete: BTreeSet<MachineId>,
 }
 
-/// Runs all throws in `old` that have a trace through `new`, in the order in which they were received.
-async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError> {
+/// Runs all throws in `old` that have a trace through `new`, in their `order`: throws from a backlog were received after
+/// later ones, but judged before them.
+async fn replay(old: &Reader, order: &[ThrowRow], new: &mut Offline) -> Result<Replayed, StoreError> {
     // Hidden if standard error is not a terminal.
     let progress = ProgressBar::new_spinner();
     let mut replayed = Replayed { throws: 0, without_trace: 0, since: None, incomplete: BTreeSet::new() };
-    let mut after = ThrowRow::START;
-    loop {
-        let stored = old.throws(after, BATCH).await?;
-        let Some(last) = stored.last() else { break };
-        after = last.row;
-        for stored in stored {
-            let Ok(throw) = stored.throw else {
-                replayed.without_trace += 1;
-                replayed.incomplete.insert(stored.machine);
-                continue;
-            };
-            new.take(&stored.machine, &throw, stored.received_at).await?;
-            replayed.throws += 1;
-            replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
-            progress.set_message(counted(replayed.throws, "throw"));
-            progress.inc(1);
-        }
+    for row in order {
+        // Retention may have deleted the throw in the meantime.
+        let Some(stored) = old.throws(row.before(), 1).await?.pop().filter(|stored| stored.row == *row) else {
+            continue;
+        };
+        let Ok(throw) = stored.throw else {
+            replayed.without_trace += 1;
+            replayed.incomplete.insert(stored.machine);
+            continue;
+        };
+        new.take(&stored.machine, &throw, stored.received_at).await?;
+        replayed.throws += 1;
+        replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
+        progress.set_message(counted(replayed.throws, "throw"));
+        progress.inc(1);
     }
     new.judge().await?;
     progress.finish_and_clear();

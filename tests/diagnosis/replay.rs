@@ -93,6 +93,31 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
     assert_eq!(answer(&same, "again.db")["alarms"], unchanged["alarms"]);
 }
 
+/// After a cut link the newest throws arrive first. The daemon waits for the backlog and judges the throws in order, and
+/// so does the replay.
+#[tokio::test(flavor = "multi_thread")]
+async fn throws_from_a_backlog_are_replayed_in_the_order_in_which_they_were_judged() {
+    let folder = tempfile::tempdir().unwrap();
+    let same = configuration(folder.path(), "same.toml", "");
+    record(&same).await;
+    let mut database = sqlx::SqliteConnection::connect_with(
+        &sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("pointsd.db")).foreign_keys(false),
+    )
+    .await
+    .unwrap();
+    let (first, last) = (THROWS.0 - 6, THROWS.0 + 5);
+    for table in ["trace", "estimate", "throw"] {
+        let late =
+            format!("UPDATE {table} SET throw_row = throw_row + 1000 WHERE throw_row BETWEEN {first} AND {last}");
+        sqlx::query(sqlx::AssertSqlSafe(late)).execute(&mut database).await.unwrap();
+    }
+    database.close().await.unwrap();
+    let json = replay(&same, &folder.path().join("new.db"), &["--json"]);
+    let report: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    let alarms = report["alarms"].as_array().unwrap();
+    assert!(alarms.len() > 1 && alarms.iter().all(|alarm| alarm["difference"] == "same"), "{report}");
+}
+
 /// The replay learns its baselines from the throws that are left. These include those with the fault.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_alarm_from_before_the_new_baselines_are_complete_is_not_called_gone() {

@@ -34,7 +34,8 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_RECEIVED"];
     let single = statements::all().flat_map(|(name, all)| all.split("; ").map(move |sql| (name, sql)));
     for (name, sql) in single {
-        let housekeeping = sql.starts_with("SELECT count") || name.contains("OLDEST");
+        // A replay reads all throws once.
+        let housekeeping = sql.starts_with("SELECT count") || name.contains("OLDEST") || name == "JUDGED_ORDER";
         if housekeeping || reads_from_the_start.contains(&name) || name.starts_with("AGED") || name.contains("EMPTY") {
             continue;
         }

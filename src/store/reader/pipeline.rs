@@ -88,6 +88,12 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
+    /// All throws in the order in which they were judged, and then the pending ones.
+    pub(crate) async fn judged_order(&self) -> Result<Vec<ThrowRow>, StoreError> {
+        let rows = self.limited(sqlx::query_scalar(sql::JUDGED_ORDER).fetch_all(&self.pool())).await?;
+        Ok(rows.into_iter().map(ThrowRow).collect())
+    }
+
     /// The monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
     pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
         let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
