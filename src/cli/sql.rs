@@ -27,7 +27,7 @@ use crate::{
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 64 --json or --csv cannot print the answer, 65 invalid SQL, or SQL that writes to the database (a temporary table may be created), or the file is no database of pointsd, 66 there is no database, or it has no tables yet, or it cannot be opened, 74 reading or writing failed, 78 the configuration is invalid.")]
+    Exit codes: 0 answered, 64 --json or --csv cannot print the answer, 65 invalid SQL, more than one statement, or SQL that writes to the database, or the file is no database of pointsd, 66 there is no database, or it has no tables yet, or it cannot be opened, 74 reading or writing failed, 78 the configuration is invalid.")]
 pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).
@@ -47,7 +47,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     let mut writer: Box<dyn ResultWriter> = match (arguments.json, arguments.csv) {
         (true, _) => Box::new(Json { out: BufWriter::new(io::stdout().lock()), names: Vec::new(), rows: 0 }),
-        (_, true) => Box::new(Csv { out: csv::Writer::from_writer(io::stdout().lock()), has_header: false }),
+        (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
         _ => Box::new(Plain(None)),
     };
     let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
@@ -75,8 +75,6 @@ struct Plain(Option<Table>);
 
 impl ResultWriter for Plain {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        // Prints the answer to the previous statement, if there is one.
-        self.end()?;
         self.0 = Some(output::plain_table(names));
         Ok(())
     }
@@ -100,26 +98,19 @@ fn refusal(problem: &str) -> io::Error {
 }
 
 /// Prints the answer as CSV, row by row.
-struct Csv {
-    out: csv::Writer<StdoutLock<'static>>,
-    has_header: bool,
-}
+struct Csv(csv::Writer<StdoutLock<'static>>);
 
 impl ResultWriter for Csv {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        if std::mem::replace(&mut self.has_header, true) {
-            self.end()?;
-            return Err(refusal("--csv takes one statement at a time"));
-        }
-        self.out.write_record(names).map_err(output::io_error)
+        self.0.write_record(names).map_err(output::io_error)
     }
 
     fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
-        self.out.write_record(values.iter().map(text)).map_err(output::io_error)
+        self.0.write_record(values.iter().map(text)).map_err(output::io_error)
     }
 
     fn end(&mut self) -> io::Result<()> {
-        self.out.flush()
+        self.0.flush()
     }
 }
 
@@ -132,10 +123,6 @@ struct Json {
 
 impl ResultWriter for Json {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        if !self.names.is_empty() {
-            self.end()?;
-            return Err(refusal("--json takes one statement at a time"));
-        }
         // An object has one value for each name.
         if let Some((_, name)) = names.iter().enumerate().find(|(at, name)| names[..*at].contains(name)) {
             return Err(refusal(&format!("two columns are named {name}: rename one with AS")));

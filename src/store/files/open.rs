@@ -207,8 +207,7 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         return Err(StoreError::Foreign(format!("{} is a text file, not a database", path.display())));
     }
     let Ok(mut connection) = SqliteConnection::connect_with(&read_options(path)).await else { return Ok(()) };
-    let table: sqlx::Result<Option<String>> =
-        sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
+    let table = foreign_table(&mut connection).await;
     let needed = needed_schema(&mut connection).await;
     // An error of the close does not change the result.
     let _ = connection.close().await;
@@ -219,6 +218,11 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         }
         _ => refuse_newer(path, needed.unwrap_or(0)),
     }
+}
+
+/// A table of the database of another program; `None` for a database of pointsd.
+pub(crate) async fn foreign_table(connection: &mut SqliteConnection) -> sqlx::Result<Option<String>> {
+    sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(connection).await
 }
 
 pub(crate) fn refuse_newer(path: &Path, needed: i64) -> Result<(), StoreError> {

@@ -9,7 +9,7 @@ use futures_util::TryStreamExt;
 use sqlx::{
     AssertSqlSafe, Column, Connection, Either, Executor, Row, SqlSafeStr, SqliteConnection, Statement, TypeInfo,
     ValueRef,
-    sqlite::{SqliteColumn, SqliteConnectOptions, SqliteRow},
+    sqlite::{SqliteConnectOptions, SqliteRow},
 };
 
 use crate::store::{
@@ -46,7 +46,7 @@ pub(crate) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
     let mut first = SqliteConnection::connect_with(&options).await.map_err(&error)?;
     match sqlx::query_scalar::<_, i64>("SELECT count(*) FROM sqlite_schema").fetch_one(&mut first).await {
         Ok(0) => Err(StoreError::Empty(path.to_owned())),
-        Ok(_) if open::applied(&mut first).await.is_ok_and(|applied| applied.is_empty()) => {
+        Ok(_) if open::foreign_table(&mut first).await.is_ok_and(|table| table.is_some()) => {
             Err(StoreError::Foreign(format!("{} is the database of another program", path.display())))
         }
         Ok(_) => Ok(options),
@@ -66,9 +66,7 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
     let versions = async { Ok((open::needed_schema(connection).await?, open::applied(connection).await?)) };
     let (needed, applied) = versions.await.map_err(StoreError::read)?;
     open::refuse_newer(path, needed)?;
-    // Without any migration it is no database of pointsd.
-    let is_older = !applied.is_empty() && !applied.contains(&open::newest_known());
-    if !is_older {
+    if applied.contains(&open::newest_known()) {
         return Ok(());
     }
     Err(StoreError::Schema(format!(
@@ -80,13 +78,13 @@ pub(super) async fn refuse_other_version(path: &Path, connection: &mut SqliteCon
 
 /// Writes the result of a query, row by row.
 pub(crate) trait ResultWriter {
-    /// Writes the column names of the next rows. Called for the first statement, and for each later one that has rows.
+    /// Writes the column names.
     fn columns(&mut self, names: &[String]) -> io::Result<()>;
     fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
     fn end(&mut self) -> io::Result<()>;
 }
 
-/// Runs the statements in `query` read-only on the database at `path`. An error of `output` ends the query.
+/// Runs the statement `query` read-only on the database at `path`. An error of `output` ends the query.
 pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultWriter) -> Result<(), StoreError> {
     let mut connection = connect(path).await?;
     // VACUUM INTO writes a new file even on a read-only connection, and with `query_only` it still creates the file.
@@ -101,28 +99,26 @@ pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultW
     }
     let query = AssertSqlSafe(query.to_owned()).into_sql_str();
     let statement = connection.prepare(query.clone()).await.map_err(StoreError::statement)?;
-    let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
+    let names: Vec<_> = statement.columns().iter().map(|column| column.name().to_owned()).collect();
     let mut results = connection.fetch_many(sqlx::raw_sql(query));
     let mut next = results.try_next().await.map_err(StoreError::statement)?;
     if next.is_none() {
         let problem = "the query is empty: write a statement, or leave it out for a list of the views";
         return Err(StoreError::Statement(problem.to_owned()));
     }
-    output.columns(&names(statement.columns())).map_err(StoreError::Output)?;
-    let mut is_next_statement = false;
-    while let Some(result) = next {
-        if let Either::Right(row) = result {
-            if std::mem::take(&mut is_next_statement) {
-                output.columns(&names(row.columns())).map_err(StoreError::Output)?;
-            }
-            let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
-            output.row(values.map_err(StoreError::read)?).map_err(StoreError::Output)?;
-        } else {
-            is_next_statement = true;
-        }
+    output.columns(&names).map_err(StoreError::Output)?;
+    while let Some(Either::Right(row)) = next {
+        let values = (0..row.len()).map(|at| value(&row, at)).collect::<sqlx::Result<_>>();
+        output.row(values.map_err(StoreError::read)?).map_err(StoreError::Output)?;
         next = results.try_next().await.map_err(StoreError::statement)?;
     }
-    output.end().map_err(StoreError::Output)
+    output.end().map_err(StoreError::Output)?;
+    // The rows of a statement end with their number.
+    if results.try_next().await.map_err(StoreError::statement)?.is_some() {
+        let problem = "only the first statement was answered: write one statement at a time";
+        return Err(StoreError::Statement(problem.to_owned()));
+    }
+    Ok(())
 }
 
 /// The text after `word` if a part of a query begins with it. A statement begins at the start, or after a semicolon or a
