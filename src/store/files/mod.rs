@@ -101,11 +101,14 @@ impl DatabaseFiles {
     /// Renames the files that are at the path of the database and that this program did not write. Returns the new path
     /// of the database among them; `None` if there is none.
     pub(super) fn rename_foreign_files(&self) -> Result<Option<PathBuf>, StoreError> {
+        let file = self.file();
+        let inode = |path: &Path| std::fs::metadata(path).ok().map(|file| file.ino());
+        let database = inode(&file);
         // Files that exist at the same time have different inodes, so the names differ.
-        let inode = std::fs::metadata(self.file()).ok().map(|file| file.ino());
-        let to = beside(&self.path, &format!("-replaced-{}", inode.unwrap_or(0)));
+        let first = database.or_else(|| inode(&beside(&file, "-wal"))).unwrap_or(0);
+        let to = beside(&self.path, &format!("-replaced-{first}"));
         self.rename_to(&to)?;
-        Ok(inode.map(|_| to))
+        Ok(database.map(|_| to))
     }
 
     fn rename_to(&self, to: &Path) -> Result<(), StoreError> {

@@ -158,7 +158,12 @@ impl Judgement {
 
     /// Writes the baselines and the events, which only few throws have.
     async fn write_rare(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
-        let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
+        let machine_row = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
+        self.write_baselines(connection, machine_row).await?;
+        self.outcome.write_events(connection, machine_row).await
+    }
+
+    async fn write_baselines(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         for baseline in &self.baselines {
             sqlx::query(sql::ADD_BASELINE)
                 .bind(machine_row)
@@ -168,16 +173,18 @@ impl Judgement {
                 .execute(&mut *connection)
                 .await?;
         }
-        self.outcome.write_events(connection, machine_row).await
+        Ok(())
     }
 
     /// Handles a throw that is not pending any more. If it was judged before, nothing is written. If retention deleted it
-    /// after it was read, writes the outcome: its alarms are raised in the monitor in memory, and would never be stored
-    /// otherwise.
+    /// after it was read, writes the outcome and the baselines: they are in the monitor in memory, and would never be
+    /// stored otherwise.
     async fn write_late(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
-        let machine_row: Option<i64> =
+        let stored: Option<i64> =
             sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_optional(&mut *connection).await?;
-        if machine_row.is_none() {
+        if stored.is_none() {
+            let machine_row = machine_row(connection, &self.outcome.machine).await?;
+            self.write_baselines(connection, machine_row).await?;
             self.outcome.write(connection).await?;
         }
         Ok(())
