@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings, Severity},
     estimate::{Features, Rejection},
-    throw::{Direction, ThrowRef},
+    throw::{Direction, Throw, ThrowRef},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -68,6 +68,27 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
             assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name} mended");
         }
         assert_eq!(found, if is_found { 4 } else { 0 }, "{name}");
+    }
+}
+
+/// A logger that exchanges the names of the directions after a repair. Without a position only the currents and times
+/// of the throws show it.
+#[test]
+fn exchanged_names_of_directions_are_no_wear() {
+    for seed in 0..4 {
+        let mut drive = current_only(seed);
+        let exchange =
+            |throw: Throw| Throw { direction: throw.direction.map(|named| Direction::BOTH[1 - named.side()]), ..throw };
+        drive.logger = exchange;
+        let events = drive.events(60, State::SOUND);
+        let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("exchanged"));
+        assert!(is_stated(&drive), "{:?}", drive.monitor.caveats());
+        assert_eq!(causes(&events), [Cause::NotMonitored], "{events:?}");
+        drive.logger = |throw| throw;
+        assert_eq!(causes(&drive.events(20, State::SOUND)), [Cause::NotMonitored]);
+        assert!(!is_stated(&drive));
+        let events = drive.events(24, State { friction: 1.8, ..State::SOUND });
+        assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::Unattributed), "{events:?}");
     }
 }
 

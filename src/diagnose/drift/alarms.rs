@@ -39,6 +39,8 @@ const ONE_SIDED_THROWS: u8 = 6;
 
 /// Least present size of a part that is named, in standard deviations, so that its 95 % interval excludes 0.
 const SHOWN_SD: f64 = 1.96;
+/// The same for a part beside another one, whose misfit it may be.
+const SHOWN_BESIDE_SD: f64 = 3.0;
 /// Part of the limit from which the present size of a drift may be above it, as the size scatters.
 const PRESENT_PART: f64 = 0.75;
 
@@ -148,8 +150,15 @@ impl DriftAlarms {
             // A part is named only if its change is significant.
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
-            let is_shown = active.is_some() || has_changed || now.size.abs() > SHOWN_SD * now.size_sd;
+            let is_of_one = drift.attribution.is_some_and(|found| found.is_of_one());
+            let least_sd = if is_of_one { SHOWN_SD } else { SHOWN_BESIDE_SD };
+            let is_shown = active.is_some() || has_changed || now.size.abs() > least_sd * now.size_sd;
             evidence.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
+        }
+        let is_open = |cause| alarms.find_active(cause).is_some();
+        let beside = drift.attribution.filter(|_| active.is_none()).and_then(|found| found.beside_open(is_open));
+        if beside.is_some_and(|part| part.size.abs() < SHOWN_BESIDE_SD * part.size_sd) {
+            evidence.claim = evidence.claim.min(Claim::Counts);
         }
         let is_intermittent = alarms.rule(cause) == Some(Rule::Intermittent) && !self.intermittent.is_over();
         if is_intermittent && evidence.certain_size <= settings.critical_factor {

@@ -269,8 +269,16 @@ impl Attribution {
         if lead >= CLOSE || is_open(&new) {
             return another(new, lead);
         }
-        let since = self.since_known(all, case);
-        since.unwrap_or_else(|| self.beside_something(all, known, settings))
+        if let Some(since) = self.since_known(all, case) {
+            return since;
+        }
+        let main = all.singles[0].parts[0];
+        if is_open(&main) && self.rival == Some(Rival::Alone(main.cause)) {
+            // A second part is not needed.
+            let (naming, relevance) = (Naming::One(main), main.relevance(settings));
+            return Self { naming, rival: None, relevance, ..self };
+        }
+        self.beside_something(all, known, settings)
     }
 
     /// Names a second cause by the change since the level of the known drifts. Without the level, two faults one after
@@ -351,6 +359,21 @@ impl Attribution {
     /// The largest part; of two that are too close to call, the better.
     pub(crate) fn main(&self) -> Option<&Explanation> {
         self.naming.new_parts()[0]
+    }
+
+    /// Whether one part alone is named.
+    pub(super) fn is_of_one(&self) -> bool {
+        matches!(self.naming, Naming::One(_))
+    }
+
+    /// Of two parts that are named together, the one without an alarm if the other has one.
+    pub(super) fn beside_open(&self, is_open: impl Fn(Cause) -> bool) -> Option<Explanation> {
+        let Naming::Both(a, b) = self.naming else { return None };
+        match [a, b].map(|part| is_open(part.cause)) {
+            [true, false] => Some(b),
+            [false, true] => Some(a),
+            _ => None,
+        }
     }
 
     /// The part that is named together with `cause`; of two possible ones, the better.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Gauge, Normal, Values, sd_of_mean};
 use crate::{
-    diagnose::statistics::{LastValues, Level, WINDOWS, median, moving_range_sd},
+    diagnose::statistics::{LastValues, Level, WINDOWS, median, moving_range_sd, to_f32},
     estimate::Features,
     throw::Direction,
 };
@@ -127,6 +127,26 @@ impl Gauges {
             let by_weather = normal.of_weather(gauge, &values);
             Some((change - change.clamp(from + by_weather.min(0.0), to + by_weather.max(0.0)), sd))
         })
+    }
+
+    /// Whether running time and current of a throw are those of the other direction and not of its own, or those of its
+    /// own and not of the other; `None` if they fit both, or neither.
+    pub(crate) fn is_of_other(&self, direction: Direction, features: &Features, celsius: Option<f64>) -> Option<bool> {
+        /// Largest departure from a direction that fits, and least one that does not, in standard deviations.
+        const FITS_SD: f32 = 4.0;
+        const DIFFERS_SD: f32 = 8.0;
+        const GAUGES: [Gauge; 3] = [Gauge::Duration, Gauge::Running, Gauge::Charge];
+        let farthest = |direction| {
+            let departures = self.unexplained(GAUGES, direction, features, celsius).into_iter().zip(GAUGES);
+            let in_sd = departures.map(|(departure, gauge)| {
+                let (change, sd) = departure?;
+                Some(change.abs() / sd.hypot(to_f32(gauge.floor())))
+            });
+            in_sd.collect::<Option<Vec<f32>>>().map(|all| all.into_iter().fold(0.0, f32::max))
+        };
+        let [own, other] = [farthest(direction)?, farthest(Direction::BOTH[1 - direction.side()])?];
+        let is_clear = own.min(other) < FITS_SD && own.max(other) > DIFFERS_SD;
+        is_clear.then_some(other < own)
     }
 
     /// Running time of the motor in a throw and that in a normal throw \[s\], if it ran much longer or shorter, beyond

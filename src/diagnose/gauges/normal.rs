@@ -10,6 +10,9 @@ use crate::{
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
+/// Departure of the current at rest \[A\] and in standard deviations that is no part of its normal value.
+const OFFSET_A: f32 = 0.3;
+const OFFSET_SD: f32 = 4.0;
 /// Largest part of the normal voltage that drops across the resistance: with more, the motor would be near its stall.
 const LARGEST_SHARE: f32 = 0.6;
 /// Least speed with a changed supply, as part of the normal speed; it bounds a logarithm.
@@ -105,6 +108,12 @@ impl Normal {
             let is_final = self.known[at].is_some() && self.learned.get(at).is_none_or(Vec::is_empty);
             let Some(value) = value.filter(|_| !is_final) else { continue };
             self.learned.resize(Gauge::COUNT, Vec::new());
+            let is_rest = at == Gauge::Rest as usize;
+            // The zero of a sound sensor hardly moves. A step while its normal value is learned would count as scatter.
+            let is_offset = |(centre, sd): (f32, f32)| is_rest && (value - centre).abs() > OFFSET_A.max(OFFSET_SD * sd);
+            if self.known[at].is_some_and(is_offset) {
+                continue;
+            }
             let learned = &mut self.learned[at];
             learned.push(value);
             if learned.len() >= LEARNED.0 {
@@ -112,7 +121,7 @@ impl Normal {
                 let (centre, sd) = centre_and_sd(&values);
                 // On a machine without a toe sensor, sampled at 25 Hz, the charge of half of the throws contains no
                 // sample of the inrush.
-                let sd = sd.max(skewed_sd(&values, centre));
+                let sd = if is_rest { sd } else { sd.max(skewed_sd(&values, centre)) };
                 self.known[at] = Some((to_f32(centre), to_f32(sd)));
             }
             if learned.len() >= LEARNED.1 {

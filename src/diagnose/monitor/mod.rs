@@ -332,6 +332,7 @@ impl MachineMonitor {
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::machine(&self.name, text::ONLY_FEATURES)))
             .chain(self.operation.is_contradicted().then(|| text::machine(&self.name, text::CONTRADICTED)))
+            .chain(self.operation.is_exchanged().then(|| text::machine(&self.name, text::EXCHANGED)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), had_coefficients))
             .chain(self.neutral_elsewhere())
             .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))

@@ -53,6 +53,11 @@ impl MachineMonitor {
             observation.direction = None;
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
+        if self.is_exchanged(&observation) {
+            // The estimate is that of a movement in the other direction.
+            let observation = observation.to_mut();
+            (observation.direction, observation.outcome) = (None, None);
+        }
         if self.runs_on_at_its_end(&observation) {
             // The points arrived, and only detection or switch-off failed. The current is not that of the movement
             // alone.
@@ -148,6 +153,14 @@ impl MachineMonitor {
         let Observation { direction, ref features, temperature_c, .. } = *observation;
         let direction = direction.filter(|_| !self.has_position && observation.is_without_position())?;
         self.instruments.gauges.unusual_run_s(direction, features, temperature_c)
+    }
+
+    /// Whether the logger has exchanged the names of the directions, as the throws without a toe position show.
+    fn is_exchanged(&mut self, observation: &Observation) -> bool {
+        let Some(direction) = observation.direction.filter(|_| observation.is_without_position()) else { return false };
+        let Observation { features, temperature_c, .. } = observation;
+        let of_other = self.instruments.gauges.is_of_other(direction, features, *temperature_c);
+        self.operation.on_likeness(direction, of_other)
     }
 
     /// Whether the throw has no toe position, and the machine had one before.

@@ -134,6 +134,9 @@ pub(crate) struct Operation {
     named: Option<Direction>,
     #[serde(skip_serializing_if = "is_default")]
     same_direction: u8,
+    /// Whether the last throw of each direction, without a position, was like those of the other direction.
+    #[serde(skip_serializing_if = "is_default")]
+    exchanged: [bool; 2],
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
     pub(super) plausible: [i32; 2],
     /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
@@ -351,6 +354,20 @@ impl Operation {
         begins_open
     }
 
+    /// Applies whether a throw without a position is like those of the other direction (`None`: unknown). Returns
+    /// whether the names of the directions are exchanged.
+    pub(crate) fn on_likeness(&mut self, direction: Direction, of_other: Option<bool>) -> bool {
+        let is_exchanged = self.is_exchanged();
+        // Wear of the direction that moves more easily makes it like the other one for some time.
+        self.exchanged[direction.side()] = of_other.unwrap_or(is_exchanged);
+        self.is_exchanged()
+    }
+
+    /// Whether the throws of both directions, without a position, are like those of the other direction.
+    pub(crate) fn is_exchanged(&self) -> bool {
+        self.exchanged == [true; 2]
+    }
+
     /// Whether the movement contradicts the direction that the logger names: names exchanged, or always the same name.
     pub(crate) fn is_contradicted(&self) -> bool {
         self.contradicted >= CONTRADICTED_IN_A_ROW
@@ -385,7 +402,7 @@ impl Operation {
         for own in &mut self.sides {
             (own.slow, own.very_slow) = (0, 0);
         }
-        self.run_on = RunOn::default();
+        (self.run_on, self.exchanged) = (RunOn::default(), [false; 2]);
     }
 
     /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger, and what is known about the
@@ -397,6 +414,7 @@ impl Operation {
             contradicted: self.contradicted,
             agreed: self.agreed,
             ended_mm: self.ended_mm,
+            exchanged: self.exchanged,
             run_on: self.run_on.forget_recent(),
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,

@@ -49,6 +49,12 @@ pub(crate) const CONTRADICTED: &str = "\
     the logger names another direction than the position shows. The position must rise from normal to reverse. \
     pointsd uses the position: correct its sign, or the directions of the logger.";
 
+/// Text for a logger that has exchanged the names of the directions, if no position shows the movement.
+pub(crate) const EXCHANGED: &str = "\
+    throws from normal to reverse are like those from reverse to normal before, and the other way round, so the names \
+    of the directions are probably exchanged, and the throws are not compared. Correct the logger; if the names were \
+    wrong before, take a new baseline (rebaseline).";
+
 /// A length of time: `value` in the `large` unit, or below 1 in the `small` one, a sixtieth of it.
 fn length(value: f64, large: &str, small: &str) -> String {
     if value < 0.95 {
