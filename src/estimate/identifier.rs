@@ -7,7 +7,6 @@ use super::{
     features::Features,
     identification::{Estimate, Fit, Grade, Identification},
     load::{Integrals, Load},
-    motor_kind,
     ratios::{self, Ratios},
     rejection::{MIN_RISE_SAMPLES, Rejection},
     settings::{Motor, Settings},
@@ -386,7 +385,6 @@ fn features_of(
         && let Some(armature) = Armature::of(movement, settings.radians_per_mm())
     {
         armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
-        features.motor = motor_kind::shown(movement, &armature);
     }
     features
 }

@@ -67,6 +67,8 @@ fn the_owner_of_an_alarm_is_read_from_the_flags_of_an_earlier_program() {
         open.into_iter().map(|alarm| (alarm["last"]["cause"].clone(), alarm["rule"].clone())).collect::<Vec<_>>()
     };
     let mut json: serde_json::Value = serde_json::from_str(WITH_FLAGS).unwrap();
+    // A field that an earlier program wrote is ignored.
+    json["motor"] = vec![204, 12].into();
     let none = serde_json::Value::Null;
     assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "features".into())]);
     json["features"]["alarmed"] = false.into();

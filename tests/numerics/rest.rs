@@ -301,7 +301,7 @@ fn a_three_phase_motor_has_features_only_and_an_obstruction_is_found() {
     assert!(detail.starts_with("the motor is configured as three-phase"), "{detail}");
     let features = found.features;
     assert!(features.travel_mm.is_some() && features.duration_s.is_some() && features.running_current_a.is_some());
-    assert_eq!((features.resistance_ohm, features.motor), (None, None));
+    assert_eq!(features.resistance_ohm, None);
     assert_eq!(recorded(Some(60.0)).quality(), "obstructed");
 }
 
