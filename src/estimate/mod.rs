@@ -34,7 +34,7 @@ mod trace;
 pub use features::Features;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
-pub(crate) use model::{midpoint, modelled_position_mm};
+pub(crate) use model::modelled_position_mm;
 pub use rejection::Rejection;
 pub(crate) use rejection::RejectionCode;
 pub use settings::{Motor, Settings};
