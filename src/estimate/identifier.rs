@@ -72,11 +72,12 @@ impl Identifier {
                 Ok(estimate) => {
                     estimate.start_s += first_s;
                     estimate.end_s += first_s;
-                    if let Some(reason) = &mut estimate.reason {
-                        reason.refer_to_logger(first_s, first, every);
-                    }
+                    estimate.reason.as_mut()
                 }
-                Err(reason) => reason.refer_to_logger(first_s, first, every),
+                Err(reason) => Some(reason),
+            };
+            if let Some(reason) = reason {
+                reason.refer_to_logger(first_s, first, every);
             }
             found
         } else {
