@@ -263,6 +263,8 @@ impl Buffers {
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
+        // The noise may be the reason that is stated. The start is missing nevertheless.
+        let has_start = !matches!(reason, Rejection::StartMissing { .. });
         let reason = noisy.unwrap_or(reason);
         let ratios = ratios.ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
@@ -271,7 +273,6 @@ impl Buffers {
         if !are_known && refuted {
             return Err(reason);
         }
-        let has_start = !matches!(reason, Rejection::StartMissing { .. });
         let start = has_start.then(|| start::find(&self.window, estimate.ratios(), &mut self.brakes.free));
         Ok((estimate, start.flatten()))
     }
