@@ -68,7 +68,7 @@ impl Identifier {
             let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
             // The reader of a result has the trace of the logger, not the resampled one.
             let first_s = first as f64 / rate_hz;
-            match &mut found.outcome {
+            let reason = match &mut found.outcome {
                 Ok(estimate) => {
                     estimate.start_s += first_s;
                     estimate.end_s += first_s;
@@ -334,6 +334,11 @@ fn identify_current(
             noise::resolved(movement)?;
             let filtered = throw.possible_anti_alias_hz(1.0 / movement.interval_s).is_some();
             damage::spikes(movement, Channel::Current, filtered)?;
+            completeness::motor_start(movement).map_err(|reason| no_position(reason.to_string()))?;
+            if movement.ends_driven() {
+                features = std::mem::take(&mut features).without_times();
+                return Err(no_position(current_only::NOT_ENDED.to_owned()));
+            }
             current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)
         });
     features = reliable(features, &outcome);
