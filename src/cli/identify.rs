@@ -142,9 +142,8 @@ fn renamed(text: &str) -> String {
 /// The reason why the throw is rejected or rough, with the line of the file if one sample is the reason.
 fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
     let detail = renamed(&found.detail()?);
-    let line = match &found.outcome {
-        Err(Rejection::NotFinite { sample, .. })
-        | Ok(Estimate { reason: Some(Rejection::NotFinite { sample, .. }), .. }) => lines.get(*sample),
+    let line = match found.reason() {
+        Some(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
         _ => None,
     };
     Some(match line {

@@ -8,12 +8,12 @@ use serde_json::json;
 use super::{Exit, Outcome, ResultExt, output};
 use crate::diagnose::Cause;
 use crate::estimate::{Settings, modelled_position_mm};
-use crate::evaluate::limits::NAMES;
-use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, TESTS, Test, run};
+use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, TESTS, Test, run};
 use crate::report::{Panel, Sheet};
 use crate::simulate::RailModel;
 use crate::throw::counted;
 
+const NAMES: [&str; 3] = ["b0", "a1", "a0"];
 const PAIRS: [&str; 3] = ["b0, a1", "b0, a0", "a1, a0"];
 
 /// The command line of `pointsim table1`.
@@ -46,9 +46,8 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     output::create_folder(arguments.out.as_deref())?;
     let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
-    let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed };
     let bar = output::progress(TESTS as u64, "{wide_bar} {human_pos} of {human_len} tests, {eta} left");
-    let results = run(&study, &|| bar.inc(1)).or_exit(Exit::Software)?;
+    let results = run(rails, arguments.throws.into(), arguments.seed, &|| bar.inc(1)).or_exit(Exit::Software)?;
     bar.finish_and_clear();
     if let Some(folder) = &arguments.out {
         output::figures(folder, figures(&results))?;
@@ -56,7 +55,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let as_expected = results
         .iter()
         .all(|result| result.verdict() == Some(result.case.cause) && result.tests.iter().all(is_as_expected));
-    output::result(arguments.json, &report(&results), || tables(&results, &study))?;
+    output::result(arguments.json, &report(&results), || tables(&results, arguments))?;
     Ok(if as_expected { Exit::Ok } else { Exit::Negative })
 }
 
@@ -68,12 +67,12 @@ fn is_as_expected(test: &Test) -> bool {
     (0..3).all(|at| holds(test, at))
 }
 
-fn tables(results: &[CaseResult], study: &Study) -> String {
-    let rails = if study.rails == RailModel::Lumped { "lumped rails" } else { "finite-element rails" };
+fn tables(results: &[CaseResult], arguments: &Arguments) -> String {
+    let rails = if arguments.lumped { "lumped rails" } else { "finite-element rails" };
     let mut text = format!(
         "Change of the coefficients from test 1 [%], {rails}, mean of {} for each test.\n\
          Each cell: measured (standard deviation) | expected; * if they differ by more than 2 points or 3 %.\n",
-        counted(study.throws, "throw")
+        counted(arguments.throws, "throw")
     );
     for result in results {
         let parameter = format!("{}{}", result.case.symbol, unit(result));
@@ -118,8 +117,7 @@ fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
     let test = |test: &Test| {
         json!({
             "value": test.value, "b0": test.coefficients[0], "a1": test.coefficients[1], "a0": test.coefficients[2],
-            "sd": test.sd, "change_pct": test.change_pct, "physics_pct": test.physics_pct,
-            "as_expected": is_as_expected(test),
+            "sd": test.sd, "change_pct": test.change_pct, "as_expected": is_as_expected(test),
         })
     };
     let case = |result: &CaseResult| {

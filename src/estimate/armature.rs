@@ -34,7 +34,6 @@ const MOVES_SD: f64 = 5.0;
 pub(super) struct Armature {
     /// Products of charge, current, 1, angle θ, ∫i dθ and time \[s\].
     sums: [[f64; 6]; 6],
-    samples: f64,
 }
 
 impl Armature {
@@ -60,24 +59,23 @@ impl Armature {
             sample(k);
         }
         products.add(moves..end + 1, sample);
-        Some(Self { sums: products.sums(), samples: (end + 1 - moves) as f64 })
+        Some(Self { sums: products.sums() })
     }
 
-    /// R, L, c and K (series-wound: k), each divided by V, and the root mean square residual of the equation \[s\].
-    /// `None` if the samples do not determine them, or K is not positive.
-    pub(super) fn solve(&self, motor: Motor) -> Option<(Vector4<f64>, f64)> {
+    /// R, L, c and K (series-wound: k), each divided by V. `None` if the samples do not determine them, or K is not
+    /// positive.
+    fn solve(&self, motor: Motor) -> Option<Vector4<f64>> {
         let terms = [0, 1, 2, if motor == Motor::Series { 4 } else { 3 }];
         let normal = Matrix4::from_fn(|i, j| self.sums[terms[i]][terms[j]]);
         let right = Vector4::from_fn(|i, _| self.sums[terms[i]][5]);
         let found: Vector4<f64> = normal.try_inverse()? * right;
-        let squares = self.sums[5][5] - 2.0 * found.dot(&right) + found.dot(&(normal * found));
-        (found[3] > 0.0).then_some((found, (squares / self.samples).sqrt()))
+        (found[3] > 0.0).then_some(found)
     }
 
     /// Adds the no-load speed to the features of a throw; with a supply voltage, also resistance and back-EMF constant.
     /// For a series-wound motor, adds the resistance only.
     pub(super) fn add_constants(&self, features: &mut Features, supply_v: Option<f64>, motor: Motor) {
-        let Some((found, _)) = self.solve(motor) else { return };
+        let Some(found) = self.solve(motor) else { return };
         if !(found[0] > 0.0 && found.iter().all(|v| v.is_finite())) {
             return;
         }

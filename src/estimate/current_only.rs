@@ -60,7 +60,7 @@ const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Reasons why a throw without a toe position has no coefficients.
 pub(super) const NO_MOTOR: &str = "the current shows no motor: its channel is dead, or the motor did not start";
-const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
+pub(super) const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
 const NO_ARMATURE: &str = "the inrush does not give resistance, inductance and back-EMF of the motor: it may be smoothed by a \
                            filter, or supply_v be wrong";
 const NO_MODEL: &str = "the movement that follows from the current does not fit the model of a point machine";

@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-use super::settings::Motor;
 use crate::throw::Channel;
 
 /// Features of a throw; `None` if the trace does not show them.
@@ -54,9 +53,6 @@ pub struct Features {
     /// No-load speed of the motor, as speed of the screw, V / K \[rad/s\]. It needs the position, and a voltage that is
     /// constant during the throw, but not its value.
     pub no_load_speed_rad_per_s: Option<f64>,
-    /// The kind of motor that current and speed show, whatever the settings say; needs the position.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub motor: Option<Motor>,
 }
 
 impl Features {

@@ -160,14 +160,18 @@ impl Identification {
         self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
     }
 
+    /// Why the throw is rejected or rough.
+    pub fn reason(&self) -> Option<&Rejection> {
+        self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref())
+    }
+
     /// Why the throw is rejected or rough, and which fields of its message are not used, as a sentence.
     pub fn detail(&self) -> Option<String> {
-        let reason = self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref());
         let short = self.short_of_stroke_mm.map(|stroke_mm| {
             format!("the throw ended as a complete one before the stroke of {stroke_mm} mm: position gain or stroke_mm is wrong")
         });
         let parts: Vec<String> =
-            reason.map(ToString::to_string).into_iter().chain(short).chain(self.unused_fields.clone()).collect();
+            self.reason().map(ToString::to_string).into_iter().chain(short).chain(self.unused_fields.clone()).collect();
         (!parts.is_empty()).then(|| parts.join("; "))
     }
 }

@@ -7,7 +7,6 @@ use super::{
     features::Features,
     identification::{Estimate, Fit, Grade, Identification},
     load::{Integrals, Load},
-    motor_kind,
     ratios::{self, Ratios},
     rejection::{MIN_RISE_SAMPLES, Rejection},
     settings::{Motor, Settings},
@@ -69,15 +68,16 @@ impl Identifier {
             let mut found = self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings);
             // The reader of a result has the trace of the logger, not the resampled one.
             let first_s = first as f64 / rate_hz;
-            match &mut found.outcome {
+            let reason = match &mut found.outcome {
                 Ok(estimate) => {
                     estimate.start_s += first_s;
                     estimate.end_s += first_s;
-                    if let Some(reason) = &mut estimate.reason {
-                        reason.refer_to_logger(first_s, first, every);
-                    }
+                    estimate.reason.as_mut()
                 }
-                Err(reason) => reason.refer_to_logger(first_s, first, every),
+                Err(reason) => Some(reason),
+            };
+            if let Some(reason) = reason {
+                reason.refer_to_logger(first_s, first, every);
             }
             found
         } else {
@@ -263,6 +263,8 @@ impl Buffers {
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
+        // The noise may be the reason that is stated. The start is missing nevertheless.
+        let has_start = !matches!(reason, Rejection::StartMissing { .. });
         let reason = noisy.unwrap_or(reason);
         let ratios = ratios.ok_or_else(|| reason.clone())?;
         let estimate = ratios.estimate(&self.window, full, Some(reason.clone()));
@@ -271,7 +273,6 @@ impl Buffers {
         if !are_known && refuted {
             return Err(reason);
         }
-        let has_start = !matches!(reason, Rejection::StartMissing { .. });
         let start = has_start.then(|| start::find(&self.window, estimate.ratios(), &mut self.brakes.free));
         Ok((estimate, start.flatten()))
     }
@@ -333,6 +334,11 @@ fn identify_current(
             noise::resolved(movement)?;
             let filtered = throw.possible_anti_alias_hz(1.0 / movement.interval_s).is_some();
             damage::spikes(movement, Channel::Current, filtered)?;
+            completeness::motor_start(movement).map_err(|reason| no_position(reason.to_string()))?;
+            if movement.ends_driven() {
+                features = std::mem::take(&mut features).without_times();
+                return Err(no_position(current_only::NOT_ENDED.to_owned()));
+            }
             current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)
         });
     features = reliable(features, &outcome);
@@ -386,7 +392,6 @@ fn features_of(
         && let Some(armature) = Armature::of(movement, settings.radians_per_mm())
     {
         armature.add_constants(&mut features, throw.possible_supply_v(), settings.motor);
-        features.motor = motor_kind::shown(movement, &armature);
     }
     features
 }

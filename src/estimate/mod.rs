@@ -11,7 +11,7 @@
 //! | [`sriv`] | the estimation of a continuous-time model, and its covariance |
 //! | `acceptance` | whether the fitted model describes the movement, and how uncertain it is |
 //! | `ratios`, `current_only` | estimates from throws whose start is unusable, and from throws without a toe position |
-//! | `armature`, `motor_kind`, `load` | what a throw shows of motor and load beside the coefficients |
+//! | `armature`, `load` | what a throw shows of motor and load beside the coefficients |
 //! | `model` | the movement that the model gives for a current |
 
 mod acceptance;
@@ -24,7 +24,6 @@ mod lanes;
 mod load;
 mod matrix;
 mod model;
-mod motor_kind;
 mod products;
 mod ratios;
 mod rejection;
@@ -35,7 +34,7 @@ mod trace;
 pub use features::Features;
 pub use identification::{Estimate, Fit, Grade, Identification, RunningRatios};
 pub use identifier::Identifier;
-pub(crate) use model::{midpoint, modelled_position_mm};
+pub(crate) use model::modelled_position_mm;
 pub use rejection::Rejection;
 pub(crate) use rejection::RejectionCode;
 pub use settings::{Motor, Settings};

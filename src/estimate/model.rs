@@ -51,7 +51,7 @@ pub(crate) fn modelled_position_mm(
 
 /// Angle \[rad\] and speed \[rad/s\] after a step of `h` seconds by the midpoint rule. The two functions are the
 /// acceleration in a state, at the start and in the middle of the step.
-pub(crate) fn midpoint(
+fn midpoint(
     [angle, speed]: [f64; 2],
     h: f64,
     at_start: impl Fn([f64; 2]) -> f64,

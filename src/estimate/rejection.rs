@@ -28,60 +28,34 @@ fn likely_unit(travel_mm: f64, stroke_mm: f64) -> String {
 #[derive(Debug, Clone, PartialEq, thiserror::Error, strum::EnumDiscriminants)]
 #[strum_discriminants(name(RejectionCode), vis(pub(crate)), derive(strum::EnumString, strum::IntoStaticStr))]
 #[strum_discriminants(doc = "The reason without its values.", strum(serialize_all = "snake_case"))]
+#[expect(missing_docs, reason = "the text of each reason names its values, and their names have the units")]
 pub enum Rejection {
     /// The trace or its window is too short for three coefficients.
     #[error(
         "the trace is too short for three coefficients: {duration_s:.3} s, {samples} samples at the rate of the estimate. Either \
          the recording ends early, or sample_rate_hz is wrong"
     )]
-    TooShort {
-        /// Number of samples of the trace or window.
-        samples: usize,
-        /// Length of the trace or window \[s\].
-        duration_s: f64,
-    },
+    TooShort { samples: usize, duration_s: f64 },
     /// NaN or infinite values.
     #[error("the {channel} is not a finite number at {at_s:.3} s, sample {sample}")]
-    NotFinite {
-        /// Which channel.
-        channel: Channel,
-        /// First such sample, from 0.
-        sample: usize,
-        /// Time of this sample from the start of the trace \[s\].
-        at_s: f64,
-    },
+    NotFinite { channel: Channel, sample: usize, at_s: f64 },
     /// The message has no toe position, and the coefficients do not follow from current and supply voltage either. Or the
     /// motor is a three-phase one, whose coefficients do not follow from current and position.
     #[error("{sent}, so only the features are known: {why}")]
     #[strum_discriminants(strum(serialize = "current_only"))]
-    NoPosition {
-        /// The content of `position_mm`, which is no toe position, or the kind of the motor, as a clause for the text.
-        sent: &'static str,
-        /// Why the coefficients do not follow from current and supply voltage, as a clause for the text.
-        why: String,
-    },
+    NoPosition { sent: &'static str, why: String },
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
          unit ({field})", brief(rounded(*.value)), field = field(*.channel)
     )]
-    ImplausibleValue {
-        /// Which channel.
-        channel: Channel,
-        /// Time of this sample from the start of the trace \[s\].
-        at_s: f64,
-        /// The value \[A or mm\].
-        value: f64,
-    },
+    ImplausibleValue { channel: Channel, at_s: f64, value: f64 },
     /// The position is in metres.
     #[error(
         "the toe moved {travel_mm:.3}, resolved as finely as a whole stroke: the position seems to be in metres, and must be in \
          millimetres (position_mm)"
     )]
-    WrongUnit {
-        /// Distance moved, in the unit of the message.
-        travel_mm: f64,
-    },
+    WrongUnit { travel_mm: f64 },
     /// The toe did not move.
     #[error("the toe did not move")]
     NoMovement,
@@ -89,152 +63,79 @@ pub enum Rejection {
     #[error(
         "the toe moved {travel_mm:.1} mm, but the current stayed within its noise: the current channel is dead or stuck"
     )]
-    NoCurrent {
-        /// Distance moved \[mm\].
-        travel_mm: f64,
-    },
+    NoCurrent { travel_mm: f64 },
     /// The toe moved before the motor was on.
     #[error(
         "the toe moved {moved_mm:.2} mm before the current rose: the channels are not synchronous, or the recording begins with the end of an earlier movement"
     )]
-    MovedBeforeCurrent {
-        /// Distance moved by then \[mm\].
-        moved_mm: f64,
-    },
+    MovedBeforeCurrent { moved_mm: f64 },
     /// The recording began after the start of the motor, or its first samples are lost.
     #[error("the start of the motor is not in the recording: the current is {current_a:.2} A at its first sample")]
-    StartMissing {
-        /// Current at the first sample with the motor on \[A\].
-        current_a: f64,
-    },
+    StartMissing { current_a: f64 },
     /// The toe stopped short of the stroke.
     #[error(
         "the throw is incomplete: the toe moved {travel_mm:.1} mm of {stroke_mm:.1} mm{}", likely_unit(*travel_mm, *stroke_mm)
     )]
-    Incomplete {
-        /// Distance moved \[mm\].
-        travel_mm: f64,
-        /// The configured stroke \[mm\].
-        stroke_mm: f64,
-    },
+    Incomplete { travel_mm: f64, stroke_mm: f64 },
     /// The toe stood still while the motor drove it, before the end of the stroke.
     #[error(
         "obstructed: the toe stood still at {position_mm:.1} mm for {stalled_s:.2} s while the motor was driving it"
     )]
-    Obstructed {
-        /// Position of the toe \[mm\].
-        position_mm: f64,
-        /// Time for which the motor ran after the toe stopped \[s\].
-        stalled_s: f64,
-    },
+    Obstructed { position_mm: f64, stalled_s: f64 },
     /// The toe moved further than the machine can.
     #[error(
         "the toe moved {travel_mm:.1} mm, more than the stroke of {stroke_mm:.1} mm: check the position sensor's scale"
     )]
-    TravelTooLong {
-        /// Distance moved \[mm\].
-        travel_mm: f64,
-        /// The configured stroke \[mm\].
-        stroke_mm: f64,
-    },
-    /// The movement took longer than possible for a point machine.
+    TravelTooLong { travel_mm: f64, stroke_mm: f64 },
+    /// The movement, or the run of the motor without a toe position, took longer than possible for a point machine.
+    /// `rate_hz`: that of the message.
     #[error(
         "the movement lasts {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {} Hz",
         rounded(*.rate_hz)
     )]
-    TooSlow {
-        /// Time from the start of the motor to 95 % of the travel, or of the motor without a toe position \[s\].
-        duration_s: f64,
-        /// The limit \[s\].
-        longest_s: f64,
-        /// Sampling rate in the message \[Hz\].
-        rate_hz: f64,
-    },
-    /// The toe moved backwards during the throw.
+    TooSlow { duration_s: f64, longest_s: f64, rate_hz: f64 },
+    /// The toe moved backwards during the throw; `returned`: it ended at its start.
     #[error(
         "the toe moved back by {back_mm:.1} mm during the throw{}",
         if *.returned { ", to its start: the throw was reversed midway, or the toe was pushed back" } else { "" }
     )]
-    MovedBackwards {
-        /// Largest distance back from the furthest position \[mm\].
-        back_mm: f64,
-        /// Whether the toe ended at its start.
-        returned: bool,
-    },
+    MovedBackwards { back_mm: f64, returned: bool },
     /// The toe arrived, and did not stay there.
     #[error("reopened: the toe came back by {back_mm:.1} mm after its arrival, and stands open at {position_mm:.1} mm")]
-    Reopened {
-        /// Distance back from the furthest position \[mm\].
-        back_mm: f64,
-        /// Position of the toe at the end \[mm\].
-        position_mm: f64,
-    },
+    Reopened { back_mm: f64, position_mm: f64 },
     /// The current reached the limit of its range and stayed there.
     #[error("the current is clipped at {limit:.3} from {at_s:.3} s on")]
-    Clipped {
-        /// The limit \[A\].
-        limit: f64,
-        /// Start of the plateau \[s\].
-        at_s: f64,
-    },
+    Clipped { limit: f64, at_s: f64 },
     /// A channel repeated one value while the machine moved.
     #[error("the {channel} is stuck at {value:.3} for {stuck_s:.2} s from {at_s:.3} s on")]
-    Stuck {
-        /// Which channel.
-        channel: Channel,
-        /// The value \[A or mm\].
-        value: f64,
-        /// Start of the stuck stretch \[s\].
-        at_s: f64,
-        /// Its length \[s\].
-        stuck_s: f64,
-    },
+    Stuck { channel: Channel, value: f64, at_s: f64, stuck_s: f64 },
     /// The position jumped: samples are missing, or the sensor slipped.
     #[error("the position jumps by {jump_mm:.2} mm at {at_s:.3} s: samples are missing or the sensor slipped")]
-    PositionJump {
-        /// Size of the jump \[mm\].
-        jump_mm: f64,
-        /// Time of the jump from the start of the trace \[s\].
-        at_s: f64,
-    },
+    PositionJump { jump_mm: f64, at_s: f64 },
     /// The current stepped: its gain or offset changed, or samples are missing.
     #[error(
         "the current jumps by {jump_a:.2} A at {at_s:.3} s: a disturbed channel, lost samples, or a knock in the drive (play or \
          lost motion where the load reverses)"
     )]
-    CurrentJump {
-        /// Size of the jump \[A\].
-        jump_a: f64,
-        /// Time of the jump from the start of the trace \[s\].
-        at_s: f64,
-    },
+    CurrentJump { jump_a: f64, at_s: f64 },
     /// The noise of the current changed for some time, so its gain did too.
     #[error(
         "the noise of the current is {ratio:.2} times that of the rest for some time: its gain changed, or it was disturbed or smoothed"
     )]
-    GainChanged {
-        /// Ratio of the noise of the stretch to that of the rest.
-        ratio: f64,
-    },
-    /// The first samples of the inrush are missing.
+    GainChanged { ratio: f64 },
+    /// The first samples of the inrush, over `missing_s`, are missing.
     #[error(
         "the current's rise begins {missing_s:.4} s before the first sample that shows it: samples are missing at the \
          motor's start"
     )]
-    OnsetMissing {
-        /// Time of the missing samples \[s\].
-        missing_s: f64,
-    },
+    OnsetMissing { missing_s: f64 },
     /// The first samples of the current do not rise as in an armature with inductance and resistance.
     #[error(
         "the current's first samples depart from an armature's rise by {departure_a:.2} A: samples are missing at the \
          motor's start, or their instants jitter"
     )]
-    RoughRise {
-        /// Root mean square of the departure \[A\].
-        departure_a: f64,
-    },
-    /// The toe starts later or earlier than the current shows.
+    RoughRise { departure_a: f64 },
+    /// The toe starts later or, with a negative delay, earlier than the current shows.
     #[error(
         "the toe starts {:.1} ms {} than the current shows: {}",
         delay_ms.abs(),
@@ -245,130 +146,64 @@ pub enum Rejection {
             "a brake that releases late, play, lost motion, or channels that are not synchronous"
         }
     )]
-    LateStart {
-        /// Delay \[ms\]; negative for an early start.
-        delay_ms: f64,
-    },
+    LateStart { delay_ms: f64 },
     /// The first movement needs less torque than the motor gives.
     #[error("the toe starts with less torque than the current gives: a brake that releases late, or drags")]
     BrakedStart,
     /// A single value far from its neighbours.
     #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
-    Spike {
-        /// Which channel.
-        channel: Channel,
-        /// Height over the mean of its neighbours \[A or mm\].
-        height: f64,
-        /// Time of the spike \[s\].
-        at_s: f64,
-    },
+    Spike { channel: Channel, height: f64, at_s: f64 },
     /// The rise of the current was not sampled well enough, and no anti-alias filter is declared.
     #[error(
         "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least {} are \
          needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)",
         1e3 * interval_s, MIN_RISE_SAMPLES
     )]
-    Undersampled {
-        /// Time between samples \[s\].
-        interval_s: f64,
-        /// Number of samples from the start of the motor to the end of the current's first crest.
-        rise_samples: usize,
-    },
-    /// The noise of a channel is much larger than configured, or too large for an estimate.
+    Undersampled { interval_s: f64, rise_samples: usize },
+    /// The noise of a channel is much larger than configured, or, with `expected` `None`, too large for any estimate.
     #[error("{}", noise(*.channel, *.measured, *.expected))]
-    Noisy {
-        /// Which channel.
-        channel: Channel,
-        /// Measured standard deviation \[A or mm\].
-        measured: f64,
-        /// Standard deviation in the configuration \[A or mm\]; `None` if the noise is too large for any estimate,
-        /// whatever the configuration says.
-        expected: Option<f64>,
-    },
+    Noisy { channel: Channel, measured: f64, expected: Option<f64> },
     /// The normal equations are singular or nearly so.
     #[error("the trace does not determine the three coefficients: the normal equations are singular")]
     Singular,
     /// The iteration did not converge.
     #[error("the estimation did not converge in {iterations} iterations: the model does not describe this trace")]
-    NotConverged {
-        /// Number of iterations.
-        iterations: usize,
-    },
+    NotConverged { iterations: usize },
     /// The identified model is unstable.
     #[error("the model found is unstable (a1 {a1:.3}, a0 {a0:.3}): it does not describe a point machine")]
-    Unstable {
-        /// Kf / J \[s⁻¹\].
-        a1: f64,
-        /// Kspr / J \[s⁻²\].
-        a0: f64,
-    },
+    Unstable { a1: f64, a0: f64 },
     /// A coefficient that must be positive is not.
     #[error(
         "the model found has b0 {b0:.3}, a1 {a1:.3}, a0 {a0:.3}, which must all be positive (with a wrong neutral_mm, a1 is negative in one \
          direction)"
     )]
-    NotPositive {
-        /// KT / J \[rad s⁻² A⁻¹\].
-        b0: f64,
-        /// Kf / J \[s⁻¹\].
-        a1: f64,
-        /// Kspr / J \[s⁻²\].
-        a0: f64,
-    },
+    NotPositive { b0: f64, a1: f64, a0: f64 },
     /// The fit of the model is too low.
     #[error("the model follows the movement to {fit_pct:.2} % only, at least {floor_pct:.2} % are needed")]
-    PoorFit {
-        /// `R²_T` \[%\].
-        fit_pct: f64,
-        /// The least accepted fit \[%\].
-        floor_pct: f64,
-    },
+    PoorFit { fit_pct: f64, floor_pct: f64 },
     /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
     #[error(
         "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: the load varies along the stroke, \
          or the channels do not belong together (lost samples, a disturbed channel, channels that are not synchronous)"
     )]
-    Misfit {
-        /// Largest departure, as mean over 20 ms \[mm\].
-        peak_mm: f64,
-        /// Start of these 20 ms, from the start of the trace \[s\].
-        at_s: f64,
-    },
+    Misfit { peak_mm: f64, at_s: f64 },
     /// The current has no inrush.
     #[error("the current has no inrush: {peak_a:.2} A at the start against {running_a:.2} A later")]
-    NoInrush {
-        /// Largest current early in the movement \[A\].
-        peak_a: f64,
-        /// Median current after that \[A\].
-        running_a: f64,
-    },
+    NoInrush { peak_a: f64, running_a: f64 },
     /// The recording ends in the middle of the movement.
     #[error(
         "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or, if this \
          is the whole stroke, set stroke_mm to it"
     )]
-    EndMissing {
-        /// Distance moved by then \[mm\].
-        travel_mm: f64,
-    },
+    EndMissing { travel_mm: f64 },
     /// A coefficient is too uncertain because of noise.
     #[error(
         "the noise leaves {name} uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
     )]
-    Uncertain {
-        /// Name of the coefficient.
-        name: &'static str,
-        /// Standard deviation of the coefficient \[%\].
-        sd_pct: f64,
-        /// The limit \[%\].
-        limit_pct: f64,
-    },
+    Uncertain { name: &'static str, sd_pct: f64, limit_pct: f64 },
     /// A setting is out of its range.
     #[error("the setting {problem}")]
-    BadSettings {
-        /// The setting, its value and its range.
-        problem: String,
-    },
+    BadSettings { problem: String },
 }
 
 /// The text of [`Rejection::Noisy`].

@@ -47,15 +47,8 @@ impl Baseline {
 
 /// A rule for the throws of one direction.
 pub(super) trait Rule {
-    /// The verdict after a throw with the logarithms `log_theta`; `normal`: mean and standard deviation of the
-    /// baseline; `last`: the verdict before.
-    fn judge(
-        &mut self,
-        log_theta: Vector3<f64>,
-        baseline: &Baseline,
-        normal: Normal,
-        last: Option<Cause>,
-    ) -> Option<Cause>;
+    /// The verdict after a throw with the logarithms `log_theta`, against the complete baseline with this normal.
+    fn judge(&mut self, log_theta: Vector3<f64>, baseline: &Baseline, normal: Normal) -> Option<Cause>;
 }
 
 /// A rule on one machine.
@@ -85,7 +78,7 @@ impl<R: Rule + Clone> Comparator<R> {
         }
         let (side, log_theta) = (direction.side(), Vector3::from(theta).map(f64::ln));
         let Some(normal) = self.baselines[side].take(log_theta) else { return };
-        let verdict = self.rules[side].judge(log_theta, &self.baselines[side], normal, self.verdicts[side]);
+        let verdict = self.rules[side].judge(log_theta, &self.baselines[side], normal);
         if let Some(cause) = verdict
             && !self.verdicts.contains(&verdict)
         {

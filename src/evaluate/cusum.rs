@@ -43,11 +43,13 @@ pub(super) struct Cusum {
     /// For each coefficient, the side of its sum beyond the limit: 1, -1, or 0 for none. With the number of throws
     /// since the first such sum. `None` while no sum is beyond its limit.
     passed: Option<([i8; 3], usize)>,
+    /// The last verdict, which stays while the rule waits for more throws.
+    verdict: Option<Cause>,
 }
 
 impl Cusum {
     pub(super) fn new(design: Design) -> Self {
-        Self { design, high: Vector3::zeros(), low: Vector3::zeros(), passed: None }
+        Self { design, high: Vector3::zeros(), low: Vector3::zeros(), passed: None, verdict: None }
     }
 
     /// Adds a deviation. Returns the verdict when it is due; [`Cause::Unattributed`] stands for no name.
@@ -85,16 +87,9 @@ fn name(passed: [i8; 3]) -> Cause {
 }
 
 impl Rule for Cusum {
-    fn judge(
-        &mut self,
-        log_theta: Vector3<f64>,
-        _: &Baseline,
-        (mean, sd): Normal,
-        last: Option<Cause>,
-    ) -> Option<Cause> {
-        let verdict = self.add(log_theta - mean, sd);
-        // While the rule waits for more throws, the last verdict stays.
-        verdict.or(last.filter(|_| self.passed.is_some()))
+    fn judge(&mut self, log_theta: Vector3<f64>, _: &Baseline, (mean, sd): Normal) -> Option<Cause> {
+        self.verdict = self.add(log_theta - mean, sd).or(self.verdict.filter(|_| self.passed.is_some()));
+        self.verdict
     }
 }
 

@@ -30,13 +30,7 @@ pub(super) struct PaperRule {
 }
 
 impl Rule for PaperRule {
-    fn judge(
-        &mut self,
-        log_theta: Vector3<f64>,
-        baseline: &Baseline,
-        (mean, _): Normal,
-        _: Option<Cause>,
-    ) -> Option<Cause> {
+    fn judge(&mut self, log_theta: Vector3<f64>, baseline: &Baseline, (mean, _): Normal) -> Option<Cause> {
         self.recent.push(log_theta);
         if self.recent.len() > TESTS {
             self.recent.remove(0);

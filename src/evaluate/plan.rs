@@ -79,20 +79,11 @@ const NO_LIMIT_PCT: f64 = 0.001;
 #[derive(Debug, Clone, Copy)]
 enum Task {
     /// A healthy machine; `fleet`: index in [`FLEETS`], `None` for the usual fleet.
-    Healthy {
-        depth: Depth,
-        fleet: Option<usize>,
-        machine: usize,
-        throws: usize,
-    },
-    Row {
-        row: usize,
-        trial: usize,
-    },
-    Budget {
-        phi: usize,
-        machine: usize,
-    },
+    Healthy { depth: Depth, fleet: Option<usize>, machine: usize, throws: usize },
+    /// A machine with the fault of a row.
+    Row { row: usize, trial: usize },
+    /// A healthy machine of the budget section.
+    Budget { phi: usize, machine: usize },
 }
 
 /// Result of a life. [`Plan::report`] combines the results.
@@ -101,20 +92,13 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
+    /// The false alarms.
     Healthy(Healthy),
     /// The judgements of the monitor, the paper's rule and the CUSUM; whether the monitor named a healthy part at
     /// critical severity; and the correctness of its sizes and forecasts.
-    Row {
-        row: usize,
-        judgements: [Judgement; 3],
-        wrong_critical: bool,
-        coverage: Coverage,
-    },
-    Budget {
-        phi: usize,
-        throws: usize,
-        alarmed: bool,
-    },
+    Row { row: usize, judgements: [Judgement; 3], wrong_critical: bool, coverage: Coverage },
+    /// Monitored throws until the first drift alarm, or all.
+    Budget { phi: usize, throws: usize, alarmed: bool },
 }
 
 /// The lives and settings of a run.

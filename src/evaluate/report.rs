@@ -1,6 +1,6 @@
 //! The results of a run, which `pointsd evaluate --json` prints.
 
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 use super::{
     coverage::Coverage,
@@ -111,10 +111,8 @@ pub struct Row {
     /// Share of the monitor's forecasts that contain the true throws to the critical limit; `None` without a forecast.
     pub forecast_coverage: Option<f64>,
     /// Results of the paper's rule on the same throws.
-    #[serde(serialize_with = "without_names")]
     pub paper: Tally,
     /// Results of the CUSUM on the same throws.
-    #[serde(serialize_with = "without_names")]
     pub cusum: Tally,
 }
 
@@ -175,24 +173,12 @@ pub(crate) fn quantile<T: Copy>(sorted: &[T], share: f64) -> Option<T> {
     sorted.get(rank - 1).copied()
 }
 
-/// Serializes the tally of a comparator. An alarm without a name counts as missed.
-fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S::Error> {
-    #[derive(Serialize)]
-    struct Comparator {
-        right: usize,
-        wrong: usize,
-        missed: usize,
-        delay_median: Option<f64>,
-    }
-    let missed = tally.missed + tally.ambiguous;
-    let (right, wrong, delay_median) = (tally.right, tally.wrong, tally.delay_median);
-    Comparator { right, wrong, missed, delay_median }.serialize(serializer)
-}
-
 impl Row {
     /// The row of a scenario, from its judged lives.
     pub(super) fn new(scenario: &Scenario, lives: &Lives) -> Self {
         let [monitor, paper, cusum] = [0, 1, 2].map(|rule| Tally::of(lives.judgements.iter().map(|three| three[rule])));
+        // An alarm of a comparator without a name counts as missed.
+        let named = |tally: Tally| Tally { ambiguous: 0, missed: tally.missed + tally.ambiguous, ..tally };
         let parts: Vec<Cause> = scenario.faults.iter().map(|(part, _)| *part).collect();
         Self {
             depth: scenario.depth,
@@ -210,8 +196,8 @@ impl Row {
             wrong_critical: lives.wrong_critical,
             size_coverage: lives.coverage.sizes.value(),
             forecast_coverage: lives.coverage.forecasts.value(),
-            paper,
-            cusum,
+            paper: named(paper),
+            cusum: named(cusum),
         }
     }
 

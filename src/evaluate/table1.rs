@@ -120,8 +120,6 @@ pub struct Test {
     pub sd: [f64; 3],
     /// Change of b0, a1, a0 from test 1 \[%\].
     pub change_pct: [f64; 3],
-    /// Change of the true b0, a1, a0 from test 1 \[%\].
-    pub physics_pct: [f64; 3],
     /// Expected changes; `None` for test 1.
     pub expected: Option<[Expected; 3]>,
     /// The first throw of the test, as recorded.
@@ -160,59 +158,44 @@ pub enum Failure {
     },
 }
 
-/// Settings of the study.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Study {
-    /// Model of the rails.
-    pub rails: RailModel,
-    /// Throws of each test, at least 1; every throw has new sensor noise.
-    pub throws: usize,
-    /// Seed of the sensors' noise.
-    pub seed: u64,
-}
-
-impl Default for Study {
-    fn default() -> Self {
-        Self { rails: RailModel::Beam, throws: 10, seed: 1 }
-    }
-}
-
 /// Number of tests in all cases: the nominal machine and five values of the parameter in each.
 pub const TESTS: usize = 6 * CASES.len();
 
-/// Runs all four cases. `is_done` is called after each test, for a progress bar.
+/// Runs all four cases with this model of the rails. `throws`: throws of each test, at least 1, each with new noise of
+/// the sensors; `seed`: that of this noise. `is_done` is called after each test, for a progress bar.
 ///
 /// # Errors
 /// When a throw cannot be simulated or identified.
-pub fn run(study: &Study, is_done: &dyn Fn()) -> Result<Vec<CaseResult>, Failure> {
+///
+/// # Panics
+/// When `throws` is 0.
+pub fn run(rails: RailModel, throws: usize, seed: u64, is_done: &dyn Fn()) -> Result<Vec<CaseResult>, Failure> {
     let mut nominal = Parameters::default();
-    nominal.rails.model = study.rails;
-    let mut rng = ChaCha12Rng::seed_from_u64(study.seed);
+    nominal.rails.model = rails;
+    let mut rng = ChaCha12Rng::seed_from_u64(seed);
     let mut identifier = Identifier::default();
-    CASES.iter().map(|case| run_case(case, &nominal, study, &mut rng, &mut identifier, is_done)).collect()
+    CASES.iter().map(|case| run_case(case, nominal.clone(), throws, &mut rng, &mut identifier, is_done)).collect()
 }
 
 fn run_case(
     case: &Case,
-    nominal: &Parameters,
-    study: &Study,
+    mut machine: Parameters,
+    throws: usize,
     rng: &mut ChaCha12Rng,
     identifier: &mut Identifier,
     is_done: &dyn Fn(),
 ) -> Result<CaseResult, Failure> {
-    let truth = |machine: &Parameters| machine.coefficients().map(|is| is.values());
-    let (reference, sensors) = (truth(nominal)?, Sensors::default());
+    let sensors = Sensors::default();
     let mut tests: Vec<Test> = Vec::with_capacity(6);
     let mut singles: Vec<Vec<[f64; 3]>> = Vec::with_capacity(6);
-    let mut machine = nominal.clone();
     let first = *(case.parameter)(&mut machine);
     for (at, value) in std::iter::once(first).chain(case.values).enumerate() {
         *(case.parameter)(&mut machine) = value;
         let motion = machine.simulate(DIRECTION, &Conditions::default(), sensors.step_s())?;
-        let mut traces = Vec::with_capacity(study.throws);
-        let mut estimates = Vec::with_capacity(study.throws);
+        let mut traces = Vec::with_capacity(throws);
+        let mut estimates = Vec::with_capacity(throws);
         let mut refusals = 0;
-        while estimates.len() < study.throws.max(1) {
+        while estimates.len() < throws {
             let trace = sensors.record(&motion, DIRECTION, rng)?.trace;
             match identify(identifier, &machine, &trace) {
                 Ok(estimate) => {
@@ -220,7 +203,7 @@ fn run_case(
                     traces.push(trace);
                 }
                 // Noise sometimes looks like a damaged trace; such a throw is repeated.
-                Err(_) if refusals < study.throws => refusals += 1,
+                Err(_) if refusals < throws => refusals += 1,
                 Err(reason) => return Err(Failure::Refused { symbol: case.symbol, value, reason }),
             }
         }
@@ -232,19 +215,17 @@ fn run_case(
             coefficients,
             sd,
             change_pct: change_pct(coefficients, first),
-            physics_pct: change_pct(truth(&machine)?, reference),
             expected: at.checked_sub(1).map(case.expected),
             trace: traces.swap_remove(0),
         });
         is_done();
     }
     let means: Vec<[f64; 3]> = tests.iter().map(|test| test.coefficients).collect();
-    let count = study.throws.max(1);
     let of_one_throw = |throw: usize| -> Vec<[f64; 3]> { singles.iter().map(|test| test[throw]).collect() };
-    let single: Vec<[f64; 3]> = (0..count).map(|throw| correlations(&of_one_throw(throw), 0.0)).collect();
+    let single: Vec<[f64; 3]> = (0..throws).map(|throw| correlations(&of_one_throw(throw), 0.0)).collect();
     Ok(CaseResult {
         case: *case,
-        correlation: std::array::from_fn(|pair| single.iter().map(|of| of[pair]).sum::<f64>() / count as f64),
+        correlation: std::array::from_fn(|pair| single.iter().map(|of| of[pair]).sum::<f64>() / throws as f64),
         correlation_beyond_scatter: correlations(&means, SERVICE_SCATTER),
         tests,
     })

@@ -2,7 +2,7 @@
 //!
 //! ```
 //! use pointsd::report::{Panel, Sheet};
-//! let delay = Panel::curves("Delay", "size [%]", "throws").line("kt", [(5.0, 12.0), (10.0, 3.0)]).log_y();
+//! let delay = Panel::curves("Delay", "size [%]", "throws").line("kt", [(5.0, 12.0), (10.0, 3.0)]);
 //! let bars = Panel::bars("Change", "% of nominal", ["b0", "a1"]).group("test 1", [100.0, 99.0]);
 //! let svg = Sheet::new("Both").panel(delay).panel(bars).to_svg();
 //! assert!(svg.starts_with("<svg"));

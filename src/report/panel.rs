@@ -48,7 +48,6 @@ fn short<S: Serializer>(points: &[(f64, f64)], serializer: S) -> Result<S::Ok, S
 pub struct Panel {
     title: String,
     y_label: String,
-    log_y: bool,
     /// Dashed horizontal lines, each with its y and label.
     levels: Vec<(f64, String)>,
     /// Dashed vertical lines of a chart of curves, each with its x and label.
@@ -94,14 +93,7 @@ impl Panel {
     }
 
     fn with(title: impl Into<String>, y_label: impl Into<String>, content: Content) -> Self {
-        Self {
-            title: title.into(),
-            y_label: y_label.into(),
-            log_y: false,
-            levels: Vec::new(),
-            marks: Vec::new(),
-            content,
-        }
+        Self { title: title.into(), y_label: y_label.into(), levels: Vec::new(), marks: Vec::new(), content }
     }
 
     /// Adds a curve of (x, y); a value that is not finite interrupts it. Ignored by a chart of bars.
@@ -148,12 +140,6 @@ impl Panel {
         self
     }
 
-    /// Makes the y axis logarithmic; values of 0 and below are not shown.
-    pub fn log_y(mut self) -> Self {
-        self.log_y = true;
-        self
-    }
-
     pub(super) fn draw(&self, canvas: &mut Canvas, left: f64, top: f64, width: f64, height: f64) {
         let inside = width - LEFT - MARGIN;
         let marks = self.placed_marks(left + LEFT, inside);
@@ -182,7 +168,7 @@ impl Panel {
             }
             Content::Bars { categories, groups } => {
                 let slanted = self.slant(frame.width) > 0.0;
-                draw_bars(canvas, &frame, categories, groups, self.log_y, slanted);
+                draw_bars(canvas, &frame, categories, groups, slanted);
             }
         }
         let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
@@ -216,11 +202,11 @@ impl Panel {
             Content::Curves { curves, .. } => {
                 let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.1);
                 let edges = curves.iter().flat_map(Curve::band).flat_map(|(_, low, high)| [low, high]);
-                Axis::over(values.chain(edges).chain(levels), self.log_y, false)
+                Axis::over(values.chain(edges).chain(levels), false)
             }
             Content::Bars { groups, .. } => {
                 let values = groups.iter().flat_map(|(_, values)| values).copied();
-                Axis::over(values.chain(levels), self.log_y, true)
+                Axis::over(values.chain(levels), true)
             }
         }
     }
@@ -347,18 +333,11 @@ fn draw_marks(canvas: &mut Canvas, frame: &Frame, marks: &[PlacedMark<'_>]) {
     }
 }
 
-fn draw_bars(
-    canvas: &mut Canvas,
-    frame: &Frame,
-    categories: &[String],
-    groups: &[(String, Vec<f64>)],
-    log: bool,
-    slanted: bool,
-) {
+fn draw_bars(canvas: &mut Canvas, frame: &Frame, categories: &[String], groups: &[(String, Vec<f64>)], slanted: bool) {
     let pitch = frame.width / groups.len().max(1) as f64;
     let bar = 0.8 * pitch / categories.len().max(1) as f64;
     let bottom = frame.top + frame.height;
-    let ground = if log { bottom } else { frame.y_of(0.0).unwrap_or(bottom) };
+    let ground = frame.y_of(0.0).unwrap_or(bottom);
     for (at, (name, values)) in groups.iter().enumerate() {
         let left = frame.left + pitch * (at as f64 + 0.1);
         if slanted {

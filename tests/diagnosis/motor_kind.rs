@@ -1,70 +1,14 @@
-//! The kind of motor, configured right and wrong.
+//! Machines with a series-wound motor.
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
-    diagnose::{Cause, MachineMonitor, Observation, Parameters, Settings},
+    diagnose::{Cause, MachineMonitor, Observation, Settings},
     estimate::{self, Identifier, Motor},
     simulate::{self, FleetSettings, Incident, IncidentKind},
     throw::Throw,
 };
 
-use crate::drive::{Drive, State, Voltage};
-
-/// The caveats about the kind of the motor of some simulated machines, with this setting.
-fn caveats(machine: &simulate::Parameters, motor: Motor) -> Vec<Option<String>> {
-    let fleet = FleetSettings { machines: 4, machine: machine.clone(), ..FleetSettings::default() };
-    let settings = estimate::Settings { motor, ..estimate::Settings::default() };
-    let mut identifier = Identifier::default();
-    let machines = fleet.build(77).unwrap().into_iter();
-    let caveat = |mut machine: simulate::SimulatedMachine| {
-        let mut monitor = MachineMonitor::new("21B");
-        monitor.configured(Parameters::of(&settings), Timestamp::UNIX_EPOCH);
-        for throw in 1..=26 {
-            let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw);
-            let throw = machine.next_throw("a", at).unwrap();
-            monitor.observe(&Observation::of(&throw, &identifier.identify(&throw, &settings)), &Settings::default());
-        }
-        monitor.caveats().into_iter().find(|caveat| caveat.contains("Set motor ="))
-    };
-    machines.map(caveat).collect()
-}
-
-#[test]
-fn a_motor_of_another_kind_than_configured_is_named() {
-    let series = simulate::Parameters::series();
-    for caveat in caveats(&series, Motor::PermanentMagnet) {
-        let caveat = caveat.unwrap();
-        assert!(caveat.contains("those of a series-wound motor, and motor = \"permanent_magnet\""), "{caveat}");
-        assert!(caveat.contains("Set motor = \"series\""), "{caveat}");
-    }
-    let magnets = simulate::Parameters::default();
-    for caveat in caveats(&magnets, Motor::Series) {
-        let caveat = caveat.unwrap();
-        assert!(caveat.contains("motor with permanent magnets, and motor = \"series\""), "{caveat}");
-    }
-    for (machine, motor) in [(series, Motor::Series), (magnets, Motor::PermanentMagnet)] {
-        assert_eq!(caveats(&machine, motor), [None, None, None, None], "{motor:?}");
-    }
-}
-
-#[test]
-fn magnets_behind_play_a_brake_or_heavy_friction_are_no_series_motor() {
-    let sound = State::SOUND;
-    let states = [
-        sound,
-        State { play_mm: 1.0, ..sound },
-        State { brake_s: 0.03, ..sound },
-        State { late_s: 0.005, ..sound },
-        State { friction: 2.5, ..sound },
-        State { stiffness: 3.0, ..sound },
-    ];
-    for (seed, state) in (0..).zip(states) {
-        let mut drive = Drive::new(94_000 + seed, Voltage::Unknown);
-        drive.events(26, state);
-        let caveats = drive.monitor.caveats();
-        assert!(!caveats.iter().any(|caveat| caveat.contains("Set motor =")), "{state:?}: {caveats:?}");
-    }
-}
+use crate::drive::{Drive, State};
 
 /// The causes of the alarms of a series-wound machine that performs `throws`, except those about its duration.
 fn causes_of_series(throws: impl Iterator<Item = Throw>) -> Vec<Cause> {

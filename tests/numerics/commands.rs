@@ -107,17 +107,10 @@ fn wrong_values_are_refused_with_their_name() {
 }
 
 #[test]
-fn limits_draws_and_prints_every_finding() {
-    let directory = tempfile::tempdir().unwrap();
-    let figures = directory.path().join("figures");
-    let output = pointsim(&["limits", "--throws", "4", "--out", text(&figures), "--json"]);
-    let findings = json(&output);
+fn limits_prints_every_finding() {
+    let findings = json(&pointsim(&["limits", "--throws", "4", "--json"]));
     let names: Vec<_> = findings.as_array().unwrap().iter().map(|finding| finding["name"].as_str().unwrap()).collect();
-    assert!(names.contains(&"sampling_raw") && names.contains(&"closed_loop"), "{names:?}");
-    for name in names {
-        let svg = std::fs::read_to_string(figures.join(format!("limits_{name}.svg"))).unwrap();
-        assert!(svg.trim_end().ends_with("</svg>"), "{name}");
-    }
+    assert!(names.contains(&"sampling_raw") && names.contains(&"temperature"), "{names:?}");
 }
 
 #[test]

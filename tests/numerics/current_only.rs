@@ -116,6 +116,66 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
     }
 }
 
+/// A cut recording looks like a throw that ends early, with a smaller back-EMF and a larger b0. One that begins in the
+/// inrush has a larger b0 too.
+#[test]
+fn a_recording_without_the_start_or_the_end_of_the_motor_gives_no_coefficients() {
+    let machine = Parameters::default();
+    for direction in Direction::BOTH {
+        let whole = current(&machine, direction, 1000.0);
+        let part =
+            |part: std::ops::Range<usize>| identify(whole[part].to_vec(), direction, 1000.0, f64::NAN, Some(110.0));
+        let found = part(0..whole.len());
+        let (b0, end_s) = (found.outcome.unwrap().b0, found.features.duration_s.unwrap() + 0.2);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index of the trace")]
+        let off = (1000.0 * end_s).round() as usize;
+        // The recording ends with the motor.
+        let found = part(0..off + 3);
+        assert!(
+            (found.outcome.unwrap().b0 / b0 - 1.0).abs() < 1e-3 && found.features.duration_s.is_some(),
+            "{direction}"
+        );
+        for end in [1000, 1500, 2500, 3200, 4000, off - 5] {
+            let found = part(0..end);
+            let detail = found.detail().unwrap();
+            assert!(detail.contains("does not show that the motor is switched off"), "{direction}, {end}: {detail}");
+            assert_eq!((found.quality(), found.features.duration_s), ("current_only", None), "{direction}, {end}");
+        }
+        // The rails that help reverse to normal take the current to 0 after the inrush.
+        let latest = if direction == Direction::NormalToReverse { 100 } else { 20 };
+        for late in [2, 4, 6, 8, 10, 20, 50, 100].into_iter().filter(|late| *late <= latest) {
+            let found = part(200 + late..whole.len());
+            let detail = found.detail().unwrap();
+            assert!(detail.contains("start of the motor is not in the recording"), "{direction}, {late}: {detail}");
+            assert_eq!(
+                (found.quality(), found.features.duration_s.is_some()),
+                ("current_only", true),
+                "{direction}, {late}"
+            );
+        }
+    }
+}
+
+/// A few samples at rest before the motor do not show the noise well. Of the thousands after it some are far from the
+/// mean.
+#[test]
+fn the_noise_of_a_long_rest_after_few_samples_does_not_lengthen_the_throw() {
+    let machine = Parameters::default();
+    for (rate_hz, leads) in [(1000.0, &[0, 3, 7, 20][..]), (50.0, &[4])] {
+        let sensors = Sensors { sample_rate_hz: rate_hz, after_s: 5.0, ..Sensors::default() };
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index of the trace")]
+        let on = (rate_hz * sensors.before_s).round() as usize;
+        for (direction, seed) in Direction::BOTH.into_iter().flat_map(|way| (0..10).map(move |seed| (way, seed))) {
+            let whole = simulated(&machine, &sensors, direction, seed).trace.current_a().to_vec();
+            for lead in leads {
+                let found = identify(whole[on - lead..].to_vec(), direction, rate_hz, f64::NAN, None);
+                let duration_s = found.features.duration_s.unwrap();
+                assert!((4.1..4.4).contains(&duration_s), "{rate_hz} Hz, {lead}, {direction}, {seed}: {duration_s} s");
+            }
+        }
+    }
+}
+
 /// Changes the current to that of a motor that stalls at the end of the stroke for 35 ms, and that the drive turns back
 /// after the cut-off.
 fn with_stall(machine: &Parameters, current: &mut Vec<f64>, rate_hz: f64) {

@@ -302,6 +302,35 @@ fn every_damaged_trace_has_its_quality_or_its_reason() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// A motor that the rails help takes much less current than its mean with the inrush.
+#[test]
+fn a_recording_cut_soon_after_the_inrush_is_no_obstruction() {
+    let settings = Settings { stroke_mm: Some(115.0), ..settings_of(&Parameters::default()) };
+    for direction in Direction::BOTH {
+        for cut in [500, 800, 1000, 1500, 4000] {
+            let mut channels = Channels::healthy(&Sensors::default(), direction, 4);
+            channels.keep(0..cut);
+            let found = channels.identify(&mut Identifier::default(), &settings);
+            assert_eq!(found.quality(), "end_missing", "{direction}, {cut}: {:?}", found.outcome);
+        }
+    }
+}
+
+/// Means over four samples before and after the start of the toe differ as after a jump.
+#[test]
+fn the_start_of_the_toe_in_a_slow_recording_is_no_jump() {
+    for (sample_rate_hz, direction, seed) in
+        [(250.0, Direction::ReverseToNormal, 14), (260.0, Direction::NormalToReverse, 14)]
+    {
+        for seed in [seed, 1, 2] {
+            let sensors = Sensors { sample_rate_hz, ..Sensors::default() };
+            let found =
+                Channels::healthy(&sensors, direction, seed).identify(&mut Identifier::default(), &Settings::default());
+            assert_eq!(found.quality(), "rough", "{direction}, {seed}: {:?}", found.outcome);
+        }
+    }
+}
+
 /// Noise above the configured one must not switch off the check of the ratios' error.
 #[test]
 fn a_position_that_has_nothing_to_do_with_the_current_gives_no_ratios_with_noise_either() {

@@ -1,7 +1,7 @@
 //! The table of the study, repeated with simulator and estimator, with lumped rails and with the beam.
 
 use pointsd::diagnose::Cause;
-use pointsd::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, run};
+use pointsd::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, run};
 use pointsd::simulate::RailModel;
 
 /// Models of the rails, and seeds.
@@ -9,7 +9,7 @@ const RUNS: [(RailModel, u64); 4] =
     [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)];
 
 fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
-    run(&Study { rails, seed, ..Study::default() }, &|| {}).unwrap()
+    run(rails, 10, seed, &|| {}).unwrap()
 }
 
 #[test]

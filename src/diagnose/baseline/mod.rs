@@ -1,6 +1,5 @@
 //! The baseline of a machine and direction.
 
-mod motor_kind;
 mod neutral;
 mod temperature;
 mod trend;
@@ -10,7 +9,6 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-pub(super) use motor_kind::ShownMotor;
 pub(super) use neutral::Neutral;
 pub use temperature::TemperatureSource;
 pub(super) use temperature::{Suspicion, covariance_of_effect};

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
-    baseline::{BaselineRecord, Neutral, ShownMotor},
+    baseline::{BaselineRecord, Neutral},
     drift::{DriftAlarms, Instruments},
     gauges::{FeatureWatch, SideWatch, StartWatch},
     operation::{Boots, Common, LoggerClock, Operation, Thermometer, Trail, on_peers, site},
@@ -30,7 +30,6 @@ pub struct MachineMonitor {
     order: u64,
     tracks: Tracks,
     neutral: Neutral,
-    motor: ShownMotor,
     drift: DriftAlarms,
     alarms: Alarms,
     operation: Operation,
@@ -267,7 +266,6 @@ impl MachineMonitor {
         self.has_position = false;
         self.tracks = Tracks::default();
         self.neutral = Neutral::default();
-        self.motor = ShownMotor::default();
         self.instruments = Instruments::default();
         self.trail = Trail::default();
     }
@@ -335,7 +333,6 @@ impl MachineMonitor {
             .chain(self.operation.is_exchanged().then(|| text::machine(&self.name, text::EXCHANGED)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), had_coefficients))
             .chain(self.neutral_elsewhere())
-            .chain(self.motor.other(self.parameters).map(|motor| text::other_motor(&self.name, motor)))
             .chain(self.small_travel_mm().map(|travel_mm| text::small_travel(&self.name, travel_mm)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()

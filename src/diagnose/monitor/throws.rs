@@ -200,7 +200,6 @@ impl MachineMonitor {
     ) -> Vec<BaselineRecord> {
         let Observation { direction, ref features, .. } = *observation;
         self.operation.on_throw(observation, &self.instruments.gauges, step);
-        self.motor.learn(observation, self.parameters);
         let mut baselines_taken = Vec::new();
         let has_gauges = if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(step.alarms) || self.instruments.known_gain.is_some();

@@ -2,7 +2,7 @@
 
 use crate::{
     diagnose::{Blindness, HidingTemperature, statistics::percent},
-    estimate::{Motor, RejectionCode},
+    estimate::RejectionCode,
     throw::{CENTIMETRE_MM, Direction, INCH_MM, counted},
 };
 
@@ -117,29 +117,6 @@ pub(crate) fn neutral(name: &str, configured_mm: f64, off_mm: f64, is_corrected:
          {effect} Set neutral_mm to where the rails lie without the machine (this starts a new baseline). If \
          neutral_mm is right, look for parts that are dry or bind {harder}.",
         configured_mm + off_mm
-    )
-}
-
-/// Text for a machine whose throws show one kind of motor, and which is configured with the other kind.
-pub(crate) fn other_motor(name: &str, shown: Motor) -> String {
-    let (like, word, configured, otherwise) = match shown {
-        Motor::Series => (
-            "a series-wound motor",
-            "series",
-            "permanent_magnet",
-            "If it has permanent magnets, measure whether the supply voltage falls during a throw",
-        ),
-        Motor::PermanentMagnet | Motor::ThreePhase => (
-            "a motor with permanent magnets",
-            "permanent_magnet",
-            "series",
-            "If it is series-wound, look for a second winding across the supply",
-        ),
-    };
-    format!(
-        "Machine {name}: speed and current of its first throws are those of {like}, and motor = \"{configured}\" is in \
-         use. If this is the wrong kind, the coefficients, and names and sizes of drifts, are wrong. Check the motor. \
-         Set motor = \"{word}\" if it is {like} (this starts a new baseline). {otherwise}."
     )
 }
 

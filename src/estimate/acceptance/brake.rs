@@ -72,6 +72,9 @@ pub(crate) fn scale_sd(window: &Window, [b0, a1, a0]: [f64; 3], buffers: &mut Bu
     let square: f64 = output.iter().map(|y| y * y).sum();
     let fit = |cross: f64, own: f64| (cross / own, 1.0 / own, square - cross * cross / own);
     let without = fit(after[0][8], after[0][5]);
+    if without.0.is_nan() {
+        return Ok(LARGEST_SD);
+    }
     found.clear();
     found.push(without);
     for torque in TORQUES.map(|share| share * peak) {
@@ -107,4 +110,16 @@ pub(crate) fn scale_sd(window: &Window, [b0, a1, a0]: [f64; 3], buffers: &mut Bu
         if reach > 0.0 { (scale / b0 - 1.0).abs() + (own * variance * reach).sqrt() / b0 } else { 0.0 }
     });
     Ok((farthest.fold(0.0, f64::max) / WIDE).min(LARGEST_SD))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_start_without_movement_leaves_every_brake_possible() {
+        let [input, output, shift] = [(); 3].map(|()| vec![0.0; 100]);
+        let window = Window { input, output, shift, interval_s: 1e-3, ..Window::default() };
+        assert_eq!(scale_sd(&window, [200.0, 6.0, 1.5], &mut Buffers::default()), Ok(LARGEST_SD));
+    }
 }

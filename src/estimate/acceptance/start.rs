@@ -15,7 +15,7 @@
 use crate::estimate::trace::{samples::samples_in, window::Window};
 
 /// Share of the travel that counts as the start: after 3 % the inrush is over.
-pub(crate) const START_SHARE: f64 = 0.03;
+const START_SHARE: f64 = 0.03;
 /// Longest start, and longest delay \[s\].
 const LONGEST_S: f64 = 0.6;
 /// Time after the start for which F is computed as well, as a negative delay needs it \[s\].
@@ -27,7 +27,7 @@ const STEPS: usize = 60;
 /// Change of the delay at which the iteration ends \[s\]: far below the scatter of 0.2 ms.
 const CONVERGED_S: f64 = 2e-6;
 /// Least number of samples of a usable start.
-pub(crate) const LEAST_SAMPLES: usize = 8;
+const LEAST_SAMPLES: usize = 8;
 
 /// Computes F, the movement after a start without delay for b0 = 1, for `samples` from the foot of the current's rise
 /// on.

@@ -37,12 +37,11 @@ use super::polynomial::{normalised, root_radius};
 use crate::estimate::matrix::invert;
 
 /// The values of a signal between two samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Hold {
     /// Constant until the next sample: for a held input (zero-order hold).
     Zero,
     /// Linear to the next sample: for a measured signal (first-order hold).
-    #[default]
     First,
 }
 

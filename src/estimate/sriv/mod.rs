@@ -53,9 +53,8 @@ pub enum Termination {
     IterationLimit,
 }
 
-/// The reason why a problem has no solution; its code, as that of a rejection, by `<&str>::from`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error, strum::IntoStaticStr)]
-#[strum(serialize_all = "snake_case")]
+/// The reason why a problem has no solution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
     /// An input, or the equilibrium, and the output differ in length.
     #[error("input and output differ in length")]

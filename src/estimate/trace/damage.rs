@@ -292,8 +292,8 @@ pub(crate) fn steps(
     let (clear, least) = match channel {
         // Inductance and back-EMF oscillate faster than these means.
         Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),
-        // The toe starts with a jerk.
-        Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
+        // The toe starts with a jerk, which the means before the start contain as well.
+        Channel::Position => (start.saturating_sub(wide)..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
     };
     let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
     let threshold = (STEP_SIGNIFICANCE * long).max(least * (interval_s / SMOOTH_S).powi(3).max(1.0));
@@ -344,22 +344,12 @@ mod tests {
         let noise = 0.62;
         let level = Level { mean: 0.0, sd: noise, samples: 200, quantum: 1.0 };
         let movement = Movement {
-            current_a: &[],
-            position_mm: &[],
-            interval_s: 5e-5,
-            quiet: 200,
             motor_off: Some(4500),
             current: level,
-            position: level,
-            position_every: 1.0,
-            position_noise_mm: noise,
-            sign: 1.0,
             travel_mm: 115.0,
             near_end: 4400,
-            arrived: 4450,
-            end_mm: 115.0,
-            peak_a: 13.0,
-            mean_a: 1.0,
+            quiet: 200,
+            ..Movement::of(&[0.0], &[0.0], 5e-5, None, &mut Vec::new())
         };
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let samples: Vec<f64> =

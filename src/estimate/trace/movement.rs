@@ -1,8 +1,11 @@
 //! The course of a throw from its two channels, without a model: start and end of the motor, positions before and after
 //! the movement, and levels of the sensors at rest.
 
+use std::f64::consts::SQRT_2;
+
 use super::samples::{
-    Level, first, mean, mean_distance, median_distance, median_of, peak, quantum, samples_in, second_difference_noise,
+    Level, first, first_difference_noise, mean, mean_distance, median_distance, median_of, peak, quantum, samples_in,
+    second_difference_noise,
 };
 use crate::{estimate::features::Features, throw::Channel};
 
@@ -57,6 +60,9 @@ pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 const RELEASE_SHARE: f64 = 0.005;
 /// Least number of quiet samples, those before the start of the motor, for noise and offset of a sensor.
 pub(crate) const MIN_QUIET: usize = 8;
+/// With fewer quiet samples their standard deviation may be wrong by more than a tenth, and of some thousand samples at
+/// rest a few exceed [`ON_SIGMAS`] of it.
+const KNOWN_NOISE: usize = 50;
 
 /// A recorded throw with its course. Times are indices of its samples.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,20 +113,27 @@ impl<'a> Movement<'a> {
         let quiet = start.map_or(len, |start| start + 1);
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
+        // Few samples at rest may show too little noise; most recordings end at rest.
+        let last = &current[len - (len / 20).max(MIN_QUIET).min(len)..];
+        let end_sd = if before < MIN_QUIET { first_difference_noise(last, scratch) } else { 0.0 };
         let threshold = |level: &Level, peak: f64| {
-            // With few samples at rest, one pulse from a contact looks like noise as large as the running current.
-            let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
-            (ON_SHARE * peak).max((ON_SIGMAS * level.sd).min(largest))
+            let noise = if level.samples >= MIN_QUIET {
+                ON_SIGMAS * level.sd
+            } else {
+                // One pulse from a contact looks like noise as large as the running current.
+                (ON_SIGMAS * level.sd.max(end_sd)).min(START_SHARE * peak)
+            };
+            noise.max(ON_SHARE * peak)
         };
         let mut peak_a = peak(current, level.mean);
-        let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
+        let mut motor_off = start.and_then(|_| last_beyond(current, &level, threshold(&level, peak_a)));
         if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
             // The current decays for a moment after the cut-off.
             let tail = &current[(off + 1 + len / 100 + 2).min(len)..];
             level = if tail.len() >= MIN_QUIET { Level::of(tail) } else { Level::default() };
             peak_a = peak(current, level.mean);
             if level.samples > 0 {
-                motor_off = last_beyond(current, level.mean, threshold(&level, peak_a));
+                motor_off = last_beyond(current, &level, threshold(&level, peak_a));
             }
         }
         // Without a motor the toe may move from the first samples on.
@@ -206,10 +219,18 @@ impl<'a> Movement<'a> {
         speed(last - stretch, last) > 0.5 * running
     }
 
-    /// Whether the motor still drives at the end of the trace: the current is at least half of its mean.
+    /// Whether the motor still drives at the end of the trace: the current is at least half of that in the last tenth
+    /// of the motor's time. The inrush does not count, as a motor that a spring helps then takes a tenth of its mean.
     pub(crate) fn ends_driven(&self) -> bool {
-        let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET)..];
-        mean_distance(last, self.current.mean) > 0.5 * self.mean_a
+        let Some(off) = self.motor_off else { return false };
+        let size = |part: &[f64]| (mean(part) - self.current.mean).abs();
+        let before = &self.current_a[self.tenth_before(off)..=off];
+        size(&self.current_a[self.current_a.len().saturating_sub(MIN_QUIET / 2)..]) > 0.5 * size(before)
+    }
+
+    /// The beginning of the last tenth of the time from the start to `off`, at least one sample before it.
+    fn tenth_before(&self, off: usize) -> usize {
+        off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1))
     }
 
     /// Last sample before the motor's start, or the first of the trace.
@@ -234,13 +255,16 @@ impl<'a> Movement<'a> {
 
     /// Last sample of the window: the first sample at 95 % of the travel, or an earlier one where the motor current
     /// ends and the toe then slows down. If the toe does not slow down, the motor is still switched on: a spring that
-    /// drives the throw has reduced the motor current to zero.
+    /// drives the throw has reduced the motor current to zero, or to less than its noise. A speed before the end of the
+    /// current that is lost in the noise of the position shows nothing.
     pub(crate) fn end(&self) -> usize {
         let position = self.position_mm;
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
-        let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
+        let back = self.tenth_before(off);
         let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
-        if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
+        let (before, after) = (speed(back, off), speed(off, self.near_end));
+        let noise = SQRT_2 * self.position_noise_mm / (off - back).max(1) as f64;
+        if after < 0.7 * before && noise < 0.3 * after { off } else { self.near_end }
     }
 
     /// Sets the number of samples from one measured position to the next. The samples on the lines between measured
@@ -356,6 +380,14 @@ pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
     Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
 }
 
-fn last_beyond(values: &[f64], level: f64, threshold: f64) -> Option<usize> {
-    values.iter().rposition(|v| (v - level).abs() > threshold)
+/// The last value beyond a threshold from the level. If the noise of the level is not well known, the threshold may be
+/// within the noise, so the mean of some values around this one must be beyond it too.
+fn last_beyond(values: &[f64], level: &Level, threshold: f64) -> Option<usize> {
+    let is_beyond = |value: f64| (value - level.mean).abs() > threshold;
+    let mut end = values.len();
+    if level.samples < KNOWN_NOISE {
+        let few = MIN_QUIET.min(end);
+        end = few + values.windows(few).rposition(|part| is_beyond(mean(part)))?;
+    }
+    values[..end].iter().rposition(|value| is_beyond(*value))
 }

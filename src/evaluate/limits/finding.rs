@@ -2,13 +2,10 @@
 
 use serde::Serialize;
 
-/// Names of the coefficients, in the order of all arrays of three.
-pub const NAMES: [&str; 3] = ["b0", "a1", "a0"];
-
 /// One limit of the method: a table of simulated cases.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
-    /// Identifier, for file names and JSON.
+    /// Identifier, for JSON.
     pub name: &'static str,
     /// Title of the table.
     pub title: &'static str,

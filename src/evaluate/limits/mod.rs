@@ -1,17 +1,15 @@
 #![doc = include_str!("limits.md")]
 
-mod closed_loop;
 mod finding;
 mod findings;
-mod load;
 mod trial;
 
 use crate::throw::OutOfRange;
 
-pub use finding::{Finding, NAMES, Row};
+pub use finding::{Finding, Row};
 
 /// Number of findings.
-pub const FINDINGS: usize = 13;
+pub const FINDINGS: usize = 11;
 
 /// Computes every finding, in the order of the tables above. `throws`: noisy throws of each row, in alternating
 /// directions; `seed`: that of all random numbers. `is_done` is called after each finding, for a progress bar.
@@ -28,9 +26,7 @@ pub fn run(throws: usize, seed: u64, is_done: impl Fn()) -> Result<Vec<Finding>,
     findings::sampling(bench)?.into_iter().for_each(&mut add);
     add(findings::mains(bench)?);
     add(findings::drive(bench)?);
-    add(load::torque(bench)?);
-    add(load::fourth_coefficient(bench, throws)?);
-    add(closed_loop::closed_loop(bench, throws)?);
+    add(findings::load(bench)?);
     add(findings::noise(bench, throws)?);
     add(findings::offset(bench)?);
     add(findings::neutral(bench)?);

@@ -4,10 +4,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
 use super::finding::Row;
-use crate::estimate::{
-    Grade, Hold, Identifier, Noise, Settings,
-    sriv::{Problem, Sriv, Workspace},
-};
+use crate::estimate::{Grade, Identifier, Settings};
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw};
 
@@ -52,7 +49,7 @@ pub(super) fn without_dry_friction() -> Parameters {
 
 /// Runs trials, all with one random number generator.
 pub(super) struct Bench {
-    pub rng: ChaCha12Rng,
+    rng: ChaCha12Rng,
     identifier: Identifier,
 }
 
@@ -92,46 +89,5 @@ impl Bench {
             }
         }
         Ok(row)
-    }
-}
-
-/// Adds the estimate of one throw to a row, by SRIV alone: without the detection of start and end. The first of
-/// `inputs` is the current. `current`, `position`: variances of their noise; `truth`: the true coefficients.
-pub(super) fn fit<const S: usize, const P: usize>(
-    row: &mut Row,
-    inputs: [(&[f64], Hold); S],
-    interval_s: f64,
-    output: &[f64],
-    [current, position]: [f64; 2],
-    truth: [f64; 3],
-) {
-    let Some(model) = Sriv::<2, S, P>::new([0; S]) else { return };
-    let problem = Problem { interval_s, output, inputs, equilibrium: None };
-    let mut workspace = Workspace::default();
-    let solved = model.identify(&problem, &mut workspace).map_err(<&str>::from).and_then(|solution| {
-        solution.sound(0.0).map_err(|reason| reason.code())?;
-        Ok(solution)
-    });
-    let solution = match solved {
-        Ok(solution) => solution,
-        Err(code) => return row.refusal = Some(code.to_owned()),
-    };
-    let measured = std::array::from_fn(|s| if s == 0 { current } else { 0.0 });
-    let noise = Noise { output: position, inputs: measured, scale: None, offsets: [0.0; 2] };
-    let covariance = model.covariance(&problem, &solution, &noise, &workspace);
-    let of = [0, P - 2, P - 1];
-    row.add(of.map(|at| solution.parameters[at]), of.map(|at| covariance[at][at].sqrt()), truth);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_row_has_the_reason_why_there_is_no_estimate() {
-        let mut row = Row::new("no current", 1);
-        let (current, position) = ([0.0; 100], [1.0; 100]);
-        fit::<1, 3>(&mut row, [(&current, Hold::First)], 1e-3, &position, [1.0; 2], [1.0; 3]);
-        assert_eq!(row.refusal.as_deref(), Some("singular"));
     }
 }
