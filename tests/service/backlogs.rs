@@ -10,13 +10,14 @@ use std::{
 
 use pointsd::{
     throw::{Throw, ThrowRef, Trace},
-    wire::{BacklogQuery, Encoding, encode_throw},
+    wire::{BacklogQuery, encode_throw},
 };
 use tokio::sync::mpsc;
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
 use crate::{
     http::{ALIVE, KEY, WEB, address, get},
+    json::json_message,
     rig::{PATIENCE, Rig, Sender, matched, stub, throws},
 };
 
@@ -49,7 +50,7 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
         };
         let mut kept: Vec<_> = (2..=5).map(|throw_no| (id(throw_no), b"no throw".to_vec())).collect();
         kept[0].1 = vec![0; 3 << 20];
-        kept.extend((6..=11).map(|throw_no| (id(throw_no), encode_throw(Encoding::Cbor, &throw(throw_no, 20)))));
+        kept.extend((6..=11).map(|throw_no| (id(throw_no), encode_throw(&throw(throw_no, 20)))));
         keep(&session, key, kept).await;
         Sender::of(&session, key).await.send([1, 12].map(|throw_no| throw(throw_no, samples))).await;
     }
@@ -71,7 +72,7 @@ async fn a_throw_that_the_database_refuses_holds_up_no_other_of_its_page() {
     )
     .await;
     let session = daemon.client().await;
-    let of_throw = |throw_no| (id(throw_no), encode_throw(Encoding::Cbor, &stub("boot", throw_no)));
+    let of_throw = |throw_no| (id(throw_no), encode_throw(&stub("boot", throw_no)));
     keep(&session, KEY, (2..=6).map(of_throw).collect()).await;
     Sender::of(&session, KEY).await.send([1, 7].map(|throw_no| stub("boot", throw_no))).await;
     rig.judged(6).await;
@@ -102,7 +103,7 @@ async fn an_outage_does_not_count_as_replies_without_the_throws() {
         // An error is no problem: the channel is full of queries, or the test has ended.
         let _ = asked.try_send(());
         for throw_no in [2, 3].into_iter().filter(|_| ready.load(Relaxed)) {
-            let message = encode_throw(Encoding::Cbor, &stub("boot", throw_no));
+            let message = encode_throw(&stub("boot", throw_no));
             query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
         }
     };
@@ -166,7 +167,7 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     for text in [daemon.says(1, &["status"]), get(&address(&daemon), "/").body] {
         assert!(text.contains("EVERY MESSAGE REFUSED: north/21B (the field schema is missing)"), "{text}");
     }
-    publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
+    publisher.put(json_message(&stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
     // The replacement of a retired machine, whose every message is refused too.
@@ -243,7 +244,7 @@ async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_toke
     keep(
         &logger.session,
         KEY,
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect(),
+        made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect(),
     )
     .await;
     let _daemon = rig.start();
@@ -261,7 +262,7 @@ async fn a_logger_that_goes_on_without_its_token_is_queried_now_and_then() {
     daemon.until_status("the token", |status| status["loggers"] == 1).await;
     token.undeclare().await.unwrap();
     daemon.until_status("no token", |status| status["loggers"] == 0).await;
-    keep(&logger.session, KEY, vec![(id(2), encode_throw(Encoding::Cbor, &stub("boot", 2)))]).await;
+    keep(&logger.session, KEY, vec![(id(2), encode_throw(&stub("boot", 2)))]).await;
     rig.judged(2).await;
 }
 
@@ -272,7 +273,7 @@ async fn a_closed_link_of_a_logger_without_a_token_is_no_reply_without_the_throw
     let (rig, daemon) = Rig::running();
     let made = [1, 2, 3, 4].map(|throw_no| stub("boot", throw_no));
     let kept = |made: &[Throw]| {
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect::<Vec<_>>()
+        made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect::<Vec<_>>()
     };
     let logger = daemon.logger(KEY).await;
     keep(&logger.session, KEY, kept(&made[..1])).await;
@@ -310,7 +311,7 @@ async fn missing_throws_behind_many_stored_boots_come_from_the_backlog() {
     sender.send([stub("imported", 1)]).await;
     rig.judged(stored + 1).await;
     rig.until_number("SELECT count(*) FROM backlog", 0).await;
-    keep(&session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect())
+    keep(&session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect())
         .await;
     sender.send([last]).await;
     rig.judged(made.len() + 1).await;
@@ -340,7 +341,7 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
     assert!(!said.contains("may be learned"), "{said}");
 
     let session = daemon.client().await;
-    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));
+    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(throw));
     let made_at = now() - jiff::SignedDuration::from_hours(1);
     let late = recorded[sent..sent + 4].iter().map(|throw| of_throw(&Throw { started_at: made_at, ..throw.clone() }));
     keep(&session, KEY, late.collect()).await;

@@ -5,13 +5,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::{
-    throw::Trace,
-    wire::{Encoding, encode_throw},
-};
+use pointsd::throw::Trace;
 
 use crate::{
     http::{self, WEB, address, check_nesting, exchange, exchange_bytes, get, small_history},
+    json::json_message,
     questions::large,
     rig::{Rig, ends, pointsd, size, throws},
 };
@@ -256,7 +254,7 @@ async fn the_lines_of_the_baseline_are_those_of_its_throws() {
         throw.trace = Trace::new(throw.trace.sample_rate_hz(), current, throw.trace.position_mm().to_vec()).unwrap();
     }
     let file = rig.folder().join("many.ndjson");
-    let lines: Vec<_> = made.iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let lines: Vec<_> = made.iter().map(json_message).collect();
     fs::write(&file, lines.join(&b'\n')).unwrap();
     ends(0, pointsd(&["import", "--machine", "north/21B", "--config"]).arg(rig.write_config()).arg(&file));
     let daemon = rig.start();
