@@ -68,17 +68,6 @@ impl PendingDaemonAlarm {
     }
 }
 
-/// Why a command is not applied.
-#[derive(Debug, thiserror::Error)]
-enum NotApplied {
-    /// The reason is for the operator.
-    #[error("{0}")]
-    Refused(String),
-    /// The daemon must end.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
-
 /// Channels and handles to the other tasks of the daemon.
 pub(crate) struct Links {
     pub(crate) outlet: Outlet,
@@ -472,15 +461,8 @@ impl JudgeLoop {
         }
         let (config, now) = (self.judge.config(), clock::now());
         let applied = match self.budget.take(clock::monotonic()) {
-            Err(wait) => {
-                Err(NotApplied::Refused(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)))
-            }
-            Ok(()) => self.apply_command(&machine, &command, now, &config).await,
-        };
-        let (done, text) = match applied {
-            Ok(confirmation) => (true, confirmation),
-            Err(NotApplied::Refused(reason)) => (false, reason),
-            Err(NotApplied::Store(error)) => return Err(error),
+            Err(wait) => Err(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
+            Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
         };
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
         // Fails if the operator stopped waiting.
@@ -488,36 +470,41 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Applies a command; returns a confirmation for the operator.
+    /// Applies a command; returns a confirmation for the operator, or the reason why the command is refused.
     async fn apply_command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         config: &Config,
-    ) -> Result<String, NotApplied> {
+    ) -> Result<Result<String, String>, StoreError> {
         let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
         if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
-            return Err(NotApplied::Refused(text));
+            return Ok(Err(text));
         }
         if *machine == self.own_machine && !self.judge.monitors.knows(machine) {
-            return Err(NotApplied::Refused("this daemon has no alarm about itself".to_owned()));
+            return Ok(Err("this daemon has no alarm about itself".to_owned()));
         }
         if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
-            return Err(NotApplied::Refused(text));
+            return Ok(Err(text));
         }
         let applied = self.judge.monitors.apply_command(machine, command, now, &config.diagnosis);
-        let (outcome, confirmation) = applied.map_err(NotApplied::Refused)?;
+        let done = applied.is_ok();
+        let (Ok(text) | Err(text)) = applied;
+        let (outcome, confirmation) = match applied {
+            Ok(applied) => applied,
+            Err(reason) => return Ok(Err(reason)),
+        };
         let is_stored = self.record(outcome).await?;
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
             let text = "the database did not store the command. It may hold until the next start only, and is missing in \
                         operator_commands: look in the log";
-            return Err(NotApplied::Refused(text.to_owned()));
+            return Ok(Err(text.to_owned()));
         }
         tracing::info!(%machine, command = wire::json(command), "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
@@ -528,7 +515,7 @@ impl JudgeLoop {
         } else {
             ""
         };
-        Ok(confirmation + late)
+        Ok(Ok(confirmation + late))
     }
 
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.
