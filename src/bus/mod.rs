@@ -19,13 +19,13 @@ pub(crate) use backlog::{has_queryable, page};
 pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::Message;
-pub(crate) use operator::{ANSWER_TIMEOUT, command, monitors, require_monitored, require_running, serving};
+pub(crate) use operator::{ANSWER_TIMEOUT, command, monitors, require_monitored, require_running, targets};
 pub use operator::{Answers, OperatorError, ask};
 pub(crate) use outlet::{Outlet, OutletCounters};
 pub(crate) use presence::watch_tokens;
 pub use queries::QueryQueue;
 pub use session::open;
-pub(crate) use session::{declare_alive, declare_publisher, intersect, is_client, is_connected};
+pub(crate) use session::{declare_alive, declare_publisher, intersect, is_client, is_connected, mode};
 
 /// The configuration of a session of a test that finds nobody and listens nowhere.
 #[cfg(test)]

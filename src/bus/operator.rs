@@ -148,13 +148,7 @@ pub(crate) async fn command(
     expected: Option<&MachineId>,
     payload: Vec<u8>,
 ) -> Result<Vec<u8>, OperatorError> {
-    let key = machine_key(machine, Kind::Command);
-    let replies = ask(session, &key, None, ANSWER_TIMEOUT).await?.complete()?;
-    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload));
-    let Ok(daemons) = daemons.collect::<Result<Vec<_>, _>>() else {
-        return Err(OperatorError::Nameless(machine.clone()));
-    };
-    let commander = match <[CommandTarget; 1]>::try_from(daemons) {
+    let commander = match <[CommandTarget; 1]>::try_from(targets(session, machine).await?) {
         Ok([only]) => only,
         Err(several) if !several.is_empty() => {
             return Err(OperatorError::ServedBySeveral { machine: machine.clone(), daemons: several });
@@ -166,19 +160,19 @@ pub(crate) async fn command(
         return Err(OperatorError::AnotherDaemon { found: format!("{} is", commander.monitor), expected });
     }
     let gone = || OperatorError::Gone(commander.monitor.clone());
-    let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), ANSWER_TIMEOUT).await?;
-    match answers.complete() {
+    let selector = format!("{}?session={}", machine_key(machine, Kind::Command), commander.session);
+    match ask(session, &selector, Some(payload), ANSWER_TIMEOUT).await?.complete() {
         Ok(replies) => replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(gone),
         Err(OperatorError::Timeout) => Err(gone()),
         Err(refused) => Err(refused),
     }
 }
 
-/// The names of the daemons that serve a machine.
-pub(crate) async fn serving(session: &Session, machine: &MachineId) -> Result<Vec<String>, OperatorError> {
-    let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.messages;
-    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<CommandTarget>(payload).ok());
-    Ok(daemons.map(|daemon| daemon.monitor).collect())
+/// The daemons that serve a machine, and so would apply a command for it.
+pub(crate) async fn targets(session: &Session, machine: &MachineId) -> Result<Vec<CommandTarget>, OperatorError> {
+    let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.complete()?;
+    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice(payload));
+    daemons.collect::<Result<_, _>>().map_err(|_| OperatorError::Nameless(machine.clone()))
 }
 
 /// The names of the running daemons: those that have a liveliness token here.

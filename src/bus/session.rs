@@ -17,7 +17,12 @@ const WARN_EVERY: Duration = Duration::from_secs(30);
 
 /// Whether a session of this configuration is a client, which reaches other sessions through a router only.
 pub(crate) fn is_client(config: &Config) -> bool {
-    config.get_json("mode").is_ok_and(|mode| mode.contains("client"))
+    mode(config) == "client"
+}
+
+/// The mode of a session: router, peer or client.
+pub(crate) fn mode(config: &Config) -> String {
+    config.get_json("mode").unwrap_or_default().trim_matches('"').to_owned()
 }
 
 /// Opens a zenoh session. A client waits for its router, and logs that it does; dropping the future ends the wait.

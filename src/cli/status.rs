@@ -231,10 +231,12 @@ async fn served_twice(
     twice.retain(|machine| reports.iter().filter(|(_, report)| serves(report, machine)).count() > 1);
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
-        let daemons = bus::serving(session, machine).await?;
+        // An error is no reason to leave out the rest of the status.
+        let daemons = bus::targets(session, machine).await.unwrap_or_default();
         if daemons.len() < 2 {
             continue;
         }
+        let daemons: Vec<String> = daemons.into_iter().map(|daemon| daemon.monitor).collect();
         let names: BTreeSet<&String> = daemons.iter().collect();
         let advice = if names.len() == daemons.len() {
             "correct subscribe.key of all but one"

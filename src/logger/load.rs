@@ -30,7 +30,7 @@ use crate::{
     daemon::clock,
     simulate::FleetSettings,
     throw::{MachineId, Throw, ThrowRef, Trace},
-    wire::{self, Alarm, Encoding, Health, Kind, Scope},
+    wire::{self, Alarm, Health, Kind, Scope},
 };
 
 /// Number of simulated machines; all other machines repeat their throws.
@@ -215,7 +215,7 @@ fn message(
     noise: &mut Noise,
 ) -> Result<Vec<u8>, LoggerError> {
     let (id, trace) = (ThrowRef { boot_id: boot_id.to_owned(), throw_no }, noise.add_to(&prepared.trace, is_blocked)?);
-    Ok(wire::encode_throw(Encoding::Cbor, &Throw { id, started_at: clock::now(), trace, ..prepared.clone() }))
+    Ok(wire::encode_throw(&Throw { id, started_at: clock::now(), trace, ..prepared.clone() }))
 }
 
 /// Prepared sensor noise.

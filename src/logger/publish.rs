@@ -24,7 +24,7 @@ use crate::{
     daemon::clock,
     simulate::SimulatedMachine,
     throw::{MachineId, ThrowRef},
-    wire::{self, Encoding, Kind},
+    wire::{self, Kind},
 };
 
 /// Time between two checks of the stop flag while the thread waits.
@@ -117,7 +117,7 @@ impl Publishing {
         let elapsed = SignedDuration::try_from_secs_f64(intervals * self.settings.interval_s).unwrap_or_default();
         let started_at = started_at.saturating_add(elapsed).unwrap_or(started_at);
         let throw = machine.next_throw(&self.boot_id, started_at)?;
-        let message = wire::encode_throw(Encoding::Cbor, &throw).into();
+        let message = wire::encode_throw(&throw).into();
         Ok((throw.id, message))
     }
 }

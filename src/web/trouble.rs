@@ -11,7 +11,7 @@ use super::{
 use crate::{daemon::View, store::DiskLevel, throw::counted};
 
 /// Number of pending throws above which pages show a warning: half a minute of work.
-const BACKLOG: u64 = 1_000;
+const PENDING: u64 = 1_000;
 
 /// Time limit to read the problems in the database. After it the page is shown without them.
 const LIMIT: Duration = Duration::from_secs(2);
@@ -59,7 +59,7 @@ fn of_data(overview: &Overview) -> Vec<String> {
             counted(unknown, "open alarm")
         ));
     }
-    if overview.statistics.pending > BACKLOG {
+    if overview.statistics.pending > PENDING {
         let waiting = page::count(overview.statistics.pending);
         trouble.push(format!("{waiting} throws are pending (stored, not judged yet): this page is old."));
     }

@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn parameters_read_back_as_the_query_whatever_the_boot_id() {
-        for boot_id in ["7f3a", "2026-05-04T10:00:00Z/1", "a;b=c%d?e#f&g|h", "", "ü%41"] {
+        for boot_id in ["7f3a", " a ", "2026-05-04T10:00:00Z/1", "a;b=c%d?e#f&g|h", "", "ü%41"] {
             let query = BacklogQuery { after: Some(throw(boot_id, 41)), limit: 32 };
             let parameters = query.parameters();
             assert_eq!(BacklogQuery::parse(&parameters), query, "{parameters}");

@@ -175,18 +175,16 @@ pub fn is_rejection(quality: &str) -> bool {
 mod direction {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-    use crate::throw::Direction;
-
-    const UNKNOWN: &str = "unknown";
+    use crate::{throw::Direction, wire::throw::UNKNOWN_DIRECTION};
 
     #[expect(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
     pub(super) fn serialize<S: Serializer>(direction: &Option<Direction>, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(direction.map_or(UNKNOWN, Direction::as_str))
+        to.serialize_str(direction.map_or(UNKNOWN_DIRECTION, Direction::as_str))
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Direction>, D::Error> {
         match String::deserialize(from)?.as_str() {
-            UNKNOWN => Ok(None),
+            UNKNOWN_DIRECTION => Ok(None),
             word => word.parse().map(Some).map_err(|_| D::Error::custom("not a direction")),
         }
     }

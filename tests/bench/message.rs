@@ -13,7 +13,10 @@ use pointsd::{
 };
 use sqlx::{Connection as _, SqliteConnection};
 
-use crate::fleet::{machine, throws};
+use crate::{
+    fleet::{machine, throws},
+    json::json_message,
+};
 
 /// Throws in a group of the store.
 const GROUP: u64 = 64;
@@ -22,8 +25,9 @@ const GROUP: u64 = 64;
 pub(crate) fn decoding(criterion: &mut Criterion) {
     let throw = &throws(1)[0];
     let mut group = criterion.benchmark_group("decode");
-    for (name, encoding) in [("cbor", Encoding::Cbor), ("json", Encoding::Json)] {
-        let message = encode_throw(encoding, throw);
+    for (name, encoding, message) in
+        [("cbor", Encoding::Cbor, encode_throw(throw)), ("json", Encoding::Json, json_message(throw))]
+    {
         group.bench_function(name, |bencher| bencher.iter(|| decode_throw(encoding, black_box(&message))));
     }
     group.finish();

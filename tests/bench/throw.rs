@@ -5,6 +5,8 @@
 
 mod estimator;
 mod fleet;
+#[path = "../support/json.rs"]
+mod json;
 mod message;
 mod pipeline;
 mod simulator;

@@ -5,7 +5,7 @@ use std::{fs, time::Duration};
 
 use pointsd::{
     throw::{Throw, Trace},
-    wire::{self, Encoding},
+    wire,
 };
 use zenoh::Wait;
 
@@ -26,7 +26,7 @@ const MEMORY_MIB: f64 = 130.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_starts_with_full_backlogs_stores_every_throw() {
-    let of_one = (1..=THROWS).map(|throw_no| wire::encode_throw(Encoding::Cbor, &throw("b1", throw_no)).len());
+    let of_one = (1..=THROWS).map(|throw_no| wire::encode_throw(&throw("b1", throw_no)).len());
     let bytes = MACHINES * of_one.sum::<usize>();
     assert!(bytes > BUDGET, "{bytes} bytes in the backlogs");
     let rig = Rig::new().same_port();
@@ -121,7 +121,7 @@ async fn loggers_with_false_replies_harm_only_themselves() {
     const MEMORY_MIB: f64 = 150.0;
     let (rig, daemon) = Rig::running_with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");
     let session = daemon.client().await;
-    let throw_of = |throw_no| wire::encode_throw(Encoding::Cbor, &stub("b1", throw_no));
+    let throw_of = |throw_no| wire::encode_throw(&stub("b1", throw_no));
     for lie in LIES {
         let key = format!("points/v1/bad/{lie}/throw");
         let queryable = session.declare_queryable(key.clone()).callback(move |query| {

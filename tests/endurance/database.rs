@@ -21,7 +21,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
 
 /// The trace of a throw as it was published: CBOR carries 32-bit floats.
 fn published(boot_id: &str, throw_no: u64) -> Trace {
-    let message = wire::encode_throw(Encoding::Cbor, &logger::throw(boot_id, throw_no));
+    let message = wire::encode_throw(&logger::throw(boot_id, throw_no));
     wire::decode_throw(Encoding::Cbor, &message).unwrap().trace
 }
 

@@ -14,7 +14,7 @@ use std::{
 
 use pointsd::{
     throw::Trace,
-    wire::{self, Encoding, Health},
+    wire::{self, Health},
 };
 use zenoh::{Wait, qos::CongestionControl, sample::Sample};
 
@@ -49,7 +49,7 @@ async fn flood(daemon: &Daemon, stop: Arc<AtomicBool>) -> thread::JoinHandle<u64
             let mut current = vec![0.0; 20];
             current[3] = throw.id.throw_no as f64;
             throw.trace = Trace::new(100.0, current, vec![0.0; 20]).unwrap();
-            publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).wait().unwrap();
+            publisher.put(wire::encode_throw(&throw)).wait().unwrap();
         }
         drop(session);
         throw.id.throw_no
@@ -85,7 +85,7 @@ async fn one_logger_at_full_speed_harms_no_other() {
         for (machine, key) in &keys {
             let throw = logger::throw("b1", number);
             sent.lock().unwrap().insert(((*machine).to_owned(), number), Instant::now());
-            let message = wire::encode_throw(Encoding::Cbor, &throw);
+            let message = wire::encode_throw(&throw);
             rig::put(&session, key, zenoh::bytes::Encoding::APPLICATION_CBOR, message).await;
         }
     };

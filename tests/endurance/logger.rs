@@ -15,7 +15,7 @@ use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     simulate::{Fault, Part, Shape},
     throw::{MachineId, Throw, ThrowRef, Trace},
-    wire::{self, BacklogQuery, Encoding, Kind},
+    wire::{self, BacklogQuery, Kind},
 };
 use zenoh::{
     Session, Wait,
@@ -132,7 +132,7 @@ impl Logger {
                 if stopped.load(Relaxed) {
                     break;
                 }
-                let message = wire::encode_throw(Encoding::Cbor, &throw(&plan.boot_id, throw_no));
+                let message = wire::encode_throw(&throw(&plan.boot_id, throw_no));
                 for Source { publisher, kept, .. } in &sources {
                     keep(kept, &plan, throw_no, message.clone());
                     publisher.put(message.clone()).wait().unwrap();

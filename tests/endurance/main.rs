@@ -13,6 +13,8 @@
 mod cable;
 mod database;
 mod gauge;
+#[path = "../support/json.rs"]
+mod json;
 mod logger;
 #[path = "../support/replay.rs"]
 mod replay;

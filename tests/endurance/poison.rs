@@ -12,7 +12,7 @@ use pointsd::{
     daemon::StatusReport,
     store::{Reader, ThrowRow},
     throw::Throw,
-    wire::{self, Encoding},
+    wire,
 };
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +22,7 @@ use zenoh::{Session, bytes::Encoding as ContentType};
 
 use crate::{
     gauge::{Usage, peak_mib, status},
+    json::json_message,
     rig::{PATIENCE, Rig, matched, put, size, stub, throws, until, until_matched},
 };
 
@@ -67,19 +68,19 @@ impl Poison {
             7 | 18 | 19 => (machine, json, self.changed_field()),
             8 => {
                 let name = format!("points/v1/many/x{}/throw", self.rng.random_range(0..20_000));
-                (name, cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", self.number as u64)))
+                (name, cbor, wire::encode_throw(&stub("boot", self.number as u64)))
             }
-            9 => (self.key(), cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", 1))),
+            9 => (self.key(), cbor, wire::encode_throw(&stub("boot", 1))),
             // The same boot and numbers, with different content each time.
             10 => {
                 let mut again = stub("boot", 1 + self.number as u64 % 3);
                 again.temperature_c = Some(self.rng.random_range(-40.0..60.0));
-                (machine, cbor, wire::encode_throw(Encoding::Cbor, &again))
+                (machine, cbor, wire::encode_throw(&again))
             }
             _ => {
                 let boot_id = format!("boot-{}", self.number);
                 let no = [0, 1, u64::MAX, i64::MAX.cast_unsigned(), 1 << 40][self.rng.random_range(0..5)];
-                (machine, cbor, wire::encode_throw(Encoding::Cbor, &stub(&boot_id, no)))
+                (machine, cbor, wire::encode_throw(&stub(&boot_id, no)))
             }
         }
     }
@@ -92,7 +93,7 @@ impl Poison {
 
     /// A real throw with changed or missing bytes.
     fn damaged(&mut self) -> Vec<u8> {
-        let mut bytes = wire::encode_throw(Encoding::Cbor, &self.like);
+        let mut bytes = wire::encode_throw(&self.like);
         for _ in 0..self.rng.random_range(1..20) {
             let at = self.rng.random_range(0..bytes.len().min(400));
             bytes[at] = self.rng.random();
@@ -105,7 +106,7 @@ impl Poison {
 
     /// A throw in JSON with one field of another type or size.
     fn changed_field(&mut self) -> Vec<u8> {
-        let text = String::from_utf8(wire::encode_throw(Encoding::Json, &stub("boot", self.number as u64))).unwrap();
+        let text = String::from_utf8(json_message(&stub("boot", self.number as u64))).unwrap();
         let mut throw: Value = serde_json::from_str(&text).unwrap();
         let fields: Vec<String> = throw.as_object().unwrap().keys().cloned().collect();
         let field = &fields[self.rng.random_range(0..fields.len())];
@@ -187,7 +188,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             published += 1;
             let mut throw = good.next().unwrap();
             throw.id.throw_no = published;
-            publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+            publisher.put(wire::encode_throw(&throw)).await.unwrap();
         } else {
             let (key, content_type, payload) = poison.next();
             put(&session, &key, content_type, payload).await;
@@ -204,8 +205,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
             until_handled(&session, sent).await;
             // Above the limit of a link, at this limit, and at the limit of a message.
             for bytes in [17 << 20, 31 << 20, 100 << 20] {
-                let payload =
-                    wire::encode_throw(Encoding::Cbor, &poison.like).into_iter().cycle().take(bytes).collect();
+                let payload = wire::encode_throw(&poison.like).into_iter().cycle().take(bytes).collect();
                 put(&session, GOOD, ContentType::APPLICATION_CBOR, payload).await;
             }
             session.delete(GOOD).await.unwrap();

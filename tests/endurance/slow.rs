@@ -13,11 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::{
-    daemon::StatusReport,
-    throw::Throw,
-    wire::{self, Encoding},
-};
+use pointsd::{daemon::StatusReport, throw::Throw, wire};
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use zenoh::{Session, pubsub::Publisher};
 
@@ -118,7 +114,7 @@ impl Source<'_> {
             self.published += 1;
             let mut throw = self.like.next().unwrap();
             throw.id.throw_no = self.published;
-            self.publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+            self.publisher.put(wire::encode_throw(&throw)).await.unwrap();
         }
         self.until(|now| now.stored, start).await;
         let stored = start.elapsed();

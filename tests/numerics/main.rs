@@ -14,6 +14,8 @@ mod features;
 mod fleet;
 mod identify;
 mod identify_cli;
+#[path = "../support/json.rs"]
+mod json;
 mod limits;
 mod machine;
 mod mains;

@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use super::damaged::{Channels, mutate};
 use super::identify::{settings_of, simulated};
+use super::json::json_message;
 
 /// Encodings of a throw.
 const LAYOUTS: [&str; 4] = ["CBOR float32", "CBOR float64", "CBOR plain", "JSON"];
@@ -47,7 +48,7 @@ fn complete(direction: Direction, seed: u64) -> Throw {
 /// A message whose entries have these names, and the values of the fields with these indices.
 fn message(layout: &str, throw: &Throw, fields: &[Field<'_>]) -> Vec<u8> {
     if layout == "JSON" {
-        let value: Value = serde_json::from_slice(&wire::encode_throw(Encoding::Json, throw)).unwrap();
+        let value: Value = serde_json::from_slice(&json_message(throw)).unwrap();
         let parts: Vec<_> = fields.iter().map(|(name, of)| format!("\"{name}\":{}", value[FIELDS[*of]])).collect();
         return format!("{{{}}}", parts.join(",")).into_bytes();
     }

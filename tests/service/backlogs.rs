@@ -3,26 +3,30 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicU32, Ordering::Relaxed},
     },
     time::Duration,
 };
 
 use pointsd::{
     throw::{Throw, ThrowRef, Trace},
-    wire::{BacklogQuery, Encoding, encode_throw},
+    wire::{BacklogQuery, encode_throw},
 };
 use tokio::sync::mpsc;
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
 use crate::{
     http::{ALIVE, KEY, WEB, address, get},
-    rig::{PATIENCE, Rig, Sender, matched, stub, throws},
+    json::json_message,
+    rig::{PATIENCE, Rig, Sender, matched, stub, throws, until},
 };
 
-/// Declares the backlog of a logger with these messages, oldest first.
-pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowRef, Vec<u8>)>) {
+/// Declares the backlog of a logger with these messages, oldest first. Returns the number of queries for it.
+pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowRef, Vec<u8>)>) -> Arc<AtomicU32> {
+    let queries = Arc::<AtomicU32>::default();
+    let counting = Arc::clone(&queries);
     let on_query = move |query: zenoh::query::Query| {
+        counting.fetch_add(1, Relaxed);
         let wanted = BacklogQuery::parse(query.parameters().as_str());
         let start = wanted.start(kept.iter().map(|(throw, _)| throw));
         for (_, message) in kept.iter().skip(start).take(wanted.limit) {
@@ -30,6 +34,7 @@ pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowR
         }
     };
     session.declare_queryable(key).callback(on_query).background().await.unwrap();
+    queries
 }
 
 fn id(throw_no: u64) -> ThrowRef {
@@ -49,7 +54,7 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
         };
         let mut kept: Vec<_> = (2..=5).map(|throw_no| (id(throw_no), b"no throw".to_vec())).collect();
         kept[0].1 = vec![0; 3 << 20];
-        kept.extend((6..=11).map(|throw_no| (id(throw_no), encode_throw(Encoding::Cbor, &throw(throw_no, 20)))));
+        kept.extend((6..=11).map(|throw_no| (id(throw_no), encode_throw(&throw(throw_no, 20)))));
         keep(&session, key, kept).await;
         Sender::of(&session, key).await.send([1, 12].map(|throw_no| throw(throw_no, samples))).await;
     }
@@ -62,6 +67,20 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
 }
 
+/// A page has 4 MiB, and each of these throws 4.8 MB.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_larger_than_a_page_come_from_the_backlog() {
+    const SAMPLES: usize = 600_000;
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let trace = Trace::new(20_000.0, vec![0.0; SAMPLES], vec![0.0; SAMPLES]).unwrap();
+    let large = |throw_no| Throw { trace: trace.clone(), ..stub("boot", throw_no) };
+    keep(&session, KEY, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
+    Sender::of(&session, KEY).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
+    rig.judged(4).await;
+    assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
+}
+
 /// A trigger stands for a throw that SQLite refuses for a reason that nobody knows yet. The first page has four throws.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_throw_that_the_database_refuses_holds_up_no_other_of_its_page() {
@@ -71,7 +90,7 @@ async fn a_throw_that_the_database_refuses_holds_up_no_other_of_its_page() {
     )
     .await;
     let session = daemon.client().await;
-    let of_throw = |throw_no| (id(throw_no), encode_throw(Encoding::Cbor, &stub("boot", throw_no)));
+    let of_throw = |throw_no| (id(throw_no), encode_throw(&stub("boot", throw_no)));
     keep(&session, KEY, (2..=6).map(of_throw).collect()).await;
     Sender::of(&session, KEY).await.send([1, 7].map(|throw_no| stub("boot", throw_no))).await;
     rig.judged(6).await;
@@ -102,7 +121,7 @@ async fn an_outage_does_not_count_as_replies_without_the_throws() {
         // An error is no problem: the channel is full of queries, or the test has ended.
         let _ = asked.try_send(());
         for throw_no in [2, 3].into_iter().filter(|_| ready.load(Relaxed)) {
-            let message = encode_throw(Encoding::Cbor, &stub("boot", throw_no));
+            let message = encode_throw(&stub("boot", throw_no));
             query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
         }
     };
@@ -166,7 +185,7 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     for text in [daemon.says(1, &["status"]), get(&address(&daemon), "/").body] {
         assert!(text.contains("EVERY MESSAGE REFUSED: north/21B (the field schema is missing)"), "{text}");
     }
-    publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
+    publisher.put(json_message(&stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
     // The replacement of a retired machine, whose every message is refused too.
@@ -175,6 +194,26 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
         publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
     }
     daemon.until_status("the machine after its removal", is_named).await;
+}
+
+/// A name that was tried once, long ago.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_refused_machine_is_no_problem_an_hour_after_its_last_message() {
+    let rig = Rig::new();
+    rig.start().terminate();
+    for (machine, hours) in [("old", 2), ("new", 0), ("new", 0), ("other", 0)] {
+        rig.change(format!(
+            "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start)
+             VALUES ((unixepoch() - {hours} * 3600) * 1000000, 'points/v1/north/{machine}/throw', 'no throw', 1, x'00')"
+        ))
+        .await;
+    }
+    let daemon = rig.start();
+    daemon.until_status("a machine", |status| status["refused"] != serde_json::json!([])).await;
+    assert_eq!(daemon.status()["refused"], serde_json::json!(["north/new (no throw)", "north/other (no throw)"]));
+    rig.change("UPDATE quarantine SET received_at_us = received_at_us - 3600 * 1000000").await;
+    daemon.until_status("no machine", |status| status["refused"] == serde_json::json!([])).await;
+    daemon.says(0, &["status"]);
 }
 
 /// Its throws would go to quarantine, page by page, in each round.
@@ -240,12 +279,7 @@ async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_toke
     logger.send(&made[..3]).await;
     rig.judged(3).await;
     daemon.terminate();
-    keep(
-        &logger.session,
-        KEY,
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect(),
-    )
-    .await;
+    keep(&logger.session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect()).await;
     let _daemon = rig.start();
     rig.judged(6).await;
 }
@@ -261,7 +295,7 @@ async fn a_logger_that_goes_on_without_its_token_is_queried_now_and_then() {
     daemon.until_status("the token", |status| status["loggers"] == 1).await;
     token.undeclare().await.unwrap();
     daemon.until_status("no token", |status| status["loggers"] == 0).await;
-    keep(&logger.session, KEY, vec![(id(2), encode_throw(Encoding::Cbor, &stub("boot", 2)))]).await;
+    keep(&logger.session, KEY, vec![(id(2), encode_throw(&stub("boot", 2)))]).await;
     rig.judged(2).await;
 }
 
@@ -271,9 +305,7 @@ async fn a_logger_that_goes_on_without_its_token_is_queried_now_and_then() {
 async fn a_closed_link_of_a_logger_without_a_token_is_no_reply_without_the_throws() {
     let (rig, daemon) = Rig::running();
     let made = [1, 2, 3, 4].map(|throw_no| stub("boot", throw_no));
-    let kept = |made: &[Throw]| {
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect::<Vec<_>>()
-    };
+    let kept = |made: &[Throw]| made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect::<Vec<_>>();
     let logger = daemon.logger(KEY).await;
     keep(&logger.session, KEY, kept(&made[..1])).await;
     logger.send(&made[..1]).await;
@@ -310,8 +342,15 @@ async fn missing_throws_behind_many_stored_boots_come_from_the_backlog() {
     sender.send([stub("imported", 1)]).await;
     rig.judged(stored + 1).await;
     rig.until_number("SELECT count(*) FROM backlog", 0).await;
-    keep(&session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw))).collect())
-        .await;
+    let kept = made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect();
+    let queries = keep(&session, KEY, kept).await;
+    // No throw is missing, so a turn with repeated pages is the last one.
+    let _token = session.liveliness().declare_token(ALIVE).await.unwrap();
+    until(PATIENCE, async || if queries.load(Relaxed) < 4 { Err("no turn") } else { Ok(()) }).await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let asked = queries.load(Relaxed);
+    tokio::time::sleep(Duration::from_millis(2_500)).await;
+    assert_eq!(queries.load(Relaxed), asked, "the daemon asks on");
     sender.send([last]).await;
     rig.judged(made.len() + 1).await;
     rig.until_number("SELECT count(*) FROM backlog", 0).await;
@@ -340,7 +379,7 @@ async fn throws_of_a_backlog_from_before_a_repair_do_not_count() {
     assert!(!said.contains("may be learned"), "{said}");
 
     let session = daemon.client().await;
-    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));
+    let of_throw = |throw: &Throw| (throw.id.clone(), encode_throw(throw));
     let made_at = now() - jiff::SignedDuration::from_hours(1);
     let late = recorded[sent..sent + 4].iter().map(|throw| of_throw(&Throw { started_at: made_at, ..throw.clone() }));
     keep(&session, KEY, late.collect()).await;

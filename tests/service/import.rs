@@ -2,9 +2,10 @@
 
 use std::{fs, io::Write as _, path::Path, process::Stdio};
 
-use pointsd::wire::{Encoding, encode_throw};
-
-use crate::rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, stub, throws};
+use crate::{
+    json::json_message,
+    rig::{Rig, ends, pointsd, pointsim, run_with_closed_pipe, stub, throws},
+};
 
 /// Runs `pointsd import`; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
@@ -38,7 +39,7 @@ fn a_closed_pipe_does_not_end_an_import() {
     let rig = Rig::new();
     let files: Vec<_> = (0..3).map(|number| rig.folder().join(format!("{number}.json"))).collect();
     for (file, throw) in files.iter().zip(throws("recorded", 3)) {
-        fs::write(file, encode_throw(Encoding::Json, &throw)).unwrap();
+        fs::write(file, json_message(&throw)).unwrap();
     }
     let mut command = pointsd(&["import", "--json", "--machine", "north/21B", "--config"]);
     let output = run_with_closed_pipe(command.arg(rig.write_config()).args(&files));
@@ -65,7 +66,7 @@ fn a_recording_from_a_pipe_is_that_of_its_file() {
 fn throws_in_json_go_through_the_whole_pipeline_once() {
     let rig = Rig::new();
     let made = throws("recorded", 5);
-    let json = |number: usize| encode_throw(Encoding::Json, &made[number]);
+    let json = |number: usize| json_message(&made[number]);
     let (one, many) = (rig.folder().join("one.json"), rig.folder().join("many.ndjson"));
     fs::write(&one, json(0)).unwrap();
     // One throw in a line, with an empty line, and again the throw of the other file.
@@ -97,7 +98,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     let is_known = |throw: &serde_json::Value| throw["known"] == true && throw["quality"].is_null();
     assert!(known.len() == 4 && known.iter().all(is_known), "known throws are not judged again: {said}");
     assert_eq!((&known[0]["machine"], &known[0]["throw_no"]), (&"21B".into(), &2.into()), "{said}");
-    fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();
+    fs::write(&one, [json(4), json_message(&stub("recorded", 9))].join(&b'\n')).unwrap();
     let (said, _) = imported(&rig, &[&one], &["--json"]);
     let lines: Vec<serde_json::Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 2, "{said}");
@@ -108,7 +109,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
 #[test]
 fn throws_out_of_order_are_warned_about_and_those_of_another_machine_refused() {
     let rig = Rig::new();
-    let json: Vec<_> = throws("recorded", 4).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let json: Vec<_> = throws("recorded", 4).iter().map(json_message).collect();
     let file = rig.folder().join("many.jsonl");
     fs::write(&file, [&json[1][..], &json[0], &json[2]].join(&b'\n')).unwrap();
     let (said, error) = imported(&rig, &[&file], &[]);
@@ -137,7 +138,7 @@ fn import_named(rig: &Rig, files: &[&Path]) -> (Option<i32>, String) {
 #[test]
 fn throws_that_name_their_machines_need_no_option() {
     let rig = Rig::new();
-    let json: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let json: Vec<_> = throws("recorded", 3).iter().map(json_message).collect();
     let named = |at: usize, machine: &str| {
         let names = format!("{{\"site\":\"north\",\"machine\":\"{machine}\",");
         [names.as_bytes(), &json[at][1..]].concat()
@@ -175,7 +176,7 @@ fn throws_that_name_their_machines_need_no_option() {
 fn no_database_is_made_for_a_missing_or_invalid_file() {
     let rig = Rig::new();
     let [good, bad, missing] = ["good.json", "bad.csv", "missing.csv"].map(|name| rig.folder().join(name));
-    fs::write(&good, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
+    fs::write(&good, json_message(&throws("recorded", 1)[0])).unwrap();
     fs::write(&bad, "a letter").unwrap();
     for (files, exit) in [(&[&bad][..], 65), (&[&missing], 66), (&[&good, &missing], 66)] {
         let files: Vec<&Path> = files.iter().map(|file| file.as_path()).collect();
@@ -191,7 +192,7 @@ fn no_database_is_made_for_a_missing_or_invalid_file() {
 fn no_throws_are_imported_under_a_reserved_name() {
     let rig = Rig::with("[monitor]\nsite = \"north\"\nid = \"21B\"");
     let file = rig.folder().join("one.json");
-    fs::write(&file, encode_throw(Encoding::Json, &stub("recorded", 1))).unwrap();
+    fs::write(&file, json_message(&stub("recorded", 1))).unwrap();
     refused(&rig, &[&file], 64, "the name of pointsd itself");
     let (code, _, error) = import_as(&rig, "north/all-machines", &[&file], &[]);
     assert!(code == Some(64) && error.contains("the common alarms of a site"), "{error}");
@@ -229,7 +230,7 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
 fn exported_traces_are_imported_as_the_same_throws() {
     let rig = Rig::new();
     let file = rig.folder().join("many.jsonl");
-    let lines: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    let lines: Vec<_> = throws("recorded", 3).iter().map(json_message).collect();
     fs::write(&file, lines.join(&b'\n')).unwrap();
     imported(&rig, &[&file], &[]);
     let traces = rig.folder().join("traces");
@@ -285,8 +286,8 @@ fn a_wrong_line_is_named_and_the_files_before_it_are_kept() {
     let rig = Rig::new();
     let made = throws("recorded", 2);
     let (good, bad) = (rig.folder().join("good.json"), rig.folder().join("bad.jsonl"));
-    fs::write(&good, encode_throw(Encoding::Json, &made[0])).unwrap();
-    let second = encode_throw(Encoding::Json, &made[1]);
+    fs::write(&good, json_message(&made[0])).unwrap();
+    let second = json_message(&made[1]);
     fs::write(&bad, [&second[..], b"\n{\"schema\": 7}\n"].concat()).unwrap();
     let (code, said, error) = import(&rig, &[&good, &bad], &[]);
     assert_eq!(code, Some(65), "{error}");
@@ -301,6 +302,6 @@ fn a_wrong_line_is_named_and_the_files_before_it_are_kept() {
 fn an_import_beside_the_running_daemon_is_refused() {
     let (rig, _daemon) = Rig::running();
     let file = rig.folder().join("one.json");
-    fs::write(&file, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
+    fs::write(&file, json_message(&throws("recorded", 1)[0])).unwrap();
     refused(&rig, &[&file], 69, "another pointsd works on");
 }

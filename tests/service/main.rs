@@ -14,6 +14,8 @@ mod faketime;
 mod files;
 mod http;
 mod import;
+#[path = "../support/json.rs"]
+mod json;
 mod loggers;
 mod operators;
 mod pages;

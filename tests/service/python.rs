@@ -10,7 +10,7 @@ use std::{
 
 use pointsd::{
     diagnose::Cause,
-    wire::{Alarm, Encoding, encode_throw},
+    wire::{Alarm, encode_throw},
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,6 +18,7 @@ use serde_json::{Value, json};
 
 use crate::{
     cable::Cable,
+    json::json_message,
     rig::{PATIENCE, Program, Rig, matched, stub, throws, until},
 };
 
@@ -116,8 +117,8 @@ async fn the_readme_decodes_the_traces_in_the_database() {
     let session = daemon.client().await;
     let publisher = matched(&session, "points/v1/north/21B/throw").await;
     let made = throws("boot", 2);
-    publisher.put(encode_throw(Encoding::Cbor, &made[0])).await.unwrap();
-    let json = publisher.put(encode_throw(Encoding::Json, &made[1]));
+    publisher.put(encode_throw(&made[0])).await.unwrap();
+    let json = publisher.put(json_message(&made[1]));
     json.encoding(zenoh::bytes::Encoding::APPLICATION_JSON).await.unwrap();
     rig.judged(2).await;
     let codecs = rig.sql("SELECT current_codec AS codec FROM trace ORDER BY throw_row");
@@ -219,7 +220,7 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
     // The first throw of a new machine has no estimate, which raises an alarm.
     let raise = async |number: usize| {
         let key = format!("points/v1/north/m{number}/throw");
-        let throw = encode_throw(Encoding::Json, &stub("b1", 1));
+        let throw = json_message(&stub("b1", 1));
         crate::rig::put(&session, &key, zenoh::bytes::Encoding::APPLICATION_JSON, throw).await;
         rig.until_sql(&format!("SELECT 1 FROM alarm_events WHERE machine = 'm{number}'")).await;
     };

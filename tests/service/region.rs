@@ -145,7 +145,7 @@ async fn a_machine_that_moved_to_another_daemon_is_left_to_it() {
     let _other = other.start();
     let kept = [1, 2].map(|throw_no| {
         let throw = stub("boot", throw_no);
-        (throw.id.clone(), wire::encode_throw(wire::Encoding::Cbor, &throw))
+        (throw.id.clone(), wire::encode_throw(&throw))
     });
     keep(&session, KEY, kept.to_vec()).await;
     Sender::of(&session, KEY).await.send([stub("boot", 3)]).await;

@@ -14,13 +14,14 @@ use pointsd::{
     daemon::config::{Document, client_session},
     simulate::{Fault, Part, Shape},
     throw::Throw,
-    wire::{Encoding, encode_throw},
+    wire::encode_throw,
 };
 use serde_json::json;
 use zenoh::bytes::Encoding as ContentType;
 
 use crate::{
     http::KEY,
+    json::json_message,
     region::router,
     rig::{Daemon, PATIENCE, Rig, ends, faulty_throws, matched, pointsim, put, stub, throws},
 };
@@ -49,7 +50,7 @@ async fn a_tagged_time_in_cbor_is_a_time() {
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 2);
     for (throw, tag) in made.iter().zip([0xc0, 0xc1]) {
-        let mut message = encode_throw(Encoding::Cbor, throw);
+        let mut message = encode_throw(throw);
         let name = b"started_at";
         let value = message.windows(name.len()).position(|part| part == name).unwrap() + name.len();
         message.insert(value, tag);
@@ -103,7 +104,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     let (rig, daemon) = Rig::running_with("[subscribe]\nmax_payload_bytes = 100000\nmax_machines = 2\n");
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
-    let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
+    let good = |throw_no| json_message(&stub("boot", throw_no));
     let json = || ContentType::APPLICATION_JSON;
     publisher.put(good(1)).await.unwrap();
     put(&session, KEY, json(), b"{\"schema\": 7}".to_vec()).await;
@@ -240,7 +241,7 @@ async fn a_gap_of_refused_messages_names_the_reason() {
     let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
-    let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
+    let good = |throw_no| json_message(&stub("boot", throw_no));
     let text = |throw_no| String::from_utf8(good(throw_no)).unwrap();
     publisher.put(good(1)).await.unwrap();
     // NaN, as Python writes it; an unreadable time; a message without a throw number.

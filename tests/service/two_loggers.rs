@@ -14,7 +14,7 @@ use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     simulate::{Fault, Part, Shape},
     throw::{Throw, ThrowRef},
-    wire::{Encoding, encode_throw},
+    wire::encode_throw,
 };
 
 /// Settings with short baselines and without a wait for backlogs.
@@ -226,7 +226,7 @@ async fn pages_of_older_boots_are_of_one_logger() {
     let session = bench.daemon().client().await;
     let (away, most) = kept.split_at(40);
     for (part, from) in [(away, 0), (most, 6)] {
-        let message = |throw: &Throw| (throw.id.clone(), encode_throw(Encoding::Cbor, throw));
+        let message = |throw: &Throw| (throw.id.clone(), encode_throw(throw));
         let so_far = if part == most { &kept } else { away };
         keep(&session, KEY, so_far.iter().map(message).collect()).await;
         bench.judged += part.len();

@@ -22,7 +22,7 @@ use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
-    wire::{self, Alarm, encode_throw},
+    wire::{Alarm, encode_throw},
 };
 use sqlx::Connection as _;
 use zenoh::{
@@ -534,7 +534,7 @@ impl Sender {
     /// Publishes throws in CBOR.
     pub(crate) async fn send(&self, throws: impl IntoIterator<Item: Borrow<Throw>>) {
         for throw in throws {
-            self.publisher.put(encode_throw(wire::Encoding::Cbor, throw.borrow())).await.unwrap();
+            self.publisher.put(encode_throw(throw.borrow())).await.unwrap();
         }
     }
 

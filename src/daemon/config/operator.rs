@@ -140,7 +140,7 @@ fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
 /// Converts an endpoint on which a daemon listens into one for a client on this computer; `None` if the system chooses
 /// the port.
 fn from_here(endpoint: &str) -> Option<String> {
-    let bare = endpoint.split(['?', '#']).next().unwrap_or(endpoint);
+    let bare = sessions::address_of(endpoint);
     let (protocol, address) = bare.split_once('/')?;
     let Some((host, port)) = address.rsplit_once(':') else { return Some(bare.to_owned()) };
     let host = match host {

@@ -5,6 +5,7 @@ use std::{collections::HashSet, net::SocketAddr, path::Path};
 use toml::{Table, Value};
 
 use super::{ConfigError, Document, pem};
+use crate::bus::mode;
 
 /// Keys of the TLS section whose values are files, which must exist.
 const FILE_KEYS: [&str; 5] =
@@ -152,11 +153,6 @@ pub(super) fn endpoints(session: &zenoh::Config, side: &str, mode: &str) -> serd
     endpoints.get(mode).cloned().unwrap_or(endpoints)
 }
 
-/// The mode of a session: router, peer or client.
-fn mode(session: &zenoh::Config) -> String {
-    value(session, "mode").as_str().unwrap_or_default().to_owned()
-}
-
 /// Checks that a session can have links, and that they carry throws.
 pub(super) fn check_links(session: &zenoh::Config, document: &Document) -> Result<(), ConfigError> {
     for (key, least) in LEAST {
@@ -187,7 +183,7 @@ pub(super) fn listens_on(session: &zenoh::Config, address: &SocketAddr) -> bool 
     let mode = mode(session);
     let listed = endpoints(session, "listen", &mode);
     let addresses = listed.as_array().into_iter().flatten().filter_map(|endpoint| {
-        let (protocol, address) = endpoint.as_str()?.split(['?', '#']).next()?.split_once('/')?;
+        let (protocol, address) = address_of(endpoint.as_str()?).split_once('/')?;
         matches!(protocol, "tcp" | "tls" | "ws").then_some(address)?.parse::<SocketAddr>().ok()
     });
     let is_same = |other: SocketAddr| {
@@ -212,14 +208,18 @@ fn texts<'a>(key: &str, value: &'a Value) -> Vec<(String, &'a str)> {
     }
 }
 
+/// An endpoint without the parameters after `?` or `#`.
+pub(super) fn address_of(endpoint: &str) -> &str {
+    endpoint.split(['?', '#']).next().unwrap_or(endpoint)
+}
+
 /// Checks an endpoint of the form `tcp/HOST:PORT`, with parameters after `?` or `#`.
 pub(crate) fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<(), &'static str> {
     let (protocol, rest) = endpoint.split_once('/').ok_or("write tcp/HOST:PORT or tls/HOST:PORT")?;
     if !matches!(protocol, "tcp" | "tls") {
         return Err("this program has the protocols tcp and tls only");
     }
-    let address = rest.split(['?', '#']).next().unwrap_or_default();
-    let (host, port) = address.rsplit_once(':').ok_or("the port is missing: write HOST:7447")?;
+    let (host, port) = address_of(rest).rsplit_once(':').ok_or("the port is missing: write HOST:7447")?;
     if host.is_empty() {
         return Err("the host is missing: write HOST:7447, with 0.0.0.0 or [::] for every address of this computer");
     }

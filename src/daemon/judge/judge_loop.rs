@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use tokio::{
     sync::{broadcast, mpsc},
     time,
@@ -34,11 +34,12 @@ const CHANGES: usize = 64;
 /// Largest number of gaps in one query, so that it takes some tens of milliseconds. The monitor adds up the gaps of
 /// several reports.
 const GAPS: u32 = 500;
-/// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
-/// token stays in the list.
-const REFUSED_FOR: Duration = Duration::from_hours(1);
-/// Time after the start in which all machines stay in this list, as the tokens of their loggers come only then.
-const REFUSED_AT_START: Duration = Duration::from_mins(1);
+/// Time for which the status lists a machine without a valid throw after its last quarantined message. A machine whose
+/// logger has a token stays in the list, as far as the quarantine has its messages.
+const REFUSED_FOR: SignedDuration = SignedDuration::from_hours(1);
+/// Longest time between two reads of the quarantine for this list. It is also read at a tick after a new message, and
+/// while the list has a machine.
+const REFUSED_EVERY: Duration = Duration::from_mins(1);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. Usually the store can write again
@@ -68,23 +69,12 @@ impl PendingDaemonAlarm {
     }
 }
 
-/// Why a command is not applied.
-#[derive(Debug, thiserror::Error)]
-enum NotApplied {
-    /// The reason is for the operator.
-    #[error("{0}")]
-    Refused(String),
-    /// The daemon must end.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
-
 /// Channels and handles to the other tasks of the daemon.
 pub(crate) struct Links {
     pub(crate) outlet: Outlet,
     pub(crate) watchers: broadcast::Sender<Arc<[Judgement]>>,
     pub(crate) commands: mpsc::Receiver<PendingCommand>,
-    pub(crate) peers: Arc<Peers>,
+    pub(crate) peers: Peers,
 }
 
 pub(crate) struct JudgeLoop {
@@ -94,7 +84,9 @@ pub(crate) struct JudgeLoop {
     /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
-    away: Option<Away>,
+    away: Option<(Vec<MachineId>, bool)>,
+    /// Number of quarantined messages, and time, when the quarantine was last read for the list of refused machines.
+    refused_read: Option<(u64, Instant)>,
     /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
@@ -109,6 +101,7 @@ impl JudgeLoop {
             judge,
             links,
             away: None,
+            refused_read: None,
             daemon_alarms: VecDeque::new(),
             budget: Budget::new(clock::monotonic()),
         }
@@ -297,6 +290,7 @@ impl JudgeLoop {
         self.report_gaps().await?;
         self.report_invalid_messages().await?;
         self.update_peer_alarm().await?;
+        self.update_refused().await;
         self.update_report();
         Ok(())
     }
@@ -313,13 +307,12 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Reports consecutive invalid messages to the monitors of their machines. Those of a machine without a monitor, as
-    /// after `retire`, count as those of an unknown machine, which the status lists.
+    /// Reports consecutive invalid messages to the monitors of their machines. A machine without a monitor, as after
+    /// `retire`, is in the list of refused machines.
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
             if !is_judged(&self.judge, &config, &machine) {
-                self.shared.status.count_invalid(machine, false, &reason, clock::monotonic());
                 continue;
             }
             let invalid = Irregularity::Invalid { count, reason: &reason };
@@ -333,13 +326,17 @@ impl JudgeLoop {
 
     /// Updates the alarm about watched daemons that are not reachable, if they changed.
     async fn update_peer_alarm(&mut self) -> Result<(), StoreError> {
-        let away = self.links.peers.away();
-        let away = away.map(|daemons| Away { daemons, has_link: self.shared.status.edit().connected });
-        let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) else { return Ok(()) };
+        let Some(daemons) = self.links.peers.away() else { return Ok(()) };
+        let away = Away { daemons, has_link: self.shared.status.edit().connected };
+        // Without the times, which are computed anew and differ by microseconds.
+        let names = (away.daemons.iter().map(|(name, _)| name.clone()).collect(), away.has_link);
+        if self.away.as_ref() == Some(&names) {
+            return Ok(());
+        }
         let (config, now) = (self.judge.config(), clock::now());
         let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
         let outcome = self.judge.monitors.update(&self.own_machine, now, update);
-        self.away = Some(away);
+        self.away = Some(names);
         if let Some(outcome) = outcome {
             self.record(outcome).await?;
         }
@@ -390,6 +387,32 @@ impl JudgeLoop {
         Ok(())
     }
 
+    /// Lists the machines of which every message is in quarantine, those with the most messages first. A logger need not
+    /// have a token. Without one its machine is listed for some time only, as any sender can invent machines.
+    async fn update_refused(&mut self) {
+        let Shared { config, status, loggers, .. } = &*self.shared;
+        let quarantined = status.edit().quarantined;
+        let is_same = |(count, at): (u64, Instant)| count == quarantined && at.elapsed() < REFUSED_EVERY;
+        if self.refused_read.is_some_and(is_same) && status.edit().refused.is_empty() {
+            return;
+        }
+        let rows = match self.judge.store.reader().last_refused().await {
+            Ok(rows) => rows,
+            Err(error) => return seldom!(warn, %error, "reading the quarantine failed; retrying"),
+        };
+        self.refused_read = Some((quarantined, clock::monotonic()));
+        let earliest_us = (clock::now() - REFUSED_FOR).as_microsecond();
+        let loggers = loggers.borrow();
+        let refused = rows.into_iter().filter_map(|(key, reason, at_us)| {
+            let (machine, _) = wire::parse_key(&key).ok()?;
+            let is_listed = is_served(config, &machine)
+                && !is_judged(&self.judge, config, &machine)
+                && (at_us > earliest_us || loggers.alive.contains(&machine));
+            is_listed.then(|| format!("{machine} ({reason})"))
+        });
+        status.edit().refused = refused.take(NAMED).collect();
+    }
+
     fn update_report(&mut self) {
         let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
         let loggers = self.shared.loggers.borrow().alive.clone();
@@ -397,15 +420,7 @@ impl JudgeLoop {
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
-        // A logger need not have a token. Without one its machine is removed some time after the last message, as any
-        // sender can invent machines. Just after a start the tokens are not known yet.
-        let is_new = self.shared.status.heartbeats.uptime() < REFUSED_AT_START;
-        let refused = self.shared.status.refused(|machine, last| {
-            !is_judged(&self.judge, &self.shared.config, machine)
-                && (is_new || loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
-        });
         let mut status = self.shared.status.edit();
-        status.refused = refused;
         status.loggers_ahead = self.judge.monitors.clocks.ahead();
         status.loggers_behind = self.judge.monitors.clocks.behind();
         (status.fleet_counts, status.without_throw) = (fleet_counts, without_throw);
@@ -414,6 +429,8 @@ impl JudgeLoop {
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
     /// published before it is committed, and again afterwards.
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
+        // The write before this one may have waited for as long as the one below.
+        self.shared.status.heartbeats.beat(TaskName::Identify);
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.shared.status.trouble(config.subscribe.max_machines));
         let text = trouble.as_ref().map(|(severity, text)| (*severity, text.as_str()));
@@ -472,52 +489,50 @@ impl JudgeLoop {
         }
         let (config, now) = (self.judge.config(), clock::now());
         let applied = match self.budget.take(clock::monotonic()) {
-            Err(wait) => {
-                Err(NotApplied::Refused(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)))
-            }
-            Ok(()) => self.apply_command(&machine, &command, now, &config).await,
+            Err(wait) => Err(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
+            Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
         };
-        let (done, text) = match applied {
-            Ok(confirmation) => (true, confirmation),
-            Err(NotApplied::Refused(reason)) => (false, reason),
-            Err(NotApplied::Store(error)) => return Err(error),
-        };
+        let done = applied.is_ok();
+        let (Ok(text) | Err(text)) = applied;
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
         // Fails if the operator stopped waiting.
         let _ = reply.send(answer);
         Ok(())
     }
 
-    /// Applies a command; returns a confirmation for the operator.
+    /// Applies a command; returns a confirmation for the operator, or the reason why the command is refused.
     async fn apply_command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         config: &Config,
-    ) -> Result<String, NotApplied> {
+    ) -> Result<Result<String, String>, StoreError> {
         let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
         if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
             let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
-            return Err(NotApplied::Refused(text));
+            return Ok(Err(text));
         }
         if *machine == self.own_machine && !self.judge.monitors.knows(machine) {
-            return Err(NotApplied::Refused("this daemon has no alarm about itself".to_owned()));
+            return Ok(Err("this daemon has no alarm about itself".to_owned()));
         }
         if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
             let text =
                 format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
-            return Err(NotApplied::Refused(text));
+            return Ok(Err(text));
         }
         let applied = self.judge.monitors.apply_command(machine, command, now, &config.diagnosis);
-        let (outcome, confirmation) = applied.map_err(NotApplied::Refused)?;
+        let (outcome, confirmation) = match applied {
+            Ok(applied) => applied,
+            Err(reason) => return Ok(Err(reason)),
+        };
         let is_stored = self.record(outcome).await?;
         self.update_report();
         if !is_stored {
             self.judge.monitors.store_again(machine);
             let text = "the database did not store the command. It may hold until the next start only, and is missing in \
                         operator_commands: look in the log";
-            return Err(NotApplied::Refused(text.to_owned()));
+            return Ok(Err(text.to_owned()));
         }
         tracing::info!(%machine, command = wire::json(command), "operator's command applied");
         // The logger may have made throws before the repair that it could not send yet.
@@ -528,7 +543,7 @@ impl JudgeLoop {
         } else {
             ""
         };
-        Ok(confirmation + late)
+        Ok(Ok(confirmation + late))
     }
 
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.

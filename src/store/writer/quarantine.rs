@@ -7,7 +7,7 @@ use super::{spool::count, write::Write};
 use crate::{
     store::statements as sql,
     throw::{MachineId, Throw, ThrowRef},
-    wire::{Encoding, Kind, QUARANTINED_BYTES, encode_throw, machine_key},
+    wire::{Kind, QUARANTINED_BYTES, encode_throw, machine_key},
 };
 
 /// Largest number of messages stored in one commit: of a flood, the newest messages are enough.
@@ -35,7 +35,7 @@ pub struct QuarantinedMessage {
 impl QuarantinedMessage {
     /// A valid throw that the daemon does not accept, for example of an unknown machine.
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
-        let beginning = encode_throw(Encoding::Cbor, throw);
+        let beginning = encode_throw(throw);
         Self {
             key: machine_key(machine, Kind::Throw),
             reason,

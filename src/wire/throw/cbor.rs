@@ -299,8 +299,13 @@ fn skip(decoder: &mut Decoder<'_>, depth: usize) -> Decoded<()> {
     Ok(())
 }
 
-#[expect(clippy::expect_used, reason = "a receiver could take an empty message for a valid one")]
-pub(super) fn encode(throw: &Throw) -> Vec<u8> {
+/// Encodes a throw in CBOR, with little-endian float32 typed arrays (RFC 8746).
+#[expect(
+    clippy::expect_used,
+    clippy::missing_panics_doc,
+    reason = "it never fails, and a receiver could take an empty message for a valid one"
+)]
+pub fn encode(throw: &Throw) -> Vec<u8> {
     let mut encoder = Encoder::new(Vec::with_capacity(256 + 8 * throw.trace.len()));
     write(&mut encoder, throw).expect("every throw has a CBOR form");
     encoder.into_writer()

@@ -1,7 +1,7 @@
 //! The fields of a throw message in CBOR and JSON, and their checks.
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use super::{
     super::Invalid,
@@ -11,15 +11,15 @@ use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
 /// Name and version of the message; no other is accepted.
 pub(super) const SCHEMA: &str = "points.throw/1";
-/// The direction in a message whose logger does not know the direction.
-pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
+/// The direction in a message if it is not known.
+pub(in crate::wire) const UNKNOWN_DIRECTION: &str = "unknown";
 /// Longest `boot_id` \[bytes\]: enough for a UUID or a serial number. Indexes of the database contain it.
 const MAX_BOOT_ID_BYTES: usize = 128;
 /// Highest `throw_no`: the database stores a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 
-/// The fields of a throw message; `None` for a missing field or null. Serialized, it is the message in JSON.
-#[derive(Debug, Default, Serialize, Deserialize)]
+/// The fields of a throw message; `None` for a missing field or null.
+#[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Fields {
     pub(super) schema: Option<String>,
@@ -31,30 +31,11 @@ pub(super) struct Fields {
     pub(super) sample_rate_hz: Option<f64>,
     pub(super) current_a: Option<Channel>,
     pub(super) position_mm: Option<Channel>,
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "values::optional_number")]
+    #[serde(deserialize_with = "values::optional_number")]
     pub(super) temperature_c: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) supply_v: Option<Supply>,
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "values::optional_number")]
+    #[serde(deserialize_with = "values::optional_number")]
     pub(super) anti_alias_hz: Option<f64>,
-}
-
-impl From<&Throw> for Fields {
-    fn from(throw: &Throw) -> Self {
-        Self {
-            schema: Some(SCHEMA.to_owned()),
-            boot_id: Some(throw.id.boot_id.clone()),
-            throw_no: Some(Count(throw.id.throw_no)),
-            started_at: Some(throw.started_at.to_string()),
-            direction: Some(throw.direction.map_or(UNKNOWN_DIRECTION, Direction::as_str).to_owned()),
-            sample_rate_hz: Some(throw.trace.sample_rate_hz()),
-            current_a: Some(Channel(throw.trace.current_a().to_vec())),
-            position_mm: Some(Channel(throw.trace.position_mm().to_vec())),
-            temperature_c: throw.temperature_c,
-            supply_v: throw.supply_v.map(Supply::Number),
-            anti_alias_hz: throw.anti_alias_hz,
-        }
-    }
 }
 
 impl Fields {

@@ -8,14 +8,15 @@ mod cbor;
 mod fields;
 mod values;
 
+pub use cbor::encode as encode_throw;
+pub(super) use fields::UNKNOWN_DIRECTION;
 pub use fields::is_boot_id;
 
 use super::{
-    Invalid, json_bytes,
+    Invalid,
     text::{first_byte, not_an_object, without_byte_order_mark},
 };
 use crate::throw::{Throw, ThrowRef};
-use fields::Fields;
 use values::Count;
 
 /// Encoding of a throw message.
@@ -113,15 +114,6 @@ pub fn throw_id(encoding: Encoding, payload: &[u8]) -> Option<ThrowRef> {
 fn value<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     let (_, rest) = text.split_once(name)?;
     rest.trim_start().strip_prefix(':').map(str::trim_start)
-}
-
-/// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal
-/// numbers.
-pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
-    match encoding {
-        Encoding::Cbor => cbor::encode(throw),
-        Encoding::Json => json_bytes(&Fields::from(throw)),
-    }
 }
 
 #[cfg(test)]

@@ -19,6 +19,15 @@ fn example() -> Throw {
 const JSON: &str = r#"{"schema": "points.throw/1", "boot_id": "b", "throw_no": 1, "started_at": "2026-05-04T12:00:00+02:00",
     "sample_rate_hz": 100, "current_a": [0, 1, null], "position_mm": [0.5, 1, 2], "extra": {"deep": [1, {"x": []}]}}"#;
 
+/// The same throw as [`example`].
+const EXAMPLE: &str = r#"{"schema": "points.throw/1", "boot_id": "b-1", "throw_no": 7, "started_at": "2026-05-04T10:11:12.345678Z",
+    "direction": "reverse_to_normal", "sample_rate_hz": 1000, "current_a": [0, 1.5, -2.25], "position_mm": [115, 114.5, 114],
+    "temperature_c": -3.5, "anti_alias_hz": 400}"#;
+
+fn messages() -> [(Encoding, Vec<u8>); 2] {
+    [(Encoding::Cbor, encode_throw(&example())), (Encoding::Json, EXAMPLE.into())]
+}
+
 fn json(from: &str, to: &str) -> Result<Throw, Invalid> {
     assert!(JSON.contains(from), "{from} is not in the example");
     decode_throw(Encoding::Json, JSON.replace(from, to).as_bytes())
@@ -26,8 +35,7 @@ fn json(from: &str, to: &str) -> Result<Throw, Invalid> {
 
 #[test]
 fn both_encodings_carry_a_throw_unchanged() {
-    for (encoding, its_own) in [(Encoding::Cbor, "application/cbor"), (Encoding::Json, "application/json")] {
-        let bytes = encode_throw(encoding, &example());
+    for ((encoding, bytes), its_own) in messages().into_iter().zip(["application/cbor", "application/json"]) {
         for content_type in ["", "zenoh/bytes", "application/cbor", its_own] {
             assert_eq!(Encoding::of(content_type, &bytes), encoding);
         }
@@ -121,7 +129,7 @@ fn unusable_json_is_an_error_with_the_reason() {
         assert!(error.contains(says), "{to}: {error}");
     }
     let utf_16: Vec<u8> = format!("\u{feff}{JSON}").encode_utf16().flat_map(u16::to_le_bytes).collect();
-    let cbor = encode_throw(Encoding::Cbor, &example());
+    let cbor = encode_throw(&example());
     for (bytes, first) in [(&utf_16[..], "0xff"), (&cbor, "0xa"), (b"[1]", "0x5b instead of {: JSON in UTF-8")] {
         let error = decode_throw(Encoding::Json, bytes).unwrap_err().to_string();
         assert!(error.contains(&format!("begins with the byte {first}")), "{error}");
@@ -168,7 +176,7 @@ fn a_message_that_is_no_throw_may_have_a_number() {
     }
     assert_eq!(id(": 1,", ": 1.0 ,"), known);
     assert_eq!(throw_id(Encoding::Json, b"{\"boot_id\": \"b\", \"throw_no\": 12"), None, "it may be cut");
-    let mut cbor = encode_throw(Encoding::Cbor, &example());
+    let mut cbor = encode_throw(&example());
     cbor.truncate(100);
     assert!(decode_throw(Encoding::Cbor, &cbor).is_err());
     assert_eq!(throw_id(Encoding::Cbor, &cbor), Some(example().id));
@@ -223,7 +231,7 @@ fn unusable_cbor_is_an_error_with_the_reason() {
         let error = result.unwrap_err().to_string();
         assert!(error.contains(says), "{says}: {error}");
     }
-    let mut trailing = encode_throw(Encoding::Cbor, &example());
+    let mut trailing = encode_throw(&example());
     trailing.push(0);
     assert!(decode_throw(Encoding::Cbor, &trailing).unwrap_err().to_string().contains("1 bytes follow"));
     for deep in [0x9f, 0x81, 0xbf, 0xd8] {
@@ -244,8 +252,7 @@ proptest! {
 
     #[test]
     fn no_change_of_a_good_message_makes_decoding_panic(at in 0usize..400, byte in any::<u8>(), cut in 0usize..400) {
-        for encoding in [Encoding::Cbor, Encoding::Json] {
-            let mut bytes = encode_throw(encoding, &example());
+        for (encoding, mut bytes) in messages() {
             let at = at % bytes.len();
             bytes[at] = byte;
             drop(decode_throw(encoding, &bytes));

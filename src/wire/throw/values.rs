@@ -4,7 +4,7 @@
 use std::fmt;
 
 use serde::{
-    Deserialize, Deserializer, Serialize,
+    Deserialize, Deserializer,
     de::{self, Expected, SeqAccess, Unexpected, Visitor, value::SeqAccessDeserializer},
 };
 use serde_json::Number;
@@ -64,7 +64,7 @@ pub(super) fn optional_number<'de, D: Deserializer<'de>>(deserializer: D) -> Res
 pub(super) const COUNT: &str = "a whole number from 0 to 2^63 - 1, above 2^53 without point and exponent";
 
 /// A whole number; the form 7.0, which some languages write, is accepted too.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(try_from = "AnyNumber")]
 pub(super) struct Count(pub(super) u64);
 
@@ -81,8 +81,8 @@ impl TryFrom<AnyNumber> for Count {
     }
 }
 
-/// A channel. A sample that was not measured is NaN, and null in JSON: `serde_json` writes NaN and infinities as null.
-#[derive(Debug, Serialize)]
+/// A channel. A sample that was not measured is NaN, and null in JSON.
+#[derive(Debug)]
 pub(super) struct Channel(pub(super) Vec<f64>);
 
 impl<'de> Deserialize<'de> for Channel {
@@ -117,8 +117,7 @@ impl<'de> Deserialize<'de> for Channel {
 }
 
 /// The supply voltage \[V\]: a number, or a value for each sample of the current.
-#[derive(Debug, Serialize)]
-#[serde(untagged)]
+#[derive(Debug)]
 pub(super) enum Supply {
     Number(f64),
     Samples(Channel),
