@@ -17,7 +17,7 @@ use super::{
         hum, missing,
         movement::{INRUSH_S, MIN_QUIET, Movement, start_of_motor},
         noise, release,
-        samples::{Level, every, has_rate, peak, second_difference_noise},
+        samples::{Level, every, has_rate, median_of, peak, second_difference_noise},
         window::{Window, long_enough},
     },
 };
@@ -102,7 +102,7 @@ impl Identifier {
         let interval_s = raw_interval_s * factor as f64;
         let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
         copy_finite(current, &raw_current);
-        let at_rest = if factor > 1 { level_before(current) } else { 0.0 };
+        let at_rest = if factor > 1 { level_before(current, scratch) } else { 0.0 };
         let filter_hz = throw.possible_anti_alias_hz(trace.sample_rate_hz());
         let linear = settings.motor == Motor::PermanentMagnet && filter_hz.is_none();
         // A slower filter than that of the decimation rounds the foot of the current.
@@ -454,13 +454,16 @@ pub(super) fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
-/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor. A trace with a larger
-/// first value began during the inrush.
+/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor, if it differs from the last
+/// current. A trace with a larger first value began during the inrush.
 const REST_SHARE: f64 = 0.05;
+/// Number of samples for the current at the end of a trace.
+const LAST_SAMPLES: usize = 20;
 
 /// The current before the trace \[A\], for the initial state of the decimation filter: the first value if it may be the
-/// current at rest, else 0.
-fn level_before(current: &[f64]) -> f64 {
-    let peak = peak(current, 0.0);
-    if current[0].abs() < REST_SHARE * peak { current[0] } else { 0.0 }
+/// current at rest, else 0. A sensor with an offset shows it at the end too.
+fn level_before(current: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    let last = median_of(&current[current.len().saturating_sub(LAST_SAMPLES)..], scratch);
+    let is_rest = [0.0, last].iter().any(|rest| (current[0] - rest).abs() < REST_SHARE * peak(current, *rest));
+    if is_rest { current[0] } else { 0.0 }
 }

@@ -170,6 +170,32 @@ fn the_interval_covers_an_offset_that_is_not_recorded() {
     }
 }
 
+/// The offset is 8 % of the inrush, and from 3 kHz on the trace is decimated.
+#[test]
+fn an_offset_of_the_current_changes_no_estimate_at_any_rate() {
+    let machine = Parameters::default();
+    for (sample_rate_hz, direction) in
+        [1000.0, 3000.0, 5000.0, 10_000.0].map(|hz| Direction::BOTH.map(|to| (hz, to))).as_flattened()
+    {
+        let sensors = Sensors { sample_rate_hz: *sample_rate_hz, ..Sensors::default() };
+        let motion = machine.simulate(*direction, &Conditions::default(), sensors.step_s()).unwrap();
+        let trace = sensors.record(&motion, *direction, &mut ChaCha8Rng::seed_from_u64(9)).unwrap().trace;
+        let peak = trace.current_a().iter().fold(0.0_f64, |most, a| most.max(a.abs()));
+        let with = |offset: f64| {
+            let current = trace.current_a().iter().map(|a| a + offset * peak).collect();
+            let trace = Trace::new(*sample_rate_hz, current, trace.position_mm().to_vec()).unwrap();
+            let found = Identifier::default().identify(&Throw::recorded(trace), &Settings::default()).outcome.unwrap();
+            [found.b0, found.a1, found.a0]
+        };
+        let plain = with(0.0);
+        for offset in [-0.08, 0.08, 0.11] {
+            let change =
+                with(offset).iter().zip(plain).map(|(with, plain)| (with / plain - 1.0).abs()).fold(0.0, f64::max);
+            assert!(change < 0.003, "{offset} at {sample_rate_hz} Hz, {direction}: {change}");
+        }
+    }
+}
+
 #[test]
 fn a_noisy_current_names_its_setting() {
     let current = Sensor { noise: 0.1, ..Sensor::default() };

@@ -86,6 +86,22 @@ fn a_toe_that_waits_for_the_unlocking_is_not_a_stuck_sensor() {
     }
 }
 
+/// The recording may begin at a crest of the hum, whose other half-waves are no start of the motor.
+#[test]
+fn strong_hum_is_no_start_of_the_motor() {
+    for (seed, first) in (0..40).map(|first| (first % 4, first)) {
+        let trace = Drive { hum_a: 0.6, ..Drive::default() }.record(seed as u64);
+        let peak = trace.current_a().iter().fold(0.0_f64, |most, a| most.max(*a));
+        assert!(0.6 / peak > 0.03, "{peak} A");
+        let [current, position] = [trace.current_a(), trace.position_mm()].map(|all| all[first..].to_vec());
+        let throw = Throw::recorded(Trace::new(trace.sample_rate_hz(), current, position).unwrap());
+        let Ok(estimate) = Identifier::default().identify(&throw, &Settings::default()).outcome else { continue };
+        let [friction, stiffness] = estimate.ratios();
+        let errors = [friction * TORQUE / FRICTION - 1.0, stiffness * TORQUE / STIFFNESS - 1.0];
+        assert!(errors.iter().all(|error| error.abs() < 0.05), "from sample {first}: {errors:?}, {estimate:?}");
+    }
+}
+
 #[test]
 fn mains_hum_and_a_plain_drive_are_good() {
     for hum_a in [0.0, 0.07, 0.28] {

@@ -20,6 +20,8 @@ const START_SIGMAS: f64 = 6.0;
 pub(super) const LATE_START_SHARE: f64 = 0.25;
 /// Duration of the inrush \[s\].
 pub(crate) const INRUSH_S: f64 = 0.15;
+/// Period of the mains \[s\].
+const HUM_S: f64 = 0.02;
 /// Largest current after the inrush, as share of a current within it. The current of a running motor changes by less in
 /// this time.
 const DECAYED_SHARE: f64 = 0.75;
@@ -340,7 +342,8 @@ pub(super) fn has_decayed(first: f64, current: &[f64], rest: f64, interval_s: f6
 /// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does. It is the
 /// first sample of a recording that begins in the inrush.
 ///
-/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A recording that
+/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. Where three fifths of
+/// the samples in a period of the mains follow above it, they are preferred. A recording that
 /// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
 /// current of a throw in which the spring helps is hardly above 0.
 pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
@@ -357,15 +360,18 @@ pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
         let motor = |k: &usize| is_beyond(*k, ON_SHARE * peak);
         is_beyond(k, INRUSH_SHARE * peak) && (k + 1..current.len()).filter(motor).count() >= MIN_QUIET
     };
+    let period = samples_in(HUM_S, interval_s);
     let crossing = |threshold: f64| {
         let mut beyond = (0..current.len()).filter(|&k| is_beyond(k, threshold));
-        let first = beyond.next()?;
-        let is_found = |k: &usize| is_beyond(k + 1, threshold);
-        if is_found(&first) || hides_inrush(interval_s) && is_inrush(first) {
-            Some(first)
-        } else {
-            beyond.find(is_found)
+        let first = beyond.clone().next()?;
+        if hides_inrush(interval_s) && is_inrush(first) {
+            return Some(first);
         }
+        let has_neighbour = |k: &usize| is_beyond(k + 1, threshold);
+        // A recording may begin at a crest of hum, whose other half-waves are then beyond the threshold.
+        let lasts = |k: &usize| (*k..k + period).filter(|k| is_beyond(*k, threshold)).count() * 5 >= period * 3;
+        let lasting = beyond.clone().filter(has_neighbour).find(lasts);
+        lasting.or_else(|| beyond.find(has_neighbour))
     };
     let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);

@@ -97,7 +97,7 @@ pub(crate) fn has_rate(interval_s: f64, rate_hz: f64) -> bool {
 }
 
 /// Median (for an even number of values the upper one), computed in the scratch buffer; 0 without values.
-pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+pub(crate) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend_from_slice(values);
     let middle = values.len() / 2;
