@@ -38,9 +38,6 @@ const SPARK: u32 = 40;
 const PAGES: u32 = 10_000;
 /// Longest search text \[characters\]: a site, a slash and a machine.
 const SEARCH: usize = 129;
-/// Largest number of silent machines that are rows of the list; more of them are one line. A silent machine is not
-/// monitored, and has no other alarm.
-const SILENT_ROWS: u64 = 10;
 /// Largest number of names in a sentence; further ones are only counted.
 const NAMED: usize = 20;
 
@@ -66,8 +63,6 @@ struct Page {
     rows: Vec<Row>,
     /// "1 to 100 of 2,345".
     shown: String,
-    /// Number of the silent machines that are one line, and the address of their list.
-    grouped: Option<(String, String)>,
     before: Option<String>,
     after: Option<String>,
     /// Names of configured machines without a throw, or without one since they were retired.
@@ -160,7 +155,7 @@ fn wrong() -> Failure {
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
-    let mut query = filters(query.as_deref())?;
+    let query = filters(query.as_deref())?;
     let overview = web.overview().await?;
     let config = web.view.config();
     let itself = config.monitor.as_machine();
@@ -169,13 +164,9 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let reader = web.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
-    let grouped = group_silent(&mut query, &tally);
     let rows = reader.fleet(&query, &itself).await?;
     let windows = reader.windows(None).await?;
-    let matching = match query.state {
-        Some(state) => tally.of(state),
-        None => tally.total().saturating_sub(grouped),
-    };
+    let matching = query.state.map_or_else(|| tally.total(), |state| tally.of(state));
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
     // The faults are sorted, the worst first.
     let is_urgent = |Fault { alarm, .. }: &Fault| alarm.severity == Severity::Critical && alarm.state.is_active();
@@ -200,13 +191,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         states: WORST_FIRST.iter().map(|it| (it.as_str(), Badge(*it).word(), query.state == Some(*it))).collect(),
         rows: rows.iter().map(|row| table_row(row, &windows, &config.diagnosis)).collect(),
         shown: match rows.len() {
-            0 if grouped > 0 => "No other machine.".to_owned(),
             0 if query.offset > 0 => "This page is beyond the last one.".to_owned(),
             0 if overview.tally.total() == 0 => "No machine has sent a throw yet, or all are retired.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
-        grouped: (grouped > 0).then(|| (page::count(grouped), address_of_state(&query, MachineState::NotMonitored))),
         before: page_no.checked_sub(1).map(|before| address(&query, before)),
         after: (last < matching).then(|| address(&query, page_no + 1)),
         silent: silent(&web.view, reader).await?,
@@ -215,14 +204,6 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
         search: query.search.unwrap_or_default(),
     }))
-}
-
-/// If there are many silent machines, excludes them from the query and returns their number, for one line. They usually
-/// have a common cause, such as a lost link, and would push machines with faults out of sight. Otherwise returns 0.
-fn group_silent(query: &mut FleetQuery, tally: &StateCounts) -> u64 {
-    let is_chosen = query.state.is_some() || query.cause.is_some() || query.search.is_some();
-    query.without_silent = tally.silent > SILENT_ROWS && !is_chosen;
-    if query.without_silent { tally.silent } else { 0 }
 }
 
 fn tally_links(tally: &StateCounts, filters: &FleetQuery) -> Vec<(Badge, String, String)> {

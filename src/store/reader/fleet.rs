@@ -33,8 +33,6 @@ pub(crate) struct FleetQuery {
     pub limit: u32,
     /// Throws of each machine for its small chart.
     pub spark: u32,
-    /// Leaves out machines that are not monitored and have no other open alarm.
-    pub without_silent: bool,
 }
 
 impl FleetQuery {
@@ -266,11 +264,10 @@ impl Reader {
         let statement = query
             .matching(sql::FLEET, itself)
             .bind(query.state.map(MachineState::as_str))
-            .bind(query.without_silent)
             .bind(query.limit)
             .bind(query.offset)
             .bind(query.spark)
-            .bind(WORST_FIRST.map(MachineState::as_str).join(" "));
+            .bind(WORST_FIRST.map(MachineState::as_str).join(" ").replace("maintenance", "silent maintenance"));
         self.external(statement).await
     }
 

@@ -51,19 +51,20 @@ macro_rules! faults {
 }
 
 statements! {
-    // The matching machines of state ?6, without silent ones if ?7, in the order of states in ?11 (the worst first). The
-    // throws of a machine are in its own order, as throws from its backlog arrive after newer ones. They are those of the
-    // worst drift's direction, or else from normal to reverse if the machine has such throws.
+    // The matching machines of state ?6, in the order of the words in ?10 (the worst first): the states, and "silent", as
+    // the silent machines after the loss of a link would push machines with faults out of sight. The throws of a machine
+    // are in its own order, as throws from its backlog arrive after newer ones. They are those of the worst drift's
+    // direction, or else from normal to reverse if the machine has such throws.
     FLEET = concat!(
     "
     WITH chosen AS (
         SELECT machine_row, site, machine, state, drifts FROM ",
     matching!(),
     "
-        WHERE (?6 IS NULL OR state = ?6) AND NOT (?7 AND is_silent)
-        ORDER BY instr(?11, state),
+        WHERE ?6 IS NULL OR state = ?6
+        ORDER BY instr(?10, CASE WHEN is_silent THEN 'silent' ELSE state END),
                  coalesce(abs(drifts ->> '$[0].change_pct'), 0) DESC, site, machine
-        LIMIT ?8 OFFSET ?9)
+        LIMIT ?7 OFFSET ?8)
     SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
            coalesce(estimate.baseline_throws, learned.baseline_throws) AS baseline_throws,
            coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
@@ -76,7 +77,7 @@ statements! {
                (SELECT throw_row, b0_pct, a1_pct, a0_pct FROM estimate AS near
                  WHERE near.machine_row = chosen.machine_row AND near.direction = coalesce(chosen.drifts ->> '$[0].direction',
                      (SELECT min(direction) FROM latest WHERE latest.machine_row = chosen.machine_row AND direction <> ''))
-                 ORDER BY near.throw_row DESC LIMIT ?10) CROSS JOIN throw AS own USING (throw_row)
+                 ORDER BY near.throw_row DESC LIMIT ?9) CROSS JOIN throw AS own USING (throw_row)
                ORDER BY own.boot_position DESC, own.throw_no DESC)) AS spark
     FROM chosen
     LEFT JOIN throw ON throw.throw_row = (SELECT own.throw_row FROM latest CROSS JOIN throw AS own USING (throw_row)
