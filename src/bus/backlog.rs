@@ -13,8 +13,8 @@ use zenoh::{
 use super::message::{Message, kept};
 use crate::wire::BacklogQuery;
 
-/// Largest page \[bytes\]. The first reply is kept whatever its size. Replies beyond the limit are dropped and queried
-/// again with the next page. A reply above the largest payload counts with its kept bytes only.
+/// Largest page \[bytes\]. Replies beyond the limit are dropped and queried again with the next page. A reply above the
+/// largest payload counts with its kept bytes only.
 const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
@@ -29,6 +29,8 @@ pub(crate) struct ReplyPage {
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
+    /// Whether the first reply was dropped because it is larger than a page.
+    pub is_too_large: bool,
     /// Whether the query ended without an error; otherwise the logger may have more throws. Also true if the logger is
     /// not connected, or if its link closed before its last reply: zenoh then ends the query as if it were complete.
     pub is_complete: bool,
@@ -36,8 +38,15 @@ pub(crate) struct ReplyPage {
     pub error: Option<String>,
 }
 
-/// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
-pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max_payload_bytes: usize) -> ReplyPage {
+/// Queries the throw key of a machine for a page, whose first throw may be larger than a page if `may_be_large`. Without
+/// a logger the page is empty and complete.
+pub(crate) async fn page(
+    session: &Session,
+    key: &str,
+    query: &BacklogQuery,
+    max_payload_bytes: usize,
+    may_be_large: bool,
+) -> ReplyPage {
     // The page so far, and its size \[bytes\].
     let collected = Arc::new(Mutex::new((ReplyPage::default(), 0)));
     // Zenoh drops the callback, and the sender with it, after the last reply.
@@ -56,16 +65,18 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, max
                 return;
             }
         };
+        let size = kept(sample.payload().len(), max_payload_bytes);
         let is_wanted = sample.kind() == SampleKind::Put && sample.key_expr().as_str() == asked_key;
         if !is_wanted || page.messages.len() >= limit {
             page.ignored += 1;
-        } else if page.messages.is_empty() || *bytes + kept(sample.payload().len(), max_payload_bytes) <= PAGE_BYTES {
+        } else if *bytes + size <= PAGE_BYTES || may_be_large && page.messages.is_empty() {
             let message = Message::of(&sample, max_payload_bytes);
             *bytes += message.memory();
             page.messages.push(message);
         } else {
             // All later replies are dropped too: the missing reply between them would look like a gap.
             *bytes = PAGE_BYTES + 1;
+            page.is_too_large = page.messages.is_empty();
         }
     };
     let (session, selector) = (session.clone(), format!("{key}?{}", query.parameters()));
@@ -109,6 +120,26 @@ mod tests {
         config.insert_json5("mode", &format!("{mode:?}")).unwrap();
         config.insert_json5(endpoints, &format!("[{endpoint:?}]")).unwrap();
         zenoh::open(config).await.unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_reply_larger_than_a_page_is_kept_only_on_request_and_alone() {
+        const KEY: &str = "points/v1/north/21B/throw";
+        let session = zenoh::open(config_without_links()).await.unwrap();
+        let reply = |query: zenoh::query::Query| {
+            for bytes in [PAGE_BYTES + 1, 1] {
+                query.reply(KEY, vec![0; bytes]).wait().unwrap();
+            }
+        };
+        session.declare_queryable(KEY).callback(reply).background().await.unwrap();
+        let query = BacklogQuery { after: None, limit: 2 };
+        for (max_payload_bytes, may_be_large, expected) in
+            [(2 * PAGE_BYTES, false, 0), (2 * PAGE_BYTES, true, 1), (PAGE_BYTES, false, 2)]
+        {
+            let page = page(&session, KEY, &query, max_payload_bytes, may_be_large).await;
+            assert_eq!((page.messages.len(), page.is_too_large), (expected, expected == 0), "{:?}", page.error);
+            assert!(page.is_complete);
+        }
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
+        atomic::{AtomicBool, AtomicU32, Ordering::Relaxed},
     },
     time::Duration,
 };
@@ -18,12 +18,15 @@ use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 use crate::{
     http::{ALIVE, KEY, WEB, address, get},
     json::json_message,
-    rig::{PATIENCE, Rig, Sender, matched, stub, throws},
+    rig::{PATIENCE, Rig, Sender, matched, stub, throws, until},
 };
 
-/// Declares the backlog of a logger with these messages, oldest first.
-pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowRef, Vec<u8>)>) {
+/// Declares the backlog of a logger with these messages, oldest first. Returns the number of queries for it.
+pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowRef, Vec<u8>)>) -> Arc<AtomicU32> {
+    let queries = Arc::<AtomicU32>::default();
+    let counting = Arc::clone(&queries);
     let on_query = move |query: zenoh::query::Query| {
+        counting.fetch_add(1, Relaxed);
         let wanted = BacklogQuery::parse(query.parameters().as_str());
         let start = wanted.start(kept.iter().map(|(throw, _)| throw));
         for (_, message) in kept.iter().skip(start).take(wanted.limit) {
@@ -31,6 +34,7 @@ pub(crate) async fn keep(session: &Session, key: &'static str, kept: Vec<(ThrowR
         }
     };
     session.declare_queryable(key).callback(on_query).background().await.unwrap();
+    queries
 }
 
 fn id(throw_no: u64) -> ThrowRef {
@@ -61,6 +65,20 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM throw JOIN machine USING (machine_row) GROUP BY machine");
     assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
+}
+
+/// A page has 4 MiB, and each of these throws 4.8 MB.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_larger_than_a_page_come_from_the_backlog() {
+    const SAMPLES: usize = 600_000;
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let trace = Trace::new(20_000.0, vec![0.0; SAMPLES], vec![0.0; SAMPLES]).unwrap();
+    let large = |throw_no| Throw { trace: trace.clone(), ..stub("boot", throw_no) };
+    keep(&session, KEY, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
+    Sender::of(&session, KEY).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
+    rig.judged(4).await;
+    assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
 }
 
 /// A trigger stands for a throw that SQLite refuses for a reason that nobody knows yet. The first page has four throws.
@@ -241,12 +259,7 @@ async fn throws_made_while_the_daemon_was_down_come_from_a_logger_without_a_toke
     logger.send(&made[..3]).await;
     rig.judged(3).await;
     daemon.terminate();
-    keep(
-        &logger.session,
-        KEY,
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect(),
-    )
-    .await;
+    keep(&logger.session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect()).await;
     let _daemon = rig.start();
     rig.judged(6).await;
 }
@@ -272,9 +285,7 @@ async fn a_logger_that_goes_on_without_its_token_is_queried_now_and_then() {
 async fn a_closed_link_of_a_logger_without_a_token_is_no_reply_without_the_throws() {
     let (rig, daemon) = Rig::running();
     let made = [1, 2, 3, 4].map(|throw_no| stub("boot", throw_no));
-    let kept = |made: &[Throw]| {
-        made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect::<Vec<_>>()
-    };
+    let kept = |made: &[Throw]| made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect::<Vec<_>>();
     let logger = daemon.logger(KEY).await;
     keep(&logger.session, KEY, kept(&made[..1])).await;
     logger.send(&made[..1]).await;
@@ -311,8 +322,15 @@ async fn missing_throws_behind_many_stored_boots_come_from_the_backlog() {
     sender.send([stub("imported", 1)]).await;
     rig.judged(stored + 1).await;
     rig.until_number("SELECT count(*) FROM backlog", 0).await;
-    keep(&session, KEY, made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect())
-        .await;
+    let kept = made.iter().map(|throw| (throw.id.clone(), encode_throw(throw))).collect();
+    let queries = keep(&session, KEY, kept).await;
+    // No throw is missing, so a turn with repeated pages is the last one.
+    let _token = session.liveliness().declare_token(ALIVE).await.unwrap();
+    until(PATIENCE, async || if queries.load(Relaxed) < 4 { Err("no turn") } else { Ok(()) }).await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let asked = queries.load(Relaxed);
+    tokio::time::sleep(Duration::from_millis(2_500)).await;
+    assert_eq!(queries.load(Relaxed), asked, "the daemon asks on");
     sender.send([last]).await;
     rig.judged(made.len() + 1).await;
     rig.until_number("SELECT count(*) FROM backlog", 0).await;

@@ -34,7 +34,8 @@ use crate::{
 };
 
 /// Largest number of loggers queried at the same time. A page has at most 4 MiB, and its decoded throws take up to four
-/// times as much, so this bounds the memory to 160 MiB.
+/// times as much, so this bounds the memory to 160 MiB. A larger throw comes alone, and only one at a time: by default
+/// another 80 MiB.
 const AT_A_TIME: usize = 8;
 /// Largest number of slow loggers among them, so that the other loggers always make progress.
 const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
@@ -232,8 +233,12 @@ impl Intake {
                     }
                     PAUSE
                 }
-                // Queried earlier if its token or one of its throws appears.
-                QueryEnd::Without(_) => LONGEST_PAUSE,
+                // Queried earlier if its token or one of its throws appears. The next turn begins at the cursor of the
+                // database, as the machine may be retired or the missing throws be stored by then.
+                QueryEnd::Without(_) => {
+                    next.after = None;
+                    LONGEST_PAUSE
+                }
                 QueryEnd::Broken => {
                     failures = (failed + 1).min(16);
                     (PAUSE * 2_u32.saturating_pow(failed)).min(LONGEST_PAUSE)

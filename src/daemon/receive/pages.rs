@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use tokio::time::Instant;
+use tokio::{sync::SemaphorePermit, time::Instant};
 
 use super::{Intake, Origin};
 use crate::{
@@ -54,7 +54,7 @@ pub(super) struct NextPage {
     /// Largest number of throws.
     size: usize,
     /// The position after the last stored page; `None` to begin at the cursor of the database.
-    after: Option<Cursor>,
+    pub(super) after: Option<Cursor>,
     /// Whether throws of the machine were missing when its logger was queried from the cursor of the database.
     awaits: bool,
     /// Number of pages without a new throw, since the last page with one.
@@ -68,13 +68,15 @@ impl Default for NextPage {
 }
 
 /// The reply of a logger to the query for a page.
-struct ThrowPage {
+struct ThrowPage<'a> {
     /// The usable throws, oldest first.
     throws: Vec<Throw>,
     /// Whether the query ended without an error.
     is_complete: bool,
     /// Whether the logger sent no message at all.
     is_empty: bool,
+    /// Held until a page of one large throw is stored: see [`Intake::large`].
+    large: Option<SemaphorePermit<'a>>,
 }
 
 impl Intake {
@@ -101,7 +103,7 @@ impl Intake {
         let (mut least, start) = (1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, next.size).max(least);
-            let ThrowPage { throws, is_complete, is_empty } = self.page(machine, &cursor, limit).await?;
+            let ThrowPage { throws, is_complete, is_empty, large: _large } = self.page(machine, &cursor, limit).await?;
             let Some((new, after)) = self.store_page(machine, cursor.after.as_ref(), &throws).await? else {
                 // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
                 // because of their size.
@@ -129,7 +131,7 @@ impl Intake {
                 return Ok(QueryEnd::Broken);
             }
             if next.repeated >= REPEATED_PAGES && !is_later {
-                return Ok(QueryEnd::Without(cursor));
+                return Ok(if next.awaits { QueryEnd::Without(cursor) } else { QueryEnd::Complete });
             }
             next.size = (next.size * 2).min(LARGEST_PAGE);
             if start.elapsed() >= LONG_TURN {
@@ -174,11 +176,16 @@ impl Intake {
     }
 
     /// Queries a page of throws after the cursor, and quarantines its invalid messages.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Result<ThrowPage, StoreError> {
+    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Result<ThrowPage<'_>, StoreError> {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let Shared { session, config, .. } = &*self.shared;
         let key = wire::machine_key(machine, Kind::Throw);
-        let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes).await;
+        let ask = |may_be_large| bus::page(session, &key, &query, config.subscribe.max_payload_bytes, may_be_large);
+        let (mut answer, mut large) = (ask(false).await, None);
+        if answer.is_too_large {
+            large = self.large.acquire().await.ok();
+            answer = ask(true).await;
+        }
         if let Some(error) = &answer.error {
             seldom!(warn, %machine, ?error, "the query for the backlog of a logger failed; asking again later");
         }
@@ -194,7 +201,7 @@ impl Intake {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        Ok(ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0 })
+        Ok(ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0, large })
     }
 }
 
