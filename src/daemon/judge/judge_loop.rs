@@ -429,6 +429,8 @@ impl JudgeLoop {
             .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
         let uncommitted: Vec<Alarm> = uncommitted.collect();
         let has_uncommitted = !uncommitted.is_empty();
+        // The write before this one may have waited for as long as the one below.
+        self.shared.status.heartbeats.beat(TaskName::Identify);
         self.shared.status.set_uncommitted(uncommitted);
         if has_uncommitted {
             self.shared.webhook.notify_one();

@@ -295,6 +295,8 @@ impl ReceiveLoop {
             let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
             self.undecoded = count as u64;
             self.unstored = self.intake.read_live(std::mem::take(&mut batch)).await;
+            // Each of the two writes may wait for as long as another program locks the database.
+            self.shared.status.heartbeats.beat(TaskName::Receive);
             self.undecoded = 0;
             self.spool().await;
             self.shared.missing.notify_one();
