@@ -2,7 +2,6 @@
 
 use std::{sync::Arc, time::Duration};
 
-use jiff::Timestamp;
 use sd_notify::NotifyState;
 use tokio::{
     sync::{broadcast, mpsc, watch},
@@ -277,14 +276,6 @@ impl Starting {
             machines.into_iter().partition(|machine| subscribe.serves(machine));
         status.edit().not_served = left_out.iter().take(NAMED).map(ToString::to_string).collect();
         status.edit().key = subscribe.key.clone().into();
-        for (key, reason, at_us) in store.reader().last_refused().await? {
-            if let Some((machine, _)) = wire::parse_key(&key).ok().filter(|(machine, _)| subscribe.serves(machine)) {
-                let age = Timestamp::from_microsecond(at_us).map(|at| clock::now().duration_since(at));
-                let age = Duration::try_from(age.unwrap_or_default()).unwrap_or_default();
-                let now = clock::monotonic();
-                status.count_invalid(machine, false, &reason, now.checked_sub(age).unwrap_or(now));
-            }
-        }
         let shared = || Arc::clone(&self.shared);
         let intake = Arc::new(Intake::new(shared(), machines));
         let backlog = Backlog::new(shared(), Arc::clone(&intake), dropped);

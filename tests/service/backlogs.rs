@@ -196,6 +196,26 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     daemon.until_status("the machine after its removal", is_named).await;
 }
 
+/// A name that was tried once, long ago.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_refused_machine_is_no_problem_an_hour_after_its_last_message() {
+    let rig = Rig::new();
+    rig.start().terminate();
+    for (machine, hours) in [("old", 2), ("new", 0), ("new", 0), ("other", 0)] {
+        rig.change(format!(
+            "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start)
+             VALUES ((unixepoch() - {hours} * 3600) * 1000000, 'points/v1/north/{machine}/throw', 'no throw', 1, x'00')"
+        ))
+        .await;
+    }
+    let daemon = rig.start();
+    daemon.until_status("a machine", |status| status["refused"] != serde_json::json!([])).await;
+    assert_eq!(daemon.status()["refused"], serde_json::json!(["north/new (no throw)", "north/other (no throw)"]));
+    rig.change("UPDATE quarantine SET received_at_us = received_at_us - 3600 * 1000000").await;
+    daemon.until_status("no machine", |status| status["refused"] == serde_json::json!([])).await;
+    daemon.says(0, &["status"]);
+}
+
 /// Its throws would go to quarantine, page by page, in each round.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_logger_of_a_refused_machine_is_not_queried() {

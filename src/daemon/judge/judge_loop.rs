@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use tokio::{
     sync::{broadcast, mpsc},
     time,
@@ -34,11 +34,12 @@ const CHANGES: usize = 64;
 /// Largest number of gaps in one query, so that it takes some tens of milliseconds. The monitor adds up the gaps of
 /// several reports.
 const GAPS: u32 = 500;
-/// Time for which the status lists an unknown machine after its last quarantined message. A machine whose logger has a
-/// token stays in the list.
-const REFUSED_FOR: Duration = Duration::from_hours(1);
-/// Time after the start in which all machines stay in this list, as the tokens of their loggers come only then.
-const REFUSED_AT_START: Duration = Duration::from_mins(1);
+/// Time for which the status lists a machine without a valid throw after its last quarantined message. A machine whose
+/// logger has a token stays in the list, as far as the quarantine has its messages.
+const REFUSED_FOR: SignedDuration = SignedDuration::from_hours(1);
+/// Longest time between two reads of the quarantine for this list. It is also read at a tick after a new message, and
+/// while the list has a machine.
+const REFUSED_EVERY: Duration = Duration::from_mins(1);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. Usually the store can write again
@@ -84,6 +85,8 @@ pub(crate) struct JudgeLoop {
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
     away: Option<Away>,
+    /// Number of quarantined messages, and time, when the quarantine was last read for the list of refused machines.
+    refused_read: Option<(u64, Instant)>,
     /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
@@ -98,6 +101,7 @@ impl JudgeLoop {
             judge,
             links,
             away: None,
+            refused_read: None,
             daemon_alarms: VecDeque::new(),
             budget: Budget::new(clock::monotonic()),
         }
@@ -286,6 +290,7 @@ impl JudgeLoop {
         self.report_gaps().await?;
         self.report_invalid_messages().await?;
         self.update_peer_alarm().await?;
+        self.update_refused().await;
         self.update_report();
         Ok(())
     }
@@ -302,13 +307,12 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Reports consecutive invalid messages to the monitors of their machines. Those of a machine without a monitor, as
-    /// after `retire`, count as those of an unknown machine, which the status lists.
+    /// Reports consecutive invalid messages to the monitors of their machines. A machine without a monitor, as after
+    /// `retire`, is in the list of refused machines.
     async fn report_invalid_messages(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         for (machine, (count, reason)) in self.shared.status.invalid_in_a_row() {
             if !is_judged(&self.judge, &config, &machine) {
-                self.shared.status.count_invalid(machine, false, &reason, clock::monotonic());
                 continue;
             }
             let invalid = Irregularity::Invalid { count, reason: &reason };
@@ -379,6 +383,32 @@ impl JudgeLoop {
         Ok(())
     }
 
+    /// Lists the machines of which every message is in quarantine, those with the most messages first. A logger need not
+    /// have a token. Without one its machine is listed for some time only, as any sender can invent machines.
+    async fn update_refused(&mut self) {
+        let Shared { config, status, loggers, .. } = &*self.shared;
+        let quarantined = status.edit().quarantined;
+        let is_same = |(count, at): (u64, Instant)| count == quarantined && at.elapsed() < REFUSED_EVERY;
+        if self.refused_read.is_some_and(is_same) && status.edit().refused.is_empty() {
+            return;
+        }
+        let rows = match self.judge.store.reader().last_refused().await {
+            Ok(rows) => rows,
+            Err(error) => return seldom!(warn, %error, "reading the quarantine failed; retrying"),
+        };
+        self.refused_read = Some((quarantined, clock::monotonic()));
+        let earliest_us = (clock::now() - REFUSED_FOR).as_microsecond();
+        let loggers = loggers.borrow();
+        let refused = rows.into_iter().filter_map(|(key, reason, at_us)| {
+            let (machine, _) = wire::parse_key(&key).ok()?;
+            let is_listed = is_served(config, &machine)
+                && !is_judged(&self.judge, config, &machine)
+                && (at_us > earliest_us || loggers.alive.contains(&machine));
+            is_listed.then(|| format!("{machine} ({reason})"))
+        });
+        status.edit().refused = refused.take(NAMED).collect();
+    }
+
     fn update_report(&mut self) {
         let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
         let loggers = self.shared.loggers.borrow().alive.clone();
@@ -386,15 +416,7 @@ impl JudgeLoop {
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
-        // A logger need not have a token. Without one its machine is removed some time after the last message, as any
-        // sender can invent machines. Just after a start the tokens are not known yet.
-        let is_new = self.shared.status.heartbeats.uptime() < REFUSED_AT_START;
-        let refused = self.shared.status.refused(|machine, last| {
-            !is_judged(&self.judge, &self.shared.config, machine)
-                && (is_new || loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
-        });
         let mut status = self.shared.status.edit();
-        status.refused = refused;
         status.loggers_ahead = self.judge.monitors.clocks.ahead();
         status.loggers_behind = self.judge.monitors.clocks.behind();
         (status.fleet_counts, status.without_throw) = (fleet_counts, without_throw);
@@ -403,6 +425,8 @@ impl JudgeLoop {
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
     /// published before it is committed, and again afterwards.
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
+        // The write before this one may have waited for as long as the one below.
+        self.shared.status.heartbeats.beat(TaskName::Identify);
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.shared.status.trouble(config.subscribe.max_machines));
         let text = trouble.as_ref().map(|(severity, text)| (*severity, text.as_str()));
@@ -429,8 +453,6 @@ impl JudgeLoop {
             .flat_map(|Outcome { machine, events, .. }| events.iter().map(move |event| Alarm::new(machine, event)));
         let uncommitted: Vec<Alarm> = uncommitted.collect();
         let has_uncommitted = !uncommitted.is_empty();
-        // The write before this one may have waited for as long as the one below.
-        self.shared.status.heartbeats.beat(TaskName::Identify);
         self.shared.status.set_uncommitted(uncommitted);
         if has_uncommitted {
             self.shared.webhook.notify_one();
@@ -466,6 +488,8 @@ impl JudgeLoop {
             Err(wait) => Err(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
             Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
         };
+        let done = applied.is_ok();
+        let (Ok(text) | Err(text)) = applied;
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
         // Fails if the operator stopped waiting.
         let _ = reply.send(answer);
@@ -494,8 +518,6 @@ impl JudgeLoop {
             return Ok(Err(text));
         }
         let applied = self.judge.monitors.apply_command(machine, command, now, &config.diagnosis);
-        let done = applied.is_ok();
-        let (Ok(text) | Err(text)) = applied;
         let (outcome, confirmation) = match applied {
             Ok(applied) => applied,
             Err(reason) => return Ok(Err(reason)),

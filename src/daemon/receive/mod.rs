@@ -119,9 +119,8 @@ impl Intake {
     async fn read_live(&self, messages: Vec<Message>) -> Vec<ReceivedThrow> {
         let (throws, refused) = self.read(messages, Origin::Live).await;
         for refused in &refused {
-            if let Ok((machine, _)) = wire::parse_key(&refused.key) {
-                let is_known = self.knows(&machine);
-                self.shared.status.count_invalid(machine, is_known, &refused.reason, clock::monotonic());
+            if let Some((machine, _)) = wire::parse_key(&refused.key).ok().filter(|(machine, _)| self.knows(machine)) {
+                self.shared.status.count_invalid(machine, &refused.reason);
             }
         }
         let messages = refused.len() as u64;
@@ -295,9 +294,9 @@ impl ReceiveLoop {
             let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
             self.undecoded = count as u64;
             self.unstored = self.intake.read_live(std::mem::take(&mut batch)).await;
+            self.undecoded = 0;
             // Each of the two writes may wait for as long as another program locks the database.
             self.shared.status.heartbeats.beat(TaskName::Receive);
-            self.undecoded = 0;
             self.spool().await;
             self.shared.missing.notify_one();
             self.shared.status.heartbeats.beat(TaskName::Receive);

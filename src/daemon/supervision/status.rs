@@ -1,10 +1,8 @@
 //! The status of the daemon: counters and states, as JSON and as a line of text.
 
 use std::{
-    cmp::Reverse,
     collections::{BTreeMap, HashMap},
     sync::{Arc, atomic::Ordering::Relaxed},
-    time::Instant,
 };
 
 use parking_lot::{Mutex, MutexGuard};
@@ -21,8 +19,6 @@ use crate::{
 
 /// Number of consecutive invalid messages of a machine that raises an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
-/// Largest number of unknown machines whose invalid messages are counted; the statement `LAST_REFUSED` has it too.
-const UNKNOWN: usize = 64;
 /// Largest number of machines in each list of the status: loggers without a throw, machines without a valid message,
 /// machines outside `subscribe.key`.
 pub(crate) const NAMED: usize = 20;
@@ -37,7 +33,8 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
-    invalid: Mutex<InvalidByMachine>,
+    /// Of machines with a throw.
+    invalid: Mutex<HashMap<MachineId, InvalidMessages>>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
     /// Messages dropped from the queue, at the last call of [`Status::store_losses`].
@@ -50,19 +47,11 @@ pub(crate) struct Status {
     pub(crate) alarm_events_lost: RecentCount,
 }
 
-/// Invalid messages of known machines, and of at most [`UNKNOWN`] others.
-#[derive(Debug, Default)]
-struct InvalidByMachine {
-    known: HashMap<MachineId, InvalidMessages>,
-    unknown: HashMap<MachineId, InvalidMessages>,
-}
-
 /// Invalid messages of a machine since its last valid throw.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct InvalidMessages {
     count: u32,
     last_reason: String,
-    last_at: Instant,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -182,49 +171,26 @@ impl Status {
         *self.rejected.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
-    /// Counts a message of a machine that is no valid throw. Only [`UNKNOWN`] unknown machines are counted, as any sender
-    /// can invent names: another one takes the place of the machine whose last message is the oldest.
-    pub(crate) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str, now: Instant) {
-        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
-        let invalid = if is_known { known } else { unknown };
-        if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {
-            let oldest =
-                invalid.iter().min_by_key(|(_, messages)| messages.last_at).map(|(machine, _)| machine.clone());
-            if let Some(oldest) = oldest {
-                invalid.remove(&oldest);
-            }
-        }
-        let new = || InvalidMessages { count: 0, last_reason: String::new(), last_at: now };
-        let messages = invalid.entry(machine).or_insert_with(new);
+    /// Counts a message of a known machine that is no valid throw. Messages of others are in quarantine only, as any
+    /// sender can invent names.
+    pub(crate) fn count_invalid(&self, machine: MachineId, reason: &str) {
+        let mut invalid = self.invalid.lock();
+        let messages = invalid.entry(machine).or_default();
         messages.count = messages.count.saturating_add(1);
-        messages.last_at = now;
         reason.clone_into(&mut messages.last_reason);
     }
 
     /// Resets the count of invalid messages of a machine, after a valid throw.
     pub(crate) fn count_valid(&self, machine: &MachineId) {
-        let InvalidByMachine { known, unknown } = &mut *self.invalid.lock();
-        known.remove(machine);
-        unknown.remove(machine);
+        self.invalid.lock().remove(machine);
     }
 
-    /// Takes the known machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
+    /// Takes the machines with at least [`INVALID_IN_A_ROW`] invalid messages since their last valid throw or since
     /// they were taken last, with the number of messages and the last reason.
     pub(crate) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
         let mut invalid = self.invalid.lock();
-        let taken = invalid.known.extract_if(|_, messages| messages.count >= INVALID_IN_A_ROW);
+        let taken = invalid.extract_if(|_, messages| messages.count >= INVALID_IN_A_ROW);
         taken.map(|(machine, messages)| (machine, (messages.count, messages.last_reason))).collect()
-    }
-
-    /// The unknown machines, with the reason of their last message; at most [`NAMED`], those with the most messages
-    /// first. Removes the machines that are not kept, by the time of their last message.
-    pub(crate) fn refused(&self, is_kept: impl Fn(&MachineId, Instant) -> bool) -> Vec<String> {
-        let mut invalid = self.invalid.lock();
-        invalid.unknown.retain(|machine, messages| is_kept(machine, messages.last_at));
-        let mut refused: Vec<_> = invalid.unknown.iter().collect();
-        refused.sort_unstable_by_key(|(machine, messages)| (Reverse(messages.count), *machine));
-        let named = refused.into_iter().take(NAMED);
-        named.map(|(machine, messages)| format!("{machine} ({})", messages.last_reason)).collect()
     }
 
     /// Sentences about refused machines, and about lost alarm events and messages, for the alarm about the daemon itself.
@@ -401,37 +367,5 @@ impl StatusReport {
             self.quarantined
         ));
         parts
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use super::*;
-
-    #[test]
-    fn a_misconfigured_logger_is_found_after_many_senders_of_a_few_invalid_messages() {
-        let (status, mut now) = (Status::default(), crate::daemon::clock::monotonic());
-        let mut send = |name: String, is_known| {
-            now += Duration::from_secs(1);
-            status.count_invalid(MachineId::new("north", &name).unwrap(), is_known, "no throw", now);
-        };
-        for number in 0..2 * UNKNOWN {
-            send(format!("unknown-{number}"), false);
-            send(format!("known-{number}"), true);
-        }
-        for _ in 0..INVALID_IN_A_ROW {
-            send("new".to_owned(), false);
-        }
-        let found = status.refused(|_, _| true);
-        assert!(found.len() == NAMED && found[0] == "north/new (no throw)", "{found:?}");
-        assert_eq!(status.invalid_in_a_row(), []);
-        let invalid = status.invalid.lock();
-        assert_eq!((invalid.known.len(), invalid.unknown.len()), (2 * UNKNOWN, UNKNOWN));
-        drop(invalid);
-        let recent = now.checked_sub(Duration::from_secs(4)).unwrap();
-        let found = status.refused(|_, last_at| last_at >= recent);
-        assert_eq!(found, ["north/new (no throw)"]);
     }
 }

@@ -110,7 +110,8 @@ impl Reader {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(after).bind(limit)).await
     }
 
-    /// Key, reason and time \[µs\] of the last message in quarantine of each machine without a throw, the newest first.
+    /// The keys of the newest messages in quarantine, those with the most messages first, each with reason and time \[µs\]
+    /// of its last message.
     pub(crate) async fn last_refused(&self) -> Result<Vec<(String, String, i64)>, StoreError> {
         self.rows(sqlx::query_as(sql::LAST_REFUSED)).await
     }
