@@ -6,7 +6,7 @@ use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-use super::{config::Config, receive::presence::Loggers, supervision::status::Status};
+use super::{config::Config, receive::presence::Tokens, supervision::status::Status};
 use crate::{bus, store::Store};
 
 /// Stop signals of the loops. They are cancelled one after the other, so that each loop can finish the work that the
@@ -32,7 +32,7 @@ pub(crate) struct Shared {
     pub(crate) is_client: bool,
     pub(crate) store: Store,
     pub(crate) status: Arc<Status>,
-    pub(crate) loggers: watch::Receiver<Loggers>,
+    pub(crate) loggers: watch::Receiver<Tokens>,
     pub(crate) stops: Stops,
     /// Notified when a throw is stored.
     pub(crate) stored: Notify,
@@ -45,7 +45,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(config: Arc<Config>, session: Session, store: Store, loggers: watch::Receiver<Loggers>) -> Self {
+    pub(super) fn new(config: Arc<Config>, session: Session, store: Store, loggers: watch::Receiver<Tokens>) -> Self {
         Self {
             is_client: bus::is_client(&config.zenoh),
             config,

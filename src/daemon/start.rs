@@ -1,6 +1,6 @@
 //! The running daemon: its start, and its interface for other parts of the process.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use sd_notify::NotifyState;
 use tokio::{
@@ -23,7 +23,7 @@ use super::{
     receive::{
         Intake, ReceiveLoop,
         backlog::Backlog,
-        presence::{self, Loggers},
+        presence::{self, Tokens},
     },
     retention,
     shared::Shared,
@@ -122,7 +122,7 @@ impl Daemon {
         lock: DatabaseLock,
     ) -> Result<Self, StartError> {
         let (config, current) = watch::channel(Arc::new(config));
-        let (connections, loggers) = watch::channel(Loggers::default());
+        let (connections, loggers) = watch::channel(Tokens::default());
         let shared = Arc::new(Shared::new(Arc::clone(&current.borrow()), session, opened.store, loggers));
         let Shared { session, store, status, config: at_start, .. } = &*shared;
         let mut start = Starting { shared: Arc::clone(&shared), tasks: Tasks::default() };
@@ -141,7 +141,11 @@ impl Daemon {
         start.start_judge(outlet.clone(), current, watchers.clone(), commands).await?;
         start.start_receiver().await?;
 
-        presence::watch(session, &start.scope(Kind::Alive), Arc::clone(status), connections).await?;
+        let name_of =
+            |key: &str| wire::parse_key(key).ok().filter(|(_, kind)| *kind == Kind::Alive).map(|(name, _)| name);
+        let counting = Arc::clone(status);
+        let on_count = move |count| counting.edit().loggers = count;
+        presence::watch(session, &start.scope(Kind::Alive), "logger", name_of, on_count, connections).await?;
         start.start_answers(&sender).await?;
         let last_received = store.reader().last_received().await?;
         start.tasks.spawn("retention", retention::run(store.clone(), last_received));
@@ -254,10 +258,7 @@ impl Starting {
         commands: mpsc::Receiver<PendingCommand>,
     ) -> Result<(), StartError> {
         let shared = Arc::clone(&self.shared);
-        let peers = Arc::new(Peers::new(shared.config.monitor.watched()));
-        if !shared.config.monitor.peers.is_empty() {
-            Arc::clone(&peers).follow(&shared.session).await?;
-        }
+        let peers = Peers::watch(&shared.session, shared.config.monitor.watched().collect()).await?;
         let judge = Judge::restore(shared.store.clone(), config).await?;
         let links = Links { outlet, watchers, commands, peers };
         self.tasks.spawn(JUDGE, JudgeLoop::new(shared, judge, links).run());

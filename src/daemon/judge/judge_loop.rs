@@ -74,7 +74,7 @@ pub(crate) struct Links {
     pub(crate) outlet: Outlet,
     pub(crate) watchers: broadcast::Sender<Arc<[Judgement]>>,
     pub(crate) commands: mpsc::Receiver<PendingCommand>,
-    pub(crate) peers: Arc<Peers>,
+    pub(crate) peers: Peers,
 }
 
 pub(crate) struct JudgeLoop {
@@ -84,7 +84,7 @@ pub(crate) struct JudgeLoop {
     /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
-    away: Option<Away>,
+    away: Option<(Vec<MachineId>, bool)>,
     /// Number of quarantined messages, and time, when the quarantine was last read for the list of refused machines.
     refused_read: Option<(u64, Instant)>,
     /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
@@ -326,13 +326,17 @@ impl JudgeLoop {
 
     /// Updates the alarm about watched daemons that are not reachable, if they changed.
     async fn update_peer_alarm(&mut self) -> Result<(), StoreError> {
-        let away = self.links.peers.away();
-        let away = away.map(|daemons| Away { daemons, has_link: self.shared.status.edit().connected });
-        let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) else { return Ok(()) };
+        let Some(daemons) = self.links.peers.away() else { return Ok(()) };
+        let away = Away { daemons, has_link: self.shared.status.edit().connected };
+        // Without the times, which are computed anew and differ by microseconds.
+        let names = (away.daemons.iter().map(|(name, _)| name.clone()).collect(), away.has_link);
+        if self.away.as_ref() == Some(&names) {
+            return Ok(());
+        }
         let (config, now) = (self.judge.config(), clock::now());
         let update = |monitor: &mut MachineMonitor| monitor.peers(&away, now, &config.diagnosis);
         let outcome = self.judge.monitors.update(&self.own_machine, now, update);
-        self.away = Some(away);
+        self.away = Some(names);
         if let Some(outcome) = outcome {
             self.record(outcome).await?;
         }

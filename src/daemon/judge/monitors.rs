@@ -14,7 +14,7 @@ use super::{
     logger_clocks::{LoggerClocks, OwnClock},
 };
 use crate::{
-    daemon::{receive::presence::Loggers, supervision::status::FleetCounts},
+    daemon::{receive::presence::Tokens, supervision::status::FleetCounts},
     diagnose::{
         AlarmEvent, AlarmState, Command, Common, Irregularity, MachineMonitor, Missing, Parameters, Settings, Verdict,
     },
@@ -262,7 +262,7 @@ impl Monitors {
         &mut self,
         now: Timestamp,
         settings: &Settings,
-        loggers: &Loggers,
+        loggers: &Tokens,
         is_served: impl Fn(&MachineId) -> bool,
     ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
@@ -468,7 +468,7 @@ mod tests {
         let ended = |changed: Vec<(MachineId, Vec<AlarmEvent>)>| {
             changed.into_iter().filter(|(_, events)| !events.is_empty()).map(|(machine, _)| machine).collect::<Vec<_>>()
         };
-        assert_eq!(ended(monitors.tick(now, &settings, &Loggers::default(), |_| true)), []);
+        assert_eq!(ended(monitors.tick(now, &settings, &Tokens::default(), |_| true)), []);
         let without = monitors.without_logger(&own);
         assert!(matches!(&without[..], [only] if *only == former), "{without:?}");
         let adopted = monitors.adopt(Vec::new(), &without, &own, now, &settings);
@@ -483,7 +483,7 @@ mod tests {
     #[test]
     fn a_logger_that_goes_on_without_its_token_is_not_announced_again() {
         let (machine, settings) = (MachineId::new("north", "21B").unwrap(), Settings::default());
-        let (mut monitors, mut loggers, mut now) = (Monitors::default(), Loggers::default(), Timestamp::UNIX_EPOCH);
+        let (mut monitors, mut loggers, mut now) = (Monitors::default(), Tokens::default(), Timestamp::UNIX_EPOCH);
         loggers.gone.insert(machine.clone(), clock::monotonic());
         let is_announced = |monitors: &Monitors| monitors.of_machines[&machine].is_announced();
         monitors.judge(&still_throw(&machine, 1), None, context(&settings));

@@ -1,18 +1,20 @@
 //! Presence of the other daemons that this daemon watches: nobody monitors the machines of a daemon that is away.
 
 use std::{
-    collections::BTreeMap,
-    sync::Arc,
+    collections::BTreeSet,
     time::{Duration, Instant},
 };
 
 use jiff::Timestamp;
-use parking_lot::Mutex;
+use tokio::sync::watch;
 use zenoh::Session;
 
 use crate::{
-    bus::{self, BusError},
-    daemon::clock,
+    bus::BusError,
+    daemon::{
+        clock,
+        receive::presence::{self, Tokens},
+    },
     throw::MachineId,
     wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
 };
@@ -24,60 +26,34 @@ const GRACE: Duration = Duration::from_secs(30);
 #[derive(Debug)]
 pub(crate) struct Peers {
     started: Instant,
-    /// Absence of each watched daemon; `None` while it is connected.
-    away: Mutex<BTreeMap<MachineId, Option<Absence>>>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Absence {
-    since: Instant,
-    /// Time by the clock of the computer; `None` if the daemon was away at the start.
-    at: Option<Timestamp>,
+    watched: BTreeSet<MachineId>,
+    tokens: watch::Receiver<Tokens>,
 }
 
 impl Peers {
-    /// Watches these daemons. Each counts as away until its token arrives.
-    pub(crate) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
-        let started = clock::monotonic();
-        let away = Absence { since: started, at: None };
-        let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();
-        Self { started, away: Mutex::new(peers) }
-    }
-
-    /// Follows the tokens of all daemons while the session is open.
-    pub(crate) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
-        let on_change = move |key: &str, is_alive: bool| {
-            if let Some(daemon) = parse_monitor_key(key) {
-                self.change(&daemon, is_alive);
-            }
-        };
-        bus::watch_tokens(session, EVERY_MONITOR_ALIVE, on_change).await
-    }
-
-    fn change(&self, daemon: &MachineId, is_alive: bool) {
-        let mut peers = self.away.lock();
-        match peers.get_mut(daemon) {
-            Some(away) if is_alive => {
-                tracing::info!(%daemon, "watched daemon connected");
-                *away = None;
-            }
-            Some(away @ None) => {
-                tracing::warn!(%daemon, "watched daemon disconnected");
-                *away = Some(Absence { since: clock::monotonic(), at: Some(clock::now()) });
-            }
-            _ => {}
+    /// Watches these daemons while the session is open. Each counts as away until its token arrives.
+    pub(crate) async fn watch(session: &Session, watched: BTreeSet<MachineId>) -> Result<Self, BusError> {
+        let (sender, tokens) = watch::channel(Tokens::default());
+        if !watched.is_empty() {
+            let names = watched.clone();
+            let name_of = move |key: &str| parse_monitor_key(key).filter(|daemon| names.contains(daemon));
+            presence::watch(session, EVERY_MONITOR_ALIVE, "watched daemon", name_of, drop, sender).await?;
         }
+        Ok(Self { started: clock::monotonic(), watched, tokens })
     }
 
     /// The daemons that have been away for at least [`GRACE`], each with the time when its token disappeared; that time
     /// is `None` for a daemon that was never present. The result is `None` for [`GRACE`] after the start, unless all
     /// daemons are present: their tokens may still arrive.
     pub(crate) fn away(&self) -> Option<Vec<(MachineId, Option<Timestamp>)>> {
-        let peers = self.away.lock();
-        let now = clock::monotonic();
-        let is_known = now.duration_since(self.started) >= GRACE || peers.values().all(Option::is_none);
-        let away = peers.iter().filter_map(|(peer, away)| Some((peer, (*away)?)));
-        let long = away.filter(|(_, away)| now.duration_since(away.since) >= GRACE);
-        is_known.then(|| long.map(|(peer, away)| (peer.clone(), away.at)).collect())
+        let (now, at, tokens) = (clock::monotonic(), clock::now(), self.tokens.borrow());
+        let absent = self.watched.iter().filter(|daemon| !tokens.alive.contains(*daemon));
+        let is_known = now.duration_since(self.started) >= GRACE || absent.clone().next().is_none();
+        let long = absent.filter_map(|daemon| {
+            let gone = tokens.gone.get(daemon);
+            let absence = now.duration_since(*gone.unwrap_or(&self.started));
+            (absence >= GRACE).then(|| (daemon.clone(), gone.and_then(|_| at.checked_sub(absence).ok())))
+        });
+        is_known.then(|| long.collect())
     }
 }
