@@ -289,7 +289,7 @@ async fn the_pages_show_throws_in_the_order_of_their_machine() {
     let (_, fleet) = statements::all().find(|(name, _)| *name == "FLEET").unwrap();
     let none = None::<&str>;
     let query = sqlx::query(fleet).bind(none).bind(none).bind(none).bind("fleet").bind("pointsd").bind(none);
-    let row = query.bind(false).bind(9).bind(0).bind(9).bind("").fetch_one(&mut connection).await.unwrap();
+    let row = query.bind(9).bind(0).bind(9).bind("").fetch_one(&mut connection).await.unwrap();
     assert_eq!(row.get::<i64, _>("started_at_us"), throw("b1", 6).started_at.as_microsecond());
     assert_eq!(row.get::<&str, _>("spark"), "[[6.0,0.0,0.0],[4.0,0.0,0.0],[2.0,0.0,0.0]]");
     let (_, newest) = statements::all().find(|(name, _)| *name == "MACHINE_NEWEST").unwrap();
