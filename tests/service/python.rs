@@ -122,7 +122,7 @@ async fn the_readme_decodes_the_traces_in_the_database() {
     json.encoding(zenoh::bytes::Encoding::APPLICATION_JSON).await.unwrap();
     rig.judged(2).await;
     let codecs = rig.sql("SELECT current_codec AS codec FROM trace ORDER BY throw_row");
-    assert_eq!(codecs.iter().map(|row| row["codec"].as_str().unwrap()).collect::<Vec<_>>(), ["pco-f32", "pco-f64"]);
+    assert_eq!(codecs.iter().map(|row| row["codec"].as_str().unwrap()).collect::<Vec<_>>(), ["packed-f32", "pco-f64"]);
     let output = readme("Throws and traces in other tools", "", &rig).wait_with_output().unwrap();
     let printed = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{printed}");
