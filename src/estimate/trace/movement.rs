@@ -225,9 +225,9 @@ impl<'a> Movement<'a> {
     /// of the motor's time. The inrush does not count, as a motor that a spring helps then takes a tenth of its mean.
     pub(crate) fn ends_driven(&self) -> bool {
         let Some(off) = self.motor_off else { return false };
-        let size = |part: &[f64]| (mean(part) - self.current.mean).abs();
+        let last = &self.current_a[self.current_a.len().saturating_sub(MIN_QUIET / 2)..];
         let before = &self.current_a[self.tenth_before(off)..=off];
-        size(&self.current_a[self.current_a.len().saturating_sub(MIN_QUIET / 2)..]) > 0.5 * size(before)
+        mean_distance(last, self.current.mean) > 0.5 * mean_distance(before, self.current.mean)
     }
 
     /// The beginning of the last tenth of the time from the start to `off`, at least one sample before it.
