@@ -336,7 +336,8 @@ fn identify_current(
             damage::spikes(movement, Channel::Current, filtered)?;
             completeness::motor_start(movement).map_err(|reason| no_position(reason.to_string()))?;
             if movement.ends_driven() {
-                features = std::mem::take(&mut features).without_times();
+                let driven = features.duration_s.zip(features.charge_as).map(Into::into);
+                features = Features { driven, ..std::mem::take(&mut features).without_times() };
                 return Err(no_position(current_only::NOT_ENDED.to_owned()));
             }
             current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)

@@ -375,6 +375,28 @@ fn a_motor_that_runs_unusually_long_or_short_raises_an_alarm_at_once() {
     }
 }
 
+/// A recording that ends before the motor shows a least running time only.
+#[test]
+fn a_recording_that_ends_before_the_motor_shows_a_stall_and_no_early_stop() {
+    let scatter = Scatter { sd: [0.008, 0.025, 0.025], phi: 0.5, tail: None };
+    for (part, expected) in [(2.0, vec![Cause::IncompleteThrow]), (0.9, vec![]), (0.3, vec![])] {
+        let mut rng = ChaCha8Rng::seed_from_u64(59_900);
+        let mut next = healthy_features(scatter, &mut rng);
+        let mut monitor = MachineMonitor::new("21B");
+        let mut events = Vec::new();
+        for throw in 0..80 {
+            let mut observation = next();
+            if throw % 8 == 7 && throw > 60 {
+                let features = &mut observation.features;
+                let whole = features.duration_s.take().zip(features.charge_as.take());
+                features.driven = whole.map(|(duration_s, charge_as)| [part * duration_s, part * charge_as]);
+            }
+            events.extend(monitor.observe(&observation, &Settings::default()).events);
+        }
+        assert_eq!(causes(&events), expected, "{part}: {events:?}");
+    }
+}
+
 /// With a toe sensor, the throws of a three-phase motor show whether the points closed, and the loss of the sensor.
 #[test]
 fn a_three_phase_motor_with_a_toe_sensor_has_a_position() {

@@ -152,7 +152,12 @@ impl MachineMonitor {
     fn unusual_run_s(&self, observation: &Observation) -> Option<[f64; 2]> {
         let Observation { direction, ref features, temperature_c, .. } = *observation;
         let direction = direction.filter(|_| !self.has_position && observation.is_without_position())?;
-        self.instruments.gauges.unusual_run_s(direction, features, temperature_c)
+        let Some([at_least_s, charge_as]) = features.driven else {
+            return self.instruments.gauges.unusual_run_s(direction, features, temperature_c);
+        };
+        let least = Features { duration_s: Some(at_least_s), charge_as: Some(charge_as), ..features.clone() };
+        let unusual = self.instruments.gauges.unusual_run_s(direction, &least, temperature_c);
+        unusual.filter(|[at_least_s, usual_s]| at_least_s > usual_s)
     }
 
     /// Whether the logger has exchanged the names of the directions, as the throws without a toe position show.
