@@ -32,10 +32,12 @@ pub struct Features {
     pub run_on_s: Option<f64>,
     /// Integral of the current's magnitude \[A s\]; `None` also if one sample of the inrush is more than a tenth of it.
     pub charge_as: Option<f64>,
-    /// Time \[s\] and charge \[A s\] of the motor up to the end of a recording that ends before the motor: duration and
-    /// charge are larger.
+    /// Time for which the motor ran until the end of a recording that ends before the motor \[s\]: the duration is longer.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub driven: Option<[f64; 2]>,
+    pub driven_s: Option<f64>,
+    /// Charge in this time \[A s\].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub driven_as: Option<f64>,
     /// Energy that the motor takes from the supply \[J\]: charge times supply voltage; needs `supply_v`.
     pub energy_j: Option<f64>,
     /// Mean current at rest \[A\]: the offset of the current sensor.

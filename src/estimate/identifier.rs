@@ -336,8 +336,10 @@ fn identify_current(
             damage::spikes(movement, Channel::Current, filtered)?;
             completeness::motor_start(movement).map_err(|reason| no_position(reason.to_string()))?;
             if movement.ends_driven() {
-                let driven = features.duration_s.zip(features.charge_as).map(Into::into);
-                features = Features { driven, ..std::mem::take(&mut features).without_times() };
+                let Features { duration_s: driven_s, charge_as: driven_as, .. } = features;
+                let (running_current_a, mean_current_a) = (None, None);
+                let known = std::mem::take(&mut features).without_times();
+                features = Features { driven_s, driven_as, running_current_a, mean_current_a, ..known };
                 return Err(no_position(current_only::NOT_ENDED.to_owned()));
             }
             current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)
@@ -455,8 +457,8 @@ pub(super) fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
-/// Largest current at rest, as share of the peak: above offset and noise of a usable sensor, if it differs from the last
-/// current. A trace with a larger first value began during the inrush.
+/// Largest distance of the first current from 0, or from the current at the end of the trace, that counts as rest, as
+/// share of the peak. A trace with a larger first value began during the inrush.
 const REST_SHARE: f64 = 0.05;
 /// Number of samples for the current at the end of a trace.
 const LAST_SAMPLES: usize = 20;
@@ -465,6 +467,7 @@ const LAST_SAMPLES: usize = 20;
 /// current at rest, else 0. A sensor with an offset shows it at the end too.
 fn level_before(current: &[f64], scratch: &mut Vec<f64>) -> f64 {
     let last = median_of(&current[current.len().saturating_sub(LAST_SAMPLES)..], scratch);
-    let is_rest = [0.0, last].iter().any(|rest| (current[0] - rest).abs() < REST_SHARE * peak(current, *rest));
+    let largest = REST_SHARE * peak(current, 0.0);
+    let is_rest = [0.0, last].iter().any(|rest| (current[0] - rest).abs() < largest);
     if is_rest { current[0] } else { 0.0 }
 }

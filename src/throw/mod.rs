@@ -54,6 +54,12 @@ impl Direction {
     pub const fn side(self) -> usize {
         self as usize
     }
+
+    /// The opposite direction.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        Self::BOTH[1 - self.side()]
+    }
 }
 
 /// The text for people: "normal to reverse".

@@ -272,7 +272,7 @@ fn a_new_baseline_ends_drift_alarms_and_makes_the_present_normal() {
 }
 
 #[test]
-fn an_unrecorded_repair_is_proposed_not_acted_on() {
+fn the_end_of_a_drift_names_the_repair_and_changes_no_baseline() {
     let (mut machine, _) = alarmed(8);
     machine.events(40, shift(Cause::Friction, 40.0));
     let events = machine.events(80, Vector3::zeros());

@@ -84,7 +84,8 @@ impl Degenerate {
             resistance_ohm: self.supply_v.map(|_| value(2.0)),
             back_emf_v_s_per_rad: self.supply_v.map(|_| value(0.5)),
             no_load_speed_rad_per_s: Some(value(180.0)),
-            driven: None,
+            driven_s: None,
+            driven_as: None,
         };
         let (from, which, size) = self.step;
         if throw_no >= from {

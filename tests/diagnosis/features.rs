@@ -72,23 +72,33 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
 }
 
 /// A logger that exchanges the names of the directions after a repair. Without a position only the currents and times
-/// of the throws show it.
+/// of the throws show it. Faults and obstructions are still found.
 #[test]
 fn exchanged_names_of_directions_are_no_wear() {
-    for seed in 0..4 {
-        let mut drive = current_only(seed);
-        let exchange =
-            |throw: Throw| Throw { direction: throw.direction.map(|named| Direction::BOTH[1 - named.side()]), ..throw };
+    for (seed, rate_hz) in (0..4).flat_map(|seed| [(seed, 1000.0), (seed, 25.0)]) {
+        let mut drive = Drive::new(55_000 + seed, Voltage::Unknown);
+        (drive.has_toe_sensor, drive.rate_hz) = (false, rate_hz);
+        drive.stay_healthy(100, State::SOUND);
+        let exchange = |throw: Throw| Throw { direction: throw.direction.map(Direction::other), ..throw };
         drive.logger = exchange;
-        let events = drive.events(60, State::SOUND);
+        assert_eq!(drive.events(60, State::SOUND), [], "{seed}, {rate_hz} Hz");
         let is_stated = |drive: &Drive| drive.monitor.caveats().iter().any(|caveat| caveat.contains("exchanged"));
-        assert!(is_stated(&drive), "{:?}", drive.monitor.caveats());
-        assert_eq!(causes(&events), [Cause::NotMonitored], "{events:?}");
-        drive.logger = |throw| throw;
-        assert_eq!(causes(&drive.events(20, State::SOUND)), [Cause::NotMonitored]);
-        assert!(!is_stated(&drive));
+        assert!(is_stated(&drive), "{seed}, {rate_hz} Hz: {:?}", drive.monitor.caveats());
+        let stalled = |throw: &mut Observation| {
+            throw.features.duration_s = throw.features.duration_s.map(|duration_s| 2.5 * duration_s);
+        };
+        assert_eq!(
+            causes(&drive.events_with(1, State::SOUND, stalled)),
+            [Cause::IncompleteThrow],
+            "{seed}, {rate_hz} Hz"
+        );
+        drive.events(20, State::SOUND);
         let events = drive.events(24, State { friction: 1.8, ..State::SOUND });
         assert!(!events.is_empty() && events.iter().all(|event| event.cause == Cause::Unattributed), "{events:?}");
+        drive.events(40, State::SOUND);
+        drive.logger = |throw| throw;
+        drive.stay_healthy(20, State::SOUND);
+        assert!(!is_stated(&drive));
     }
 }
 
@@ -389,7 +399,7 @@ fn a_recording_that_ends_before_the_motor_shows_a_stall_and_no_early_stop() {
             if throw % 8 == 7 && throw > 60 {
                 let features = &mut observation.features;
                 let whole = features.duration_s.take().zip(features.charge_as.take());
-                features.driven = whole.map(|(duration_s, charge_as)| [part * duration_s, part * charge_as]);
+                (features.driven_s, features.driven_as) = whole.map(|all| (part * all.0, part * all.1)).unzip();
             }
             events.extend(monitor.observe(&observation, &Settings::default()).events);
         }

@@ -89,6 +89,7 @@ fn a_toe_that_waits_for_the_unlocking_is_not_a_stuck_sensor() {
 /// The recording may begin at a crest of the hum, whose other half-waves are no start of the motor.
 #[test]
 fn strong_hum_is_no_start_of_the_motor() {
+    let mut accepted = 0;
     for (seed, first) in (0..40).map(|first| (first % 4, first)) {
         let trace = Drive { hum_a: 0.6, ..Drive::default() }.record(seed as u64);
         let peak = trace.current_a().iter().fold(0.0_f64, |most, a| most.max(*a));
@@ -99,7 +100,9 @@ fn strong_hum_is_no_start_of_the_motor() {
         let [friction, stiffness] = estimate.ratios();
         let errors = [friction * TORQUE / FRICTION - 1.0, stiffness * TORQUE / STIFFNESS - 1.0];
         assert!(errors.iter().all(|error| error.abs() < 0.05), "from sample {first}: {errors:?}, {estimate:?}");
+        accepted += 1;
     }
+    assert!(accepted >= 30, "{accepted} of 40");
 }
 
 #[test]

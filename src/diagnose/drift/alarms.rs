@@ -150,13 +150,14 @@ impl DriftAlarms {
             // A part is named only if its change is significant.
             let has_changed =
                 now.cause == Cause::Kt && drift.attribution.as_ref().is_some_and(Attribution::has_changed_motor);
-            let is_of_one = drift.attribution.is_some_and(|found| found.is_of_one());
+            let is_of_one = drift.attribution.as_ref().is_some_and(Attribution::is_of_one);
             let least_sd = if is_of_one { SHOWN_SD } else { SHOWN_BESIDE_SD };
             let is_shown = active.is_some() || has_changed || now.size.abs() > least_sd * now.size_sd;
             evidence.claim = if size > least && is_shown { Claim::Named } else { Claim::Counts };
         }
         let is_open = |cause| alarms.find_active(cause).is_some();
-        let beside = drift.attribution.filter(|_| active.is_none()).and_then(|found| found.beside_open(is_open));
+        let attribution = drift.attribution.as_ref().filter(|_| active.is_none());
+        let beside = attribution.and_then(|found| found.beside_open(is_open));
         if beside.is_some_and(|part| part.size.abs() < SHOWN_BESIDE_SD * part.size_sd) {
             evidence.claim = evidence.claim.min(Claim::Counts);
         }
@@ -196,9 +197,10 @@ impl DriftAlarms {
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
             (Transition::Clear { left }, _) => {
                 let shared = self.shared_changes().find(|(of, _)| *of == cause);
+                let raised_pct = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
-                    None => text::cleared(name, cause, left),
+                    None => text::cleared(name, cause, left, raised_pct.is_some_and(|pct| pct > 0.0)),
                 };
                 step.clear(cause, |_| text);
             }

@@ -171,12 +171,18 @@ impl Attribution {
             let relevance = main.relevance(settings).max(second.relevance(settings));
             return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
-        let (otherwise, parts) = all.best_without(main.cause);
-        let lead = otherwise - best.score;
-        let relevance_otherwise = parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max);
-        let naming = Naming::One(main);
-        let one = Self { naming, relevance: main.relevance(settings), lead, relevance_otherwise, ..attribution };
+        let one = attribution.to_best(&all, settings);
         one.since_known(&all, case).unwrap_or(one)
+    }
+
+    /// The attribution to the best single cause.
+    fn to_best(self, all: &Explanations, settings: &Settings) -> Self {
+        let main = all.freed_best();
+        let (otherwise, parts) = all.best_without(main.cause);
+        let lead = otherwise - all.singles[0].score;
+        let relevance_otherwise = parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max);
+        let (naming, relevance) = (Naming::One(main), main.relevance(settings));
+        Self { naming, rival: None, relevance, lead, relevance_otherwise, ..self }
     }
 
     /// The attribution if the last throws of the two directions do not show opposite changes of its single named cause;
@@ -272,11 +278,10 @@ impl Attribution {
         if let Some(since) = self.since_known(all, case) {
             return since;
         }
-        let main = all.singles[0].parts[0];
-        if is_open(&main) && self.rival == Some(Rival::Alone(main.cause)) {
+        let best = &all.singles[0].parts[0];
+        if is_open(best) && self.rival == Some(Rival::Alone(best.cause)) {
             // A second part is not needed.
-            let (naming, relevance) = (Naming::One(main), main.relevance(settings));
-            return Self { naming, rival: None, relevance, ..self };
+            return self.to_best(all, settings);
         }
         self.beside_something(all, known, settings)
     }
@@ -366,14 +371,16 @@ impl Attribution {
         matches!(self.naming, Naming::One(_))
     }
 
-    /// Of two parts that are named together, the one without an alarm if the other has one.
-    pub(super) fn beside_open(&self, is_open: impl Fn(Cause) -> bool) -> Option<Explanation> {
-        let Naming::Both(a, b) = self.naming else { return None };
-        match [a, b].map(|part| is_open(part.cause)) {
-            [true, false] => Some(b),
-            [false, true] => Some(a),
-            _ => None,
-        }
+    /// Of two parts that are named together, the one without an alarm if the other has one. A motor whose back-EMF has
+    /// changed is left out, as it needs no other evidence.
+    pub(super) fn beside_open(&self, is_open: impl Fn(Cause) -> bool) -> Option<&Explanation> {
+        let Naming::Both(a, b) = &self.naming else { return None };
+        let new = match [a, b].map(|part| is_open(part.cause)) {
+            [true, false] => b,
+            [false, true] => a,
+            _ => return None,
+        };
+        Some(new).filter(|new| new.cause != Cause::Kt || !self.has_changed_motor())
     }
 
     /// The part that is named together with `cause`; of two possible ones, the better.

@@ -132,19 +132,21 @@ impl Gauges {
     /// Whether running time and current of a throw are those of the other direction and not of its own, or those of its
     /// own and not of the other; `None` if they fit both, or neither.
     pub(crate) fn is_of_other(&self, direction: Direction, features: &Features, celsius: Option<f64>) -> Option<bool> {
-        /// Largest departure from a direction that fits, and least one that does not, in standard deviations.
+        /// Largest departure from a direction that fits, in standard deviations: hardly any healthy throw has a larger
+        /// one. A departure of twice as many does not fit.
         const FITS_SD: f32 = 4.0;
         const DIFFERS_SD: f32 = 8.0;
         const GAUGES: [Gauge; 3] = [Gauge::Duration, Gauge::Running, Gauge::Charge];
         let farthest = |direction| {
-            let departures = self.unexplained(GAUGES, direction, features, celsius).into_iter().zip(GAUGES);
-            let in_sd = departures.map(|(departure, gauge)| {
-                let (change, sd) = departure?;
-                Some(change.abs() / sd.hypot(to_f32(gauge.floor())))
-            });
-            in_sd.collect::<Option<Vec<f32>>>().map(|all| all.into_iter().fold(0.0, f32::max))
+            let departures = self.unexplained(GAUGES, direction, features, celsius);
+            let in_sd = |(departure, gauge): (Option<(f32, f32)>, Gauge)| {
+                departure.map(|(change, sd)| change.abs() / sd.hypot(to_f32(gauge.floor())))
+            };
+            let [duration, running, charge] = std::array::from_fn(|at| in_sd((departures[at], GAUGES[at])));
+            // At 25 Hz few machines have a charge.
+            Some(f32::max(duration?, f32::max(running.or(charge)?, charge.or(running)?)))
         };
-        let [own, other] = [farthest(direction)?, farthest(Direction::BOTH[1 - direction.side()])?];
+        let [own, other] = [farthest(direction)?, farthest(direction.other())?];
         let is_clear = own.min(other) < FITS_SD && own.max(other) > DIFFERS_SD;
         is_clear.then_some(other < own)
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Gauge, Values, values};
+use super::{Gauge, Values, offset::least_rest_a, values};
 use crate::{
     diagnose::statistics::{centre_and_sd, skewed_sd, to_f32},
     estimate::Features,
@@ -10,8 +10,9 @@ use crate::{
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
-/// Departure of the current at rest \[A\] and in standard deviations that is no part of its normal value.
-const OFFSET_A: f32 = 0.3;
+/// Departure of the current at rest that is no part of its normal value: as part of the least change that is reported,
+/// and in standard deviations.
+const OFFSET_SHARE: f64 = 0.5;
 const OFFSET_SD: f32 = 4.0;
 /// Largest part of the normal voltage that drops across the resistance: with more, the motor would be near its stall.
 const LARGEST_SHARE: f32 = 0.6;
@@ -104,13 +105,15 @@ impl Normal {
     }
 
     pub(super) fn learn(&mut self, values: Values) {
+        let inrush_a = self.of(Gauge::Inrush).map_or(0.0, |(centre, _)| f64::from(centre.exp()));
+        let offset_a = to_f32(OFFSET_SHARE * least_rest_a(inrush_a));
         for (at, value) in values.into_iter().enumerate() {
             let is_final = self.known[at].is_some() && self.learned.get(at).is_none_or(Vec::is_empty);
             let Some(value) = value.filter(|_| !is_final) else { continue };
             self.learned.resize(Gauge::COUNT, Vec::new());
             let is_rest = at == Gauge::Rest as usize;
             // The zero of a sound sensor hardly moves. A step while its normal value is learned would count as scatter.
-            let is_offset = |(centre, sd): (f32, f32)| is_rest && (value - centre).abs() > OFFSET_A.max(OFFSET_SD * sd);
+            let is_offset = |(centre, sd): (f32, f32)| is_rest && (value - centre).abs() > offset_a.max(OFFSET_SD * sd);
             if self.known[at].is_some_and(is_offset) {
                 continue;
             }

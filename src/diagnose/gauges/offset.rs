@@ -74,6 +74,11 @@ impl Gauges {
 
     /// Least change of the current at rest that is reported \[A\].
     fn least_rest_a(&self) -> f64 {
-        REST_A.max(REST_SHARE * self.normals(Gauge::Inrush).map(f64::exp).fold(0.0, f64::max))
+        least_rest_a(self.normals(Gauge::Inrush).map(f64::exp).fold(0.0, f64::max))
     }
+}
+
+/// Least change of the current at rest that is reported \[A\], with this inrush.
+pub(super) fn least_rest_a(inrush_a: f64) -> f64 {
+    REST_A.max(REST_SHARE * inrush_a)
 }

@@ -20,7 +20,7 @@ use crate::{
         track::{Courses, Tracks},
     },
     estimate::{Features, Motor, Rejection},
-    throw::{Channel, POSSIBLE_SUPPLY_V},
+    throw::{Channel, Direction, POSSIBLE_SUPPLY_V},
 };
 
 impl MachineMonitor {
@@ -53,10 +53,14 @@ impl MachineMonitor {
             observation.direction = None;
             observation.outcome.take_if(|outcome| outcome.is_ok());
         }
-        if self.is_exchanged(&observation) {
-            // The estimate is that of a movement in the other direction.
+        if self.follow_names(&observation) {
             let observation = observation.to_mut();
-            (observation.direction, observation.outcome) = (None, None);
+            observation.direction = observation.direction.map(Direction::other);
+            if observation.estimate().is_some() {
+                // The coefficients are those of a movement in the other direction.
+                let why = "the logger has probably exchanged the names of the directions".to_owned();
+                observation.outcome = Some(Err(Rejection::NoPosition { sent: "", why }));
+            }
         }
         if self.runs_on_at_its_end(&observation) {
             // The points arrived, and only detection or switch-off failed. The current is not that of the movement
@@ -152,20 +156,25 @@ impl MachineMonitor {
     fn unusual_run_s(&self, observation: &Observation) -> Option<[f64; 2]> {
         let Observation { direction, ref features, temperature_c, .. } = *observation;
         let direction = direction.filter(|_| !self.has_position && observation.is_without_position())?;
-        let Some([at_least_s, charge_as]) = features.driven else {
+        if features.driven_s.is_none() {
             return self.instruments.gauges.unusual_run_s(direction, features, temperature_c);
-        };
-        let least = Features { duration_s: Some(at_least_s), charge_as: Some(charge_as), ..features.clone() };
+        }
+        let least = Features { duration_s: features.driven_s, charge_as: features.driven_as, ..features.clone() };
         let unusual = self.instruments.gauges.unusual_run_s(direction, &least, temperature_c);
         unusual.filter(|[at_least_s, usual_s]| at_least_s > usual_s)
     }
 
-    /// Whether the logger has exchanged the names of the directions, as the throws without a toe position show.
-    fn is_exchanged(&mut self, observation: &Observation) -> bool {
-        let Some(direction) = observation.direction.filter(|_| observation.is_without_position()) else { return false };
-        let Observation { features, temperature_c, .. } = observation;
-        let of_other = self.instruments.gauges.is_of_other(direction, features, *temperature_c);
-        self.operation.on_likeness(direction, of_other)
+    /// Applies the direction that the logger names. Returns whether it has exchanged the names of the directions, as the
+    /// throws of a machine without a toe sensor show.
+    fn follow_names(&mut self, observation: &Observation) -> bool {
+        if self.has_position {
+            self.operation.on_position();
+        } else if let Some(direction) = observation.direction.filter(|_| observation.is_without_position()) {
+            let Observation { features, temperature_c, .. } = observation;
+            let of_other = self.instruments.gauges.is_of_other(direction, features, *temperature_c);
+            self.operation.on_likeness(direction, of_other);
+        }
+        self.operation.is_exchanged()
     }
 
     /// Whether the throw has no toe position, and the machine had one before.

@@ -24,6 +24,8 @@ const SLOW_IN_A_ROW: u32 = 3;
 const EVALUATED_OF_EIGHT: u32 = 4;
 /// Consecutive throws that contradict the direction named by the logger until a caveat says so.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
+/// Number of throws of a direction within which the other direction must show exchanged names too.
+const EXCHANGED_WITHIN: u8 = 2;
 /// Largest distance from the end of a throw to the start of the next, as part of the travel: the rails spring back.
 const LARGEST_SHIFT: f64 = 0.1;
 /// Consecutive throws with unused fields until a caveat says so.
@@ -134,9 +136,12 @@ pub(crate) struct Operation {
     named: Option<Direction>,
     #[serde(skip_serializing_if = "is_default")]
     same_direction: u8,
-    /// Whether the last throw of each direction, without a position, was like those of the other direction.
+    /// Whether the logger has exchanged the names of the directions, as throws without a position show.
     #[serde(skip_serializing_if = "is_default")]
-    exchanged: [bool; 2],
+    exchanged: bool,
+    /// Numbers of consecutive throws of each direction that are like those of the other direction.
+    #[serde(skip_serializing_if = "is_default")]
+    alike: [u8; 2],
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
     pub(super) plausible: [i32; 2],
     /// The last eight throws as bits, 1 for unusable values of the current, of the position, and of the logger's clock.
@@ -354,18 +359,24 @@ impl Operation {
         begins_open
     }
 
-    /// Applies whether a throw without a position is like those of the other direction (`None`: unknown). Returns
-    /// whether the names of the directions are exchanged.
-    pub(crate) fn on_likeness(&mut self, direction: Direction, of_other: Option<bool>) -> bool {
-        let is_exchanged = self.is_exchanged();
-        // Wear of the direction that moves more easily makes it like the other one for some time.
-        self.exchanged[direction.side()] = of_other.unwrap_or(is_exchanged);
-        self.is_exchanged()
+    /// Applies whether a throw without a position is like those of the other direction (`None`: unknown).
+    pub(crate) fn on_likeness(&mut self, direction: Direction, of_other: Option<bool>) {
+        let alike = &mut self.alike[direction.side()];
+        *alike = if of_other == Some(true) { alike.saturating_add(1) } else { 0 };
+        // Exchanged names change both directions at once. Wear and adjustments make one direction like the other for a
+        // longer time. A throw that fits both directions or neither shows nothing new.
+        let is_new = self.alike.iter().all(|throws| (1..=EXCHANGED_WITHIN).contains(throws));
+        self.exchanged = is_new || self.exchanged && of_other != Some(false);
     }
 
-    /// Whether the throws of both directions, without a position, are like those of the other direction.
+    /// Forgets that names were exchanged, as the position shows the direction.
+    pub(crate) fn on_position(&mut self) {
+        (self.exchanged, self.alike) = (false, [0; 2]);
+    }
+
+    /// Whether the logger has exchanged the names of the directions, as throws without a position show.
     pub(crate) fn is_exchanged(&self) -> bool {
-        self.exchanged == [true; 2]
+        self.exchanged
     }
 
     /// Whether the movement contradicts the direction that the logger names: names exchanged, or always the same name.
@@ -402,7 +413,7 @@ impl Operation {
         for own in &mut self.sides {
             (own.slow, own.very_slow) = (0, 0);
         }
-        (self.run_on, self.exchanged) = (RunOn::default(), [false; 2]);
+        (self.run_on, self.exchanged) = (RunOn::default(), false);
     }
 
     /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger, and what is known about the

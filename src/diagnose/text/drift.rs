@@ -130,19 +130,23 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit.
-pub(crate) fn cleared(name: &str, cause: Cause, left: f64) -> String {
+/// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit; `rise`: whether it
+/// was a rise.
+pub(crate) fn cleared(name: &str, cause: Cause, left: f64, rise: bool) -> String {
     let state = if left >= 1.0 {
-        format!("Machine {name}: {cause} has now changed in the opposite sense")
+        format!("Machine {name}: {cause} has now changed in the opposite sense.")
     } else if left >= HEALTHY_BELOW {
-        format!("Machine {name}: {cause} is below its warning limit again")
+        format!("Machine {name}: {cause} is below its warning limit again.")
     } else {
-        back_to_normal(name, cause).trim_end_matches('.').to_owned()
+        back_to_normal(name, cause)
     };
     // Rain lowers friction, also that of worn slide chairs, and dry rails raise it again.
-    let (rain, when) =
-        if cause == Cause::Friction { (", or in rain, which passes", " on dry rails") } else { ("", "") };
-    format!("{state}, as after a repair{rain}: if there was a repair, take a new baseline{when} (rebaseline).")
+    let advice = if cause == Cause::Friction && rise {
+        "It is as after a repair, or in rain, which passes: if there was a repair, take a new baseline on dry rails"
+    } else {
+        "If there was a repair, take a new baseline"
+    };
+    format!("{state} {advice} (rebaseline).")
 }
 
 /// Text of an alarm whose reason has ended.

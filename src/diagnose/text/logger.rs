@@ -51,9 +51,9 @@ pub(crate) const CONTRADICTED: &str = "\
 
 /// Text for a logger that has exchanged the names of the directions, if no position shows the movement.
 pub(crate) const EXCHANGED: &str = "\
-    throws from normal to reverse are like those from reverse to normal before, and the other way round, so the names \
-    of the directions are probably exchanged, and the throws are not compared. Correct the logger; if the names were \
-    wrong before, take a new baseline (rebaseline).";
+    throws that the logger names normal to reverse look like the earlier throws from reverse to normal, and the other \
+    way round. The logger has probably exchanged the names, so these throws have no coefficients. Correct the logger; if \
+    the names were wrong before, take a new baseline (rebaseline).";
 
 /// A length of time: `value` in the `large` unit, or below 1 in the `small` one, a sixtieth of it.
 fn length(value: f64, large: &str, small: &str) -> String {

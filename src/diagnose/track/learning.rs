@@ -136,7 +136,7 @@ impl Tracks {
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
         // If the last throws end a trend, the trend was chance, also in the other baseline, which is taken again.
         let is_final = track.is_final(settings);
-        let direction = Direction::BOTH[1 - throw.direction.side()];
+        let direction = throw.direction.other();
         let other = &mut self.sides[direction.side()];
         let had_trend = other.is_final(settings) && other.baseline.as_ref().is_some_and(Baseline::has_trend);
         if is_final && changes.slopes.is_none() && had_trend && !other.learned.is_empty() {

@@ -62,8 +62,8 @@ pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 const RELEASE_SHARE: f64 = 0.005;
 /// Least number of quiet samples, those before the start of the motor, for noise and offset of a sensor.
 pub(crate) const MIN_QUIET: usize = 8;
-/// With fewer quiet samples their standard deviation may be wrong by more than a tenth, and of some thousand samples at
-/// rest a few exceed [`ON_SIGMAS`] of it.
+/// With fewer quiet samples their standard deviation may be too small, down to a half of the true one with
+/// [`MIN_QUIET`], so that some of a thousand samples at rest exceed [`ON_SIGMAS`] of it.
 const KNOWN_NOISE: usize = 50;
 
 /// A recorded throw with its course. Times are indices of its samples.
@@ -266,7 +266,7 @@ impl<'a> Movement<'a> {
         let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
         let (before, after) = (speed(back, off), speed(off, self.near_end));
         let noise = SQRT_2 * self.position_noise_mm / (off - back).max(1) as f64;
-        if after < 0.7 * before && noise < 0.3 * after { off } else { self.near_end }
+        if after < 0.7 * before && noise < 0.1 * before { off } else { self.near_end }
     }
 
     /// Sets the number of samples from one measured position to the next. The samples on the lines between measured
@@ -342,9 +342,9 @@ pub(super) fn has_decayed(first: f64, current: &[f64], rest: f64, interval_s: f6
 /// The last sample before the start of the motor, where the current exceeds its noise; `None` if it never does. It is the
 /// first sample of a recording that begins in the inrush.
 ///
-/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. Where three fifths of
-/// the samples in a period of the mains follow above it, they are preferred. A recording that
-/// is too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
+/// Two neighbouring samples above the threshold show the start, as a single one may be a disturbance. A start after
+/// which the current is above the threshold for three fifths of a period of the mains is preferred. A recording that is
+/// too slow for this has at most one sample of the inrush, and this one sample then shows the start: after it, the
 /// current of a throw in which the spring helps is hardly above 0.
 pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
     let few = current.len().min(5);
@@ -362,16 +362,24 @@ pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
     };
     let period = samples_in(HUM_S, interval_s);
     let crossing = |threshold: f64| {
-        let mut beyond = (0..current.len()).filter(|&k| is_beyond(k, threshold));
-        let first = beyond.clone().next()?;
+        let is_beyond = |k: usize| is_beyond(k, threshold);
+        let first = (0..current.len()).find(|&k| is_beyond(k))?;
         if hides_inrush(interval_s) && is_inrush(first) {
             return Some(first);
         }
-        let has_neighbour = |k: &usize| is_beyond(k + 1, threshold);
         // A recording may begin at a crest of hum, whose other half-waves are then beyond the threshold.
-        let lasts = |k: &usize| (*k..k + period).filter(|k| is_beyond(*k, threshold)).count() * 5 >= period * 3;
-        let lasting = beyond.clone().filter(has_neighbour).find(lasts);
-        lasting.or_else(|| beyond.find(has_neighbour))
+        let mut ahead = (first..first + period).filter(|&k| is_beyond(k)).count();
+        let mut earliest = None;
+        for k in first..current.len() {
+            if is_beyond(k) && is_beyond(k + 1) {
+                if 5 * ahead >= 3 * period {
+                    return Some(k);
+                }
+                earliest = earliest.or(Some(k));
+            }
+            ahead = ahead + usize::from(is_beyond(k + period)) - usize::from(is_beyond(k));
+        }
+        earliest
     };
     let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);
@@ -387,13 +395,15 @@ pub(crate) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
 }
 
 /// The last value beyond a threshold from the level. If the noise of the level is not well known, the threshold may be
-/// within the noise, so the mean of some values around this one must be beyond it too.
+/// within the noise, so the mean of some values around this one must be beyond it too, or in an alternating current
+/// their mean distance from the level twice as far.
 fn last_beyond(values: &[f64], level: &Level, threshold: f64) -> Option<usize> {
     let is_beyond = |value: f64| (value - level.mean).abs() > threshold;
     let mut end = values.len();
     if level.samples < KNOWN_NOISE {
         let few = MIN_QUIET.min(end);
-        end = few + values.windows(few).rposition(|part| is_beyond(mean(part)))?;
+        let are_beyond = |part: &[f64]| is_beyond(mean(part)) || mean_distance(part, level.mean) > 2.0 * threshold;
+        end = few + values.windows(few).rposition(are_beyond)?;
     }
     values[..end].iter().rposition(|value| is_beyond(*value))
 }
