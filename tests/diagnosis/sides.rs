@@ -9,7 +9,10 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::drive::{Drive, State, Voltage};
+use crate::{
+    drive::{Drive, State, Voltage},
+    fleet::channels,
+};
 
 /// A drive after a healthy time.
 fn learned(seed: u64) -> Drive {
@@ -87,6 +90,17 @@ fn an_offset_of_the_current_is_an_alarm_of_its_sensor() {
 fn an_offset_of_the_current_is_an_alarm_of_its_sensor_in_forty_lives() {
     let from: u64 = std::env::var("POINTSD_SEED").map_or(7_200, |seed| seed.parse().unwrap());
     offsets(from..from + 40);
+}
+
+/// The step is no scatter of the normal value that is learned meanwhile.
+#[test]
+fn an_offset_that_begins_while_its_normal_value_is_learned_is_found() {
+    for (seed, healthy) in (6_320..).zip([26, 30, 40]) {
+        let mut drive = Drive::new(seed, Voltage::Published);
+        drive.stay_healthy(healthy, State::SOUND);
+        let events = drive.events(80, State { current_offset_a: 1.0, ..State::SOUND });
+        assert_eq!(channels(&events), [(Cause::Sensor, Some(SensorChannel::Current))], "after {healthy}: {events:#?}");
+    }
 }
 
 /// The zero of a Hall sensor follows its temperature, which changes within a day and from season to season.
