@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Gauge, Values, offset::least_rest_a, values};
+use super::{Gauge, Values, values};
 use crate::{
     diagnose::statistics::{centre_and_sd, skewed_sd, to_f32},
     estimate::Features,
@@ -10,6 +10,12 @@ use crate::{
 
 /// Number of values from which the normal value of a gauge in a direction is used, and number from which it is fixed.
 pub(super) const LEARNED: (usize, usize) = (12, 24);
+/// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
+/// warm, and back.
+const REST_A: f64 = 0.6;
+/// Least reported change of the current at rest, as part of the inrush: the zero of a sensor drifts in proportion to
+/// its range.
+const REST_SHARE: f64 = 0.02;
 /// Departure of the current at rest that is no part of its normal value: as part of the least change that is reported,
 /// and in standard deviations.
 const OFFSET_SHARE: f64 = 0.5;
@@ -135,6 +141,11 @@ impl Normal {
             self.learned = Vec::new();
         }
     }
+}
+
+/// Least change of the current at rest that is reported \[A\], with this inrush.
+pub(super) fn least_rest_a(inrush_a: f64) -> f64 {
+    REST_A.max(REST_SHARE * inrush_a)
 }
 
 /// Standard deviation of the mean departure of `count` throws from the normal value of `gauge`; `sd` is that of one

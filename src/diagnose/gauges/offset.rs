@@ -1,18 +1,12 @@
 //! Offsets of the sensors of current and position.
 
-use super::{Gauge, Gauges, values};
+use super::{Gauge, Gauges, normal::least_rest_a, values};
 use crate::{
     diagnose::statistics::{Level, WINDOWS},
     estimate::Features,
     throw::{Channel, Direction},
 };
 
-/// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A from cold to
-/// warm, and back.
-const REST_A: f64 = 0.6;
-/// Least reported change of the current at rest, as part of the inrush: the zero of a sensor drifts in proportion to
-/// its range.
-const REST_SHARE: f64 = 0.02;
 /// Least significance of a change of the current at rest, in standard deviations of a level: the mean of a few samples
 /// with hum scatters.
 const REST_SD: f64 = 4.0;
@@ -76,9 +70,4 @@ impl Gauges {
     fn least_rest_a(&self) -> f64 {
         least_rest_a(self.normals(Gauge::Inrush).map(f64::exp).fold(0.0, f64::max))
     }
-}
-
-/// Least change of the current at rest that is reported \[A\], with this inrush.
-pub(super) fn least_rest_a(inrush_a: f64) -> f64 {
-    REST_A.max(REST_SHARE * inrush_a)
 }

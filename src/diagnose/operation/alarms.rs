@@ -26,6 +26,8 @@ const EVALUATED_OF_EIGHT: u32 = 4;
 const CONTRADICTED_IN_A_ROW: u32 = 5;
 /// Number of throws of a direction within which the other direction must show exchanged names too.
 const EXCHANGED_WITHIN: u8 = 2;
+/// See [`Operation::alike`].
+const EXCHANGED: [u8; 2] = [u8::MAX; 2];
 /// Largest distance from the end of a throw to the start of the next, as part of the travel: the rails spring back.
 const LARGEST_SHIFT: f64 = 0.1;
 /// Consecutive throws with unused fields until a caveat says so.
@@ -136,10 +138,8 @@ pub(crate) struct Operation {
     named: Option<Direction>,
     #[serde(skip_serializing_if = "is_default")]
     same_direction: u8,
-    /// Whether the logger has exchanged the names of the directions, as throws without a position show.
-    #[serde(skip_serializing_if = "is_default")]
-    exchanged: bool,
-    /// Numbers of consecutive throws of each direction that are like those of the other direction.
+    /// Numbers of consecutive throws of each direction, without a position, that are like those of the other direction;
+    /// [`EXCHANGED`] while the names of the directions are exchanged.
     #[serde(skip_serializing_if = "is_default")]
     alike: [u8; 2],
     /// For temperature and voltage: throws with a plausible value, or, negative, throws with an implausible one.
@@ -361,22 +361,30 @@ impl Operation {
 
     /// Applies whether a throw without a position is like those of the other direction (`None`: unknown).
     pub(crate) fn on_likeness(&mut self, direction: Direction, of_other: Option<bool>) {
+        if self.is_exchanged() {
+            // A throw that fits both directions or neither shows nothing new.
+            if of_other == Some(false) {
+                self.alike = [0; 2];
+            }
+            return;
+        }
         let alike = &mut self.alike[direction.side()];
-        *alike = if of_other == Some(true) { alike.saturating_add(1) } else { 0 };
+        *alike = if of_other == Some(true) { (*alike + 1).min(EXCHANGED_WITHIN + 1) } else { 0 };
         // Exchanged names change both directions at once. Wear and adjustments make one direction like the other for a
-        // longer time. A throw that fits both directions or neither shows nothing new.
-        let is_new = self.alike.iter().all(|throws| (1..=EXCHANGED_WITHIN).contains(throws));
-        self.exchanged = is_new || self.exchanged && of_other != Some(false);
+        // longer time.
+        if self.alike.iter().all(|throws| (1..=EXCHANGED_WITHIN).contains(throws)) {
+            self.alike = EXCHANGED;
+        }
     }
 
-    /// Forgets that names were exchanged, as the position shows the direction.
+    /// Forgets the likeness, as the position shows the direction.
     pub(crate) fn on_position(&mut self) {
-        (self.exchanged, self.alike) = (false, [0; 2]);
+        self.alike = [0; 2];
     }
 
     /// Whether the logger has exchanged the names of the directions, as throws without a position show.
     pub(crate) fn is_exchanged(&self) -> bool {
-        self.exchanged
+        self.alike == EXCHANGED
     }
 
     /// Whether the movement contradicts the direction that the logger names: names exchanged, or always the same name.
@@ -413,7 +421,7 @@ impl Operation {
         for own in &mut self.sides {
             (own.slow, own.very_slow) = (0, 0);
         }
-        (self.run_on, self.exchanged) = (RunOn::default(), false);
+        (self.run_on, self.alike) = (RunOn::default(), [0; 2]);
     }
 
     /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger, and what is known about the
@@ -425,7 +433,7 @@ impl Operation {
             contradicted: self.contradicted,
             agreed: self.agreed,
             ended_mm: self.ended_mm,
-            exchanged: self.exchanged,
+            alike: self.alike,
             run_on: self.run_on.forget_recent(),
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
