@@ -188,8 +188,15 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     publisher.put(json_message(&stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
-    // The replacement of a retired machine, whose every message is refused too.
+    // The last messages of a logger that dies, and then the replacement of its retired machine.
+    publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    rig.until_number("SELECT count(*) FROM quarantine", 14).await;
     daemon.says(0, &["retire", "north/21B", "--why", "replaced", "--by", "tester"]);
+    // The list is read again, as another machine has a message.
+    matched(&session, "points/v1/north/other/throw").await.put("no throw").await.unwrap();
+    let has_other = |status: &serde_json::Value| status["refused"].to_string().contains("north/other (");
+    daemon.until_status("the other machine", has_other).await;
+    assert!(!daemon.status()["refused"].to_string().contains("north/21B"), "messages from before the removal count");
     for _ in 0..6 {
         publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
     }

@@ -103,7 +103,7 @@ pub struct StatusReport {
     pub loggers: usize,
     /// Machines whose loggers are connected and have sent no throw yet; at most 20.
     pub without_throw: Vec<String>,
-    /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
+    /// Machines of which every message so far, or since `retire`, went to quarantine, with the last reason; at most 20.
     pub refused: Vec<String>,
     /// Machines of the database that `subscribe.key` does not include, at the start; at most 20. Their states and alarms
     /// stay as they were, and no command reaches them.

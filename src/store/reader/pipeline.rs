@@ -117,7 +117,7 @@ impl Reader {
     }
 
     /// The keys of the newest messages in quarantine, those with the most messages first, each with reason and time \[µs\]
-    /// of its last message.
+    /// of its last message. A machine with a throw after this message, or retired after it, is left out.
     pub(crate) async fn last_refused(&self) -> Result<Vec<(String, String, i64)>, StoreError> {
         self.rows(sqlx::query_as(sql::LAST_REFUSED)).await
     }
