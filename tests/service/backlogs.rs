@@ -75,9 +75,11 @@ async fn throws_larger_than_a_page_come_from_the_backlog() {
     let session = daemon.client().await;
     let trace = Trace::new(20_000.0, vec![0.0; SAMPLES], vec![0.0; SAMPLES]).unwrap();
     let large = |throw_no| Throw { trace: trace.clone(), ..stub("boot", throw_no) };
-    keep(&session, KEY, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
-    Sender::of(&session, KEY).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
-    rig.judged(4).await;
+    for key in [KEY, "points/v1/north/other/throw"] {
+        keep(&session, key, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
+        Sender::of(&session, key).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
+    }
+    rig.judged(8).await;
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
 }
 
