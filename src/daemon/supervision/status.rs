@@ -33,7 +33,7 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
-    /// Of machines with a throw.
+    /// Invalid messages of the known machines, those with a stored throw.
     invalid: Mutex<HashMap<MachineId, InvalidMessages>>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
