@@ -148,7 +148,11 @@ pub(crate) async fn command(
     expected: Option<&MachineId>,
     payload: Vec<u8>,
 ) -> Result<Vec<u8>, OperatorError> {
-    let commander = match <[CommandTarget; 1]>::try_from(targets(session, machine).await?) {
+    let (daemons, error) = targets(session, machine).await;
+    if let Some(error) = error {
+        return Err(error);
+    }
+    let commander = match <[CommandTarget; 1]>::try_from(daemons) {
         Ok([only]) => only,
         Err(several) if !several.is_empty() => {
             return Err(OperatorError::ServedBySeveral { machine: machine.clone(), daemons: several });
@@ -168,11 +172,16 @@ pub(crate) async fn command(
     }
 }
 
-/// The daemons that serve a machine, and so would apply a command for it.
-pub(crate) async fn targets(session: &Session, machine: &MachineId) -> Result<Vec<CommandTarget>, OperatorError> {
-    let replies = ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await?.complete()?;
-    let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice(payload));
-    daemons.collect::<Result<_, _>>().map_err(|_| OperatorError::Nameless(machine.clone()))
+/// The daemons that serve a machine, and so would apply a command for it. After an error there may be more.
+pub(crate) async fn targets(session: &Session, machine: &MachineId) -> (Vec<CommandTarget>, Option<OperatorError>) {
+    let answers = match ask(session, &machine_key(machine, Kind::Command), None, ANSWER_TIMEOUT).await {
+        Ok(answers) => answers,
+        Err(error) => return (Vec::new(), Some(error)),
+    };
+    let daemons: Vec<_> =
+        answers.messages.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
+    let nameless = (daemons.len() < answers.messages.len()).then(|| OperatorError::Nameless(machine.clone()));
+    (daemons, answers.errors.into_iter().next().or(nameless))
 }
 
 /// The names of the running daemons: those that have a liveliness token here.

@@ -61,7 +61,9 @@ impl Location {
 pub(super) fn unreadable(error: StoreError) -> Failure {
     let exit = match error {
         StoreError::Open { .. } | StoreError::Empty(_) | StoreError::Damaged { .. } => Exit::NoInput,
-        StoreError::Foreign(_) | StoreError::Schema(_) | StoreError::Statement(_) => Exit::Data,
+        StoreError::Foreign(_) | StoreError::Schema(_) | StoreError::Statement(_) | StoreError::SeveralStatements => {
+            Exit::Data
+        }
         _ => Exit::Io,
     };
     Failure::new(exit, error)

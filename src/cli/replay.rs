@@ -7,7 +7,6 @@ use std::{
 };
 
 use anyhow::anyhow;
-use indicatif::ProgressBar;
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -128,14 +127,13 @@ struct Replayed {
 /// Runs all throws in `old` that have a trace through `new`, in their `order`: throws from a backlog were received after
 /// later ones, but judged before them.
 async fn replay(old: &Reader, order: &[ThrowRow], new: &mut Offline) -> Result<Replayed, StoreError> {
-    // Hidden if standard error is not a terminal.
-    let progress = ProgressBar::new_spinner();
+    let template = "{wide_bar} {human_pos} of {human_len} throws, {eta} left";
+    let progress = output::progress(order.len() as u64, template);
     let mut replayed = Replayed { throws: 0, without_trace: 0, since: None, incomplete: BTreeSet::new() };
     for row in order {
+        progress.inc(1);
         // Retention may have deleted the throw in the meantime.
-        let Some(stored) = old.throws(row.before(), 1).await?.pop().filter(|stored| stored.row == *row) else {
-            continue;
-        };
+        let Some(stored) = old.stored(*row).await? else { continue };
         let Ok(throw) = stored.throw else {
             replayed.without_trace += 1;
             replayed.incomplete.insert(stored.machine);
@@ -144,8 +142,6 @@ async fn replay(old: &Reader, order: &[ThrowRow], new: &mut Offline) -> Result<R
         new.take(&stored.machine, &throw, stored.received_at).await?;
         replayed.throws += 1;
         replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
-        progress.set_message(counted(replayed.throws, "throw"));
-        progress.inc(1);
     }
     new.judge().await?;
     progress.finish_and_clear();

@@ -155,7 +155,7 @@ async fn run(plan: Plan) -> Outcome {
 /// After [`SERVED_WITHIN`], warns if no daemon serves `machine`, which stands for the whole fleet.
 async fn warn_if_unserved(session: &zenoh::Session, machine: &MachineId) {
     tokio::time::sleep(SERVED_WITHIN).await;
-    let (Ok(serving), Ok(daemons)) = (bus::targets(session, machine).await, bus::monitors(session).await) else {
+    let ((serving, None), Ok(daemons)) = (bus::targets(session, machine).await, bus::monitors(session).await) else {
         return;
     };
     if !serving.is_empty() {

@@ -125,7 +125,7 @@ async fn gather(client: &Client, site: Option<&Name>) -> Result<Fleet, Failure> 
     let reports: Vec<_> = reports.into_iter().map(|((key, _), report)| (key.clone(), report)).collect();
     let (health, health_problems) = operator::values::<Health>(&of_machines);
     let (alarms, alarm_problems) = operator::values::<Alarm>(&events);
-    let mut twice = served_twice(session, &health, &reports).await?;
+    let mut twice = served_twice(session, &health, &reports).await;
     if twice.is_empty() {
         twice = overlaps(&reports);
     }
@@ -215,11 +215,7 @@ fn unknown_site(site: &Name, monitors: &[MachineId], silent: &[MachineId], alarm
 }
 
 /// A sentence about each machine that several daemons serve: all of them publish its alarms, and commands for it fail.
-async fn served_twice(
-    session: &zenoh::Session,
-    health: &[Health],
-    reports: &[(String, StatusReport)],
-) -> Result<Vec<String>, Failure> {
+async fn served_twice(session: &zenoh::Session, health: &[Health], reports: &[(String, StatusReport)]) -> Vec<String> {
     let mut seen = HashSet::new();
     let again = health.iter().filter(|row| !seen.insert((&row.machine, row.direction)));
     let mut twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
@@ -231,8 +227,8 @@ async fn served_twice(
     twice.retain(|machine| reports.iter().filter(|(_, report)| serves(report, machine)).count() > 1);
     let mut sentences = Vec::new();
     for machine in twice.iter().take(MAX_ASKED) {
-        // An error is no reason to leave out the rest of the status.
-        let daemons = bus::targets(session, machine).await.unwrap_or_default();
+        // The error of another daemon does not matter.
+        let (daemons, _) = bus::targets(session, machine).await;
         if daemons.len() < 2 {
             continue;
         }
@@ -248,7 +244,7 @@ async fn served_twice(
     if twice.len() > MAX_ASKED {
         sentences.push(format!("served by several daemons too: {}", counted(twice.len() - MAX_ASKED, "more machine")));
     }
-    Ok(sentences)
+    sentences
 }
 
 /// A sentence about each two daemons that would serve the same machines.

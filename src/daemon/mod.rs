@@ -11,7 +11,7 @@
 //! |---|---|
 //! | `receive` | receives throws, and fetches missing ones from the backlogs of the loggers |
 //! | `judge` | identifies and diagnoses the stored throws in their order; applies commands and ticks |
-//! | `supervision` | heartbeats, watchdog, lock, presence of other daemons, and the status |
+//! | `supervision` | heartbeats, watchdog, lock, presence of loggers and other daemons, and the status |
 //! | `webhook` | sends alarm events to a web address |
 //! | `config` | the configuration |
 //! | `publish`, `answer` | publish alarms and health, and answer queries |

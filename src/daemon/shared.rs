@@ -6,7 +6,10 @@ use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-use super::{config::Config, receive::presence::Tokens, supervision::status::Status};
+use super::{
+    config::Config,
+    supervision::{presence::Tokens, status::Status},
+};
 use crate::{bus, store::Store};
 
 /// Stop signals of the loops. They are cancelled one after the other, so that each loop can finish the work that the

@@ -20,16 +20,13 @@ use super::{
         judge_loop::{JudgeLoop, Links},
     },
     publish::Publisher,
-    receive::{
-        Intake, ReceiveLoop,
-        backlog::Backlog,
-        presence::{self, Tokens},
-    },
+    receive::{Intake, ReceiveLoop, backlog::Backlog},
     retention,
     shared::Shared,
     supervision::{
         lock::DatabaseLock,
         peers::Peers,
+        presence::{self, Tokens},
         status::{NAMED, Status, StatusReport},
         tasks::Tasks,
         watchdog,
@@ -38,7 +35,8 @@ use super::{
 };
 use crate::{
     bus::{self, BusError, Inbox, Outlet, QueryQueue},
-    store::{self, Found, Judgement, Opened, Store},
+    store::{self, Found, Judgement, Opened, Store, seldom},
+    throw::MachineId,
     wire::{self, CommandTarget, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
@@ -144,8 +142,15 @@ impl Daemon {
         let name_of =
             |key: &str| wire::parse_key(key).ok().filter(|(_, kind)| *kind == Kind::Alive).map(|(name, _)| name);
         let counting = Arc::clone(status);
-        let on_count = move |count| counting.edit().loggers = count;
-        presence::watch(session, &start.scope(Kind::Alive), "logger", name_of, on_count, connections).await?;
+        let on_change = move |machine: &MachineId, is_alive, count| {
+            counting.edit().loggers = count;
+            if is_alive {
+                seldom!(info, %machine, "logger connected");
+            } else {
+                seldom!(warn, %machine, "logger disconnected");
+            }
+        };
+        presence::watch(session, &start.scope(Kind::Alive), name_of, on_change, connections).await?;
         start.start_answers(&sender).await?;
         let last_received = store.reader().last_received().await?;
         start.tasks.spawn("retention", retention::run(store.clone(), last_received));

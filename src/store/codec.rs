@@ -1,8 +1,8 @@
 //! Lossless compression of traces, exact to the bit, with NaN and infinities.
 //!
-//! - 32-bit floats that are finer than the step of a converter, for example of a logger that scales or filters in
-//!   floating point, are bit-packed in blocks ([`packed`]): a tenth of the time of pco, and 3 % less space.
-//! - Other 32-bit floats, and 64-bit floats, are compressed by pco, which finds the step. If it fails, the values are
+//! - 32-bit floats that are no multiples of a common step, for example of a logger that scales or filters in floating
+//!   point, are bit-packed in blocks ([`packed`]): a tenth of the time of pco, and 3 % less space.
+//! - Other 32-bit floats, and 64-bit floats, are compressed by pco, which finds the step. If pco fails, the values are
 //!   stored uncompressed.
 
 use bitpacking::{BitPacker, BitPacker1x};
@@ -274,18 +274,35 @@ mod tests {
         assert_eq!(bits, wide.map(f64::to_bits));
     }
 
+    /// A ramp with noise, in counts that `step` rounds.
+    fn noisy_channel(step: impl Fn(f64) -> f64) -> Vec<f64> {
+        let mut noise = 1u32;
+        let sample = |sample| {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let counts = step(f64::from(sample) * 0.3 + 0.5) + step(f64::from(noise) / f64::from(1 << 29));
+            f64::from(narrowed(counts * 0.01))
+        };
+        (0..5000).map(sample).collect()
+    }
+
     #[test]
     fn a_real_looking_channel_is_less_than_half_its_size() {
-        let mut noise = 1u32;
-        let values: Vec<f64> = (0..5000)
-            .map(|sample| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let counts = (f64::from(sample) * 0.3).round() + f64::from(noise >> 29);
-                f64::from(narrowed(counts * 0.01))
-            })
-            .collect();
-        let stored = encode(&values).data.len();
-        assert!(stored < values.len() * 2, "{stored} bytes for {} 32-bit floats", values.len());
+        let values = noisy_channel(f64::floor);
+        let Channel { codec, data } = encode(&values);
+        let stored = data.len();
+        assert!(codec == "pco-f32" && stored < values.len() * 2, "{codec}: {stored} bytes for {} floats", values.len());
+    }
+
+    #[test]
+    fn a_fine_noisy_channel_is_less_than_three_quarters_of_its_size() {
+        let values = noisy_channel(|counts| counts);
+        let Channel { codec, data } = encode(&values);
+        let stored = data.len();
+        assert!(
+            codec == "packed-f32" && stored < values.len() * 3,
+            "{codec}: {stored} bytes for {} floats",
+            values.len()
+        );
     }
 
     proptest! {
@@ -305,14 +322,23 @@ mod tests {
 
         #[test]
         fn damaged_bytes_are_an_error(at in 0usize..1000, mask in 1u8..) {
-            let values: Vec<f64> = (0..200).map(|sample| f64::from(sample) * 0.25).collect();
-            let position = encode(&values);
-            let mut current = position.clone();
-            let at = at % current.data.len();
-            current.data[at] ^= mask;
-            let crc32 = Checksums::of(&values, &values).both;
-            if let Ok(trace) = trace(1000.0, values.len(), &current, &position, crc32) {
-                prop_assert_eq!(trace.current_a(), &values[..]);
+            let coarse = |sample| f64::from(sample / 2) * 0.25;
+            let fine = |sample| f64::from(narrowed((f64::from(sample) * 0.1).sin()));
+            let channels: [(_, Vec<f64>); 2] =
+                [("pco-f32", (0..200).map(coarse).collect()), ("packed-f32", (0..200).map(fine).collect())];
+            for (codec, values) in channels {
+                let position = encode(&values);
+                prop_assert_eq!(&position.codec, codec);
+                let at = at % position.data.len();
+                let [mut flipped, mut cut] = [(); 2].map(|()| position.clone());
+                flipped.data[at] ^= mask;
+                cut.data.truncate(at);
+                let crc32 = Checksums::of(&values, &values).both;
+                for current in [flipped, cut] {
+                    if let Ok(trace) = trace(1000.0, values.len(), &current, &position, crc32) {
+                        prop_assert_eq!(trace.current_a(), &values[..]);
+                    }
+                }
             }
         }
     }

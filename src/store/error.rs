@@ -41,6 +41,9 @@ pub enum StoreError {
     /// An operator's SQL statement is wrong, or would write.
     #[error("the SQL statement is wrong: {0}")]
     Statement(String),
+    /// An operator's SQL has more than one statement.
+    #[error("only the first statement was answered: write one statement at a time")]
+    SeveralStatements,
     /// A query failed.
     #[error("reading the database failed: {0}")]
     Read(#[source] Box<sqlx::Error>),
@@ -90,6 +93,11 @@ impl StoreError {
     /// Turns an error of the operating system into a failed `action` (a verb) on a file of the database.
     pub(super) fn file(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         move |source| Self::File { action, path: path.to_owned(), source }
+    }
+
+    /// The refusal of a file that is no database of pointsd; `what` is the predicate of the sentence.
+    pub(super) fn foreign(path: &Path, what: &str) -> Self {
+        Self::Foreign(format!("{} {what}", path.display()))
     }
 
     pub(super) fn read(source: sqlx::Error) -> Self {

@@ -18,11 +18,6 @@ pub struct ThrowRow(pub i64);
 impl ThrowRow {
     /// The number before the first row, to start reading.
     pub const START: Self = Self(0);
-
-    /// The number before this row.
-    pub(crate) const fn before(self) -> Self {
-        Self(self.0 - 1)
-    }
 }
 
 /// Reason why throws are missing.

@@ -94,7 +94,7 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
 }
 
 /// After a cut link the newest throws arrive first. The daemon waits for the backlog and judges the throws in order, and
-/// so does the replay.
+/// so does the replay. Then its clock was set back, and the last throw is pending.
 #[tokio::test(flavor = "multi_thread")]
 async fn throws_from_a_backlog_are_replayed_in_the_order_in_which_they_were_judged() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,6 +110,12 @@ async fn throws_from_a_backlog_are_replayed_in_the_order_in_which_they_were_judg
         let late =
             format!("UPDATE {table} SET throw_row = throw_row + 1000 WHERE throw_row BETWEEN {first} AND {last}");
         sqlx::query(sqlx::AssertSqlSafe(late)).execute(&mut database).await.unwrap();
+    }
+    for later in [
+        format!("UPDATE throw SET judged_at_us = judged_at_us - 86400000000 WHERE throw_no > {}", THROWS.0),
+        format!("UPDATE throw SET judged_at_us = NULL WHERE throw_no = {}", THROWS.0 + THROWS.1 + MISDATED),
+    ] {
+        sqlx::query(sqlx::AssertSqlSafe(later)).execute(&mut database).await.unwrap();
     }
     database.close().await.unwrap();
     let json = replay(&same, &folder.path().join("new.db"), &["--json"]);

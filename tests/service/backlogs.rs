@@ -75,9 +75,11 @@ async fn throws_larger_than_a_page_come_from_the_backlog() {
     let session = daemon.client().await;
     let trace = Trace::new(20_000.0, vec![0.0; SAMPLES], vec![0.0; SAMPLES]).unwrap();
     let large = |throw_no| Throw { trace: trace.clone(), ..stub("boot", throw_no) };
-    keep(&session, KEY, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
-    Sender::of(&session, KEY).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
-    rig.judged(4).await;
+    for key in [KEY, "points/v1/north/other/throw"] {
+        keep(&session, key, (2..=3).map(|throw_no| (id(throw_no), encode_throw(&large(throw_no)))).collect()).await;
+        Sender::of(&session, key).await.send([1, 4].map(|throw_no| stub("boot", throw_no))).await;
+    }
+    rig.judged(8).await;
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
 }
 
@@ -188,8 +190,15 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     publisher.put(json_message(&stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
-    // The replacement of a retired machine, whose every message is refused too.
+    // The last messages of a logger that dies, and then the replacement of its retired machine.
+    publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    rig.until_number("SELECT count(*) FROM quarantine", 14).await;
     daemon.says(0, &["retire", "north/21B", "--why", "replaced", "--by", "tester"]);
+    // The list is read again, as another machine has a message.
+    matched(&session, "points/v1/north/other/throw").await.put("no throw").await.unwrap();
+    let has_other = |status: &serde_json::Value| status["refused"].to_string().contains("north/other (");
+    daemon.until_status("the other machine", has_other).await;
+    assert!(!daemon.status()["refused"].to_string().contains("north/21B"), "messages from before the removal count");
     for _ in 0..6 {
         publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
     }

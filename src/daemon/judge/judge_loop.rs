@@ -387,8 +387,8 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Lists the machines of which every message is in quarantine, those with the most messages first. A logger need not
-    /// have a token. Without one its machine is listed for some time only, as any sender can invent machines.
+    /// Lists the machines of which every message since their last throw or `retire` is in quarantine, and that are not
+    /// judged: those with the most messages first. A logger need not have a token. Without one its machine is listed for some time only, as any sender can invent machines.
     async fn update_refused(&mut self) {
         let Shared { config, status, loggers, .. } = &*self.shared;
         let quarantined = status.edit().quarantined;

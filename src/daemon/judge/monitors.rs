@@ -14,7 +14,7 @@ use super::{
     logger_clocks::{LoggerClocks, OwnClock},
 };
 use crate::{
-    daemon::{receive::presence::Tokens, supervision::status::FleetCounts},
+    daemon::supervision::{presence::Tokens, status::FleetCounts},
     diagnose::{
         AlarmEvent, AlarmState, Command, Common, Irregularity, MachineMonitor, Missing, Parameters, Settings, Verdict,
     },

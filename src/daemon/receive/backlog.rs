@@ -58,20 +58,23 @@ const MISSING: u32 = 10_000;
 struct Places {
     all: Semaphore,
     slow: Semaphore,
+    /// The place of the logger whose next throw is larger than a page: its query takes the memory of several pages.
+    large: Semaphore,
 }
 
 impl Default for Places {
     fn default() -> Self {
-        Self { all: Semaphore::new(AT_A_TIME), slow: Semaphore::new(SLOW_AT_A_TIME) }
+        Self { all: Semaphore::new(AT_A_TIME), slow: Semaphore::new(SLOW_AT_A_TIME), large: Semaphore::new(1) }
     }
 }
 
 impl Places {
-    /// Waits for a place, in the order of the calls.
-    async fn take(&self, is_slow: bool) -> [Option<SemaphorePermit<'_>>; 2] {
+    /// Waits for a place, in the order of the calls. A logger that waits for one of the scarce places holds no other one.
+    async fn take(&self, is_slow: bool, is_large: bool) -> [Option<SemaphorePermit<'_>>; 3] {
         // The results are always `Ok`, as nothing closes the semaphores.
+        let large = if is_large { self.large.acquire().await.ok() } else { None };
         let slow = if is_slow { self.slow.acquire().await.ok() } else { None };
-        [slow, self.all.acquire().await.ok()]
+        [large, slow, self.all.acquire().await.ok()]
     }
 }
 
@@ -206,7 +209,7 @@ impl Intake {
         // Number of consecutive failed turns, and the time since which the logger replies without the awaited throws.
         let (mut failures, mut without_since, mut is_slow) = (0, None, false);
         loop {
-            let place = places.take(is_slow).await;
+            let place = places.take(is_slow, next.is_large).await;
             requests.mark_unchanged();
             let start = Instant::now();
             // In a box, as thousands of loggers may wait for a place.
@@ -233,12 +236,12 @@ impl Intake {
                     }
                     PAUSE
                 }
-                // Queried earlier if its token or one of its throws appears. The next turn begins at the cursor of the
-                // database, as the machine may be retired or the missing throws be stored by then.
-                QueryEnd::Without(_) => {
-                    next.after = None;
-                    LONGEST_PAUSE
-                }
+                // Queried earlier if its token or one of its throws appears. Its machine may have been retired, or the
+                // missing throws stored.
+                QueryEnd::Without(_) => match self.shared.store.reader().cursor(&machine).await {
+                    Ok(cursor) if !cursor.awaits => return requests,
+                    _ => LONGEST_PAUSE,
+                },
                 QueryEnd::Broken => {
                     failures = (failed + 1).min(16);
                     (PAUSE * 2_u32.saturating_pow(failed)).min(LONGEST_PAUSE)
@@ -252,12 +255,14 @@ impl Intake {
 
 #[cfg(test)]
 mod tests {
+    use std::pin::pin;
+
     use super::*;
 
     #[tokio::test]
     async fn slow_loggers_leave_places_to_the_others() {
         let places = Places::default();
-        let take = async |is_slow| time::timeout(Duration::ZERO, places.take(is_slow)).await.ok();
+        let take = async |is_slow| time::timeout(Duration::ZERO, places.take(is_slow, false)).await.ok();
         let mut slow = Vec::new();
         while let Some(place) = take(true).await {
             slow.push(place);
@@ -267,5 +272,16 @@ mod tests {
         assert!(fast.is_some());
         slow.pop();
         assert!(take(true).await.is_some());
+    }
+
+    #[tokio::test]
+    async fn one_logger_at_a_time_sends_large_throws_and_the_next_holds_no_place() {
+        let places = Places::default();
+        let large = places.take(false, true).await;
+        let mut waiting = pin!(places.take(false, true));
+        assert!(time::timeout(Duration::ZERO, &mut waiting).await.is_err());
+        assert_eq!(places.all.available_permits(), AT_A_TIME - 1);
+        drop(large);
+        assert!(time::timeout(Duration::ZERO, waiting).await.is_ok());
     }
 }

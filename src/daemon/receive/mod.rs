@@ -3,7 +3,6 @@
 
 pub(super) mod backlog;
 mod pages;
-pub(super) mod presence;
 
 use std::{
     collections::{HashMap, HashSet},
@@ -15,7 +14,7 @@ use std::{
 
 use jiff::Timestamp;
 use parking_lot::Mutex;
-use tokio::{sync::Semaphore, task, time};
+use tokio::{task, time};
 
 use super::{clock, shared::Shared, supervision::heartbeat::TaskName};
 use crate::{
@@ -74,8 +73,6 @@ pub(super) struct Intake {
     shared: Arc<Shared>,
     /// Known machines, at most `max_machines`.
     machines: Mutex<HashMap<MachineId, LoggerSeen>>,
-    /// The place of the logger whose next throw is larger than a page: its query takes the memory of several pages.
-    large: Semaphore,
     /// Hashes of invalid messages from backlogs, and whether each is in quarantine: the same page may be queried again and
     /// again.
     refused_before: Mutex<HashMap<u64, bool>>,
@@ -85,7 +82,7 @@ impl Intake {
     /// `machines` are those of the database that this daemon serves.
     pub(super) fn new(shared: Arc<Shared>, machines: Vec<MachineId>) -> Self {
         let machines = machines.into_iter().map(|machine| (machine, LoggerSeen::default())).collect();
-        Self { shared, machines: Mutex::new(machines), large: Semaphore::new(1), refused_before: Mutex::default() }
+        Self { shared, machines: Mutex::new(machines), refused_before: Mutex::default() }
     }
 
     /// Decodes messages in order. Also returns those that are no valid throw, for quarantine.

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use tokio::{sync::SemaphorePermit, time::Instant};
+use tokio::time::Instant;
 
 use super::{Intake, Origin};
 use crate::{
@@ -54,29 +54,31 @@ pub(super) struct NextPage {
     /// Largest number of throws.
     size: usize,
     /// The position after the last stored page; `None` to begin at the cursor of the database.
-    pub(super) after: Option<Cursor>,
+    after: Option<Cursor>,
     /// Whether throws of the machine were missing when its logger was queried from the cursor of the database.
     awaits: bool,
     /// Number of pages without a new throw, since the last page with one.
     repeated: usize,
+    /// Whether the next throw is larger than a page. Its turn has the only place for such throws.
+    pub(super) is_large: bool,
 }
 
 impl Default for NextPage {
     fn default() -> Self {
-        Self { size: FIRST_PAGE, after: None, awaits: false, repeated: 0 }
+        Self { size: FIRST_PAGE, after: None, awaits: false, repeated: 0, is_large: false }
     }
 }
 
 /// The reply of a logger to the query for a page.
-struct ThrowPage<'a> {
+struct ThrowPage {
     /// The usable throws, oldest first.
     throws: Vec<Throw>,
     /// Whether the query ended without an error.
     is_complete: bool,
     /// Whether the logger sent no message at all.
     is_empty: bool,
-    /// Held until a page of one large throw is stored: see [`Intake::large`].
-    large: Option<SemaphorePermit<'a>>,
+    /// Whether the first throw was dropped because it is larger than a page.
+    is_too_large: bool,
 }
 
 impl Intake {
@@ -100,14 +102,25 @@ impl Intake {
             next.awaits = cursor.awaits;
             cursor
         };
-        let (mut least, start) = (1, Instant::now());
+        let (mut least, start, mut is_large) = (1, Instant::now(), next.is_large);
         for _ in 0..TURN {
-            let limit = page_limit(&cursor, next.size).max(least);
-            let ThrowPage { throws, is_complete, is_empty, large: _large } = self.page(machine, &cursor, limit).await?;
+            // A large throw fills a page.
+            let limit = if is_large { 1 } else { page_limit(&cursor, next.size).max(least) };
+            let page = self.page(machine, &cursor, limit, is_large).await?;
+            let ThrowPage { throws, is_complete, is_empty, is_too_large } = page;
+            if is_too_large {
+                next.is_large = true;
+                return Ok(QueryEnd::More);
+            }
             let Some((new, after)) = self.store_page(machine, cursor.after.as_ref(), &throws).await? else {
+                // The message after a large throw.
+                if is_complete && is_large && !next.is_large {
+                    is_large = false;
+                    continue;
+                }
                 // Throws may follow after messages that are invalid, that the database refuses, or that zenoh drops
-                // because of their size.
-                if is_complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                // because of their size. None can follow in the page of a large message.
+                if is_complete && !is_large && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
                     least = (WIDER * limit).min(wire::MAX_PAGE);
                     continue;
                 }
@@ -125,7 +138,7 @@ impl Intake {
             cursor = after;
             next.after = Some(cursor.clone());
             next.repeated = if new > 0 { 0 } else { next.repeated + usize::from(!is_later) };
-            least = 1;
+            (least, next.is_large) = (1, false);
             if !is_complete {
                 next.size = (next.size / 2).max(1);
                 return Ok(QueryEnd::Broken);
@@ -176,16 +189,17 @@ impl Intake {
     }
 
     /// Queries a page of throws after the cursor, and quarantines its invalid messages.
-    async fn page(&self, machine: &MachineId, cursor: &Cursor, limit: usize) -> Result<ThrowPage<'_>, StoreError> {
+    async fn page(
+        &self,
+        machine: &MachineId,
+        cursor: &Cursor,
+        limit: usize,
+        may_be_large: bool,
+    ) -> Result<ThrowPage, StoreError> {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let Shared { session, config, .. } = &*self.shared;
         let key = wire::machine_key(machine, Kind::Throw);
-        let ask = |may_be_large| bus::page(session, &key, &query, config.subscribe.max_payload_bytes, may_be_large);
-        let (mut answer, mut large) = (ask(false).await, None);
-        if answer.is_too_large {
-            large = self.large.acquire().await.ok();
-            answer = ask(true).await;
-        }
+        let answer = bus::page(session, &key, &query, config.subscribe.max_payload_bytes, may_be_large).await;
         if let Some(error) = &answer.error {
             seldom!(warn, %machine, ?error, "the query for the backlog of a logger failed; asking again later");
         }
@@ -201,7 +215,8 @@ impl Intake {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        Ok(ThrowPage { throws, is_complete: answer.is_complete, is_empty: received == 0, large })
+        let (is_complete, is_too_large) = (answer.is_complete, answer.is_too_large);
+        Ok(ThrowPage { throws, is_complete, is_empty: received == 0, is_too_large })
     }
 }
 

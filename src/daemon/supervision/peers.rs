@@ -9,12 +9,10 @@ use jiff::Timestamp;
 use tokio::sync::watch;
 use zenoh::Session;
 
+use super::presence::{self, Tokens};
 use crate::{
     bus::BusError,
-    daemon::{
-        clock,
-        receive::presence::{self, Tokens},
-    },
+    daemon::clock,
     throw::MachineId,
     wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
 };
@@ -37,7 +35,14 @@ impl Peers {
         if !watched.is_empty() {
             let names = watched.clone();
             let name_of = move |key: &str| parse_monitor_key(key).filter(|daemon| names.contains(daemon));
-            presence::watch(session, EVERY_MONITOR_ALIVE, "watched daemon", name_of, drop, sender).await?;
+            let log = |daemon: &MachineId, is_alive, _| {
+                if is_alive {
+                    tracing::info!(%daemon, "watched daemon connected");
+                } else {
+                    tracing::warn!(%daemon, "watched daemon disconnected");
+                }
+            };
+            presence::watch(session, EVERY_MONITOR_ALIVE, name_of, log, sender).await?;
         }
         Ok(Self { started: clock::monotonic(), watched, tokens })
     }

@@ -33,7 +33,7 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Number of rejected throws by the code of the reason.
     rejected: Mutex<BTreeMap<String, u64>>,
-    /// Of machines with a throw.
+    /// Invalid messages of the known machines, those with a stored throw.
     invalid: Mutex<HashMap<MachineId, InvalidMessages>>,
     /// Alarms about the daemon itself that are published and that the database cannot store yet.
     uncommitted: Mutex<Vec<Alarm>>,
@@ -103,7 +103,7 @@ pub struct StatusReport {
     pub loggers: usize,
     /// Machines whose loggers are connected and have sent no throw yet; at most 20.
     pub without_throw: Vec<String>,
-    /// Machines of which every message so far went to quarantine, with the last reason; at most 20.
+    /// Machines of which every message so far, or since `retire`, went to quarantine, with the last reason; at most 20.
     pub refused: Vec<String>,
     /// Machines of the database that `subscribe.key` does not include, at the start; at most 20. Their states and alarms
     /// stay as they were, and no command reaches them.

@@ -204,7 +204,7 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         return Ok(());
     }
     if is_text(path) {
-        return Err(StoreError::Foreign(format!("{} is a text file, not a database", path.display())));
+        return Err(StoreError::foreign(path, "is a text file, not a database"));
     }
     let Ok(mut connection) = SqliteConnection::connect_with(&read_options(path)).await else { return Ok(()) };
     let table = foreign_table(&mut connection).await;
@@ -213,8 +213,8 @@ pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     let _ = connection.close().await;
     match table {
         Ok(Some(table)) => {
-            let path = path.display();
-            Err(StoreError::Foreign(format!("{path} is the database of another program (it has the table {table})")))
+            let what = format!("is the database of another program (it has the table {table})");
+            Err(StoreError::foreign(path, &what))
         }
         _ => refuse_newer(path, needed.unwrap_or(0)),
     }

@@ -47,7 +47,7 @@ impl Reader {
         for row in rows {
             let stored = match self.recent.take(ThrowRow(row.row)) {
                 Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
-                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.row)).await?.pop() {
+                None => match self.stored(ThrowRow(row.row)).await? {
                     Some(stored) => stored,
                     // Retention has just deleted the throw.
                     None => continue,
@@ -88,9 +88,15 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// All throws in the order in which they were judged, and then the pending ones.
+    /// A throw; `None` if retention has deleted it.
+    pub(crate) async fn stored(&self, row: ThrowRow) -> Result<Option<StoredThrow>, StoreError> {
+        Ok(self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop())
+    }
+
+    /// All throws in the order in which they were judged, those of a machine in the order of their numbers, and then the
+    /// pending ones. Without the time limit: millions of rows are sorted for some seconds, or longer from a slow disk.
     pub(crate) async fn judged_order(&self) -> Result<Vec<ThrowRow>, StoreError> {
-        let rows = self.limited(sqlx::query_scalar(sql::JUDGED_ORDER).fetch_all(&self.pool())).await?;
+        let rows = sqlx::query_scalar(sql::JUDGED_ORDER).fetch_all(&self.pool()).await.map_err(StoreError::read)?;
         Ok(rows.into_iter().map(ThrowRow).collect())
     }
 
@@ -117,7 +123,7 @@ impl Reader {
     }
 
     /// The keys of the newest messages in quarantine, those with the most messages first, each with reason and time \[µs\]
-    /// of its last message.
+    /// of its last message. A machine with a throw after this message, or retired after it, is left out.
     pub(crate) async fn last_refused(&self) -> Result<Vec<(String, String, i64)>, StoreError> {
         self.rows(sqlx::query_as(sql::LAST_REFUSED)).await
     }

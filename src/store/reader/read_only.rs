@@ -47,12 +47,10 @@ pub(crate) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
     match sqlx::query_scalar::<_, i64>("SELECT count(*) FROM sqlite_schema").fetch_one(&mut first).await {
         Ok(0) => Err(StoreError::Empty(path.to_owned())),
         Ok(_) if open::foreign_table(&mut first).await.is_ok_and(|table| table.is_some()) => {
-            Err(StoreError::Foreign(format!("{} is the database of another program", path.display())))
+            Err(StoreError::foreign(path, "is the database of another program"))
         }
         Ok(_) => Ok(options),
-        Err(error) if is_no_database(&error) => {
-            Err(StoreError::Foreign(format!("{} is not a database", path.display())))
-        }
+        Err(error) if is_no_database(&error) => Err(StoreError::foreign(path, "is not a database")),
         Err(locked) if is_locked(&locked) => Err(error(locked)),
         Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
             Ok(options.immutable(true))
@@ -113,12 +111,11 @@ pub(crate) async fn run_query(path: &Path, query: &str, output: &mut dyn ResultW
         next = results.try_next().await.map_err(StoreError::statement)?;
     }
     output.end().map_err(StoreError::Output)?;
-    // The rows of a statement end with their number.
-    if results.try_next().await.map_err(StoreError::statement)?.is_some() {
-        let problem = "only the first statement was answered: write one statement at a time";
-        return Err(StoreError::Statement(problem.to_owned()));
+    // The end of the first statement was read above. Any further result is of a second statement.
+    match results.try_next().await.map_err(StoreError::statement)? {
+        Some(_) => Err(StoreError::SeveralStatements),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// The text after `word` if a part of a query begins with it. A statement begins at the start, or after a semicolon or a

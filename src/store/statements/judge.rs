@@ -59,8 +59,10 @@ statements! {
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
-    JUDGED_ORDER = "SELECT throw_row FROM throw \
-        ORDER BY judged_at_us IS NULL, judged_at_us, machine_row, boot_position, throw_no";
+    // By the latest time of a throw and those before it, as the clock may have been set back between two of them.
+    JUDGED_ORDER = "SELECT throw_row FROM throw NOT INDEXED ORDER BY judged_at_us IS NULL, \
+        max(judged_at_us) OVER (PARTITION BY machine_row ORDER BY boot_position, throw_no), \
+        machine_row, boot_position, throw_no";
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";

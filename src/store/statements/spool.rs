@@ -107,8 +107,17 @@ statements! {
         SELECT quarantine_row, row_number() OVER (PARTITION BY key ORDER BY quarantine_row DESC) AS newest \
         FROM quarantine INDEXED BY quarantine_by_key WHERE (SELECT count(*) FROM quarantine) > ?1) \
         ORDER BY newest DESC, quarantine_row LIMIT (SELECT count(*) FROM quarantine) - ?1 + ?1 / 64)";
-    // The last reason of each key, those with the most messages first. The bound keeps the time of the query below 50 ms.
-    LAST_REFUSED = "SELECT key, reason, max(received_at_us) AS received_at_us FROM ( \
-        SELECT key, reason, received_at_us FROM quarantine ORDER BY quarantine_row DESC LIMIT 10000) \
-        GROUP BY key ORDER BY count(*) DESC, received_at_us DESC";
+    // The last reason of each key, those with the most messages first. A key is left out if its machine sent a throw, or was
+    // retired, after its last message. Without the CAST the key has no type, and SQLite builds no index on it. The bound
+    // keeps the time of the query below 60 ms, also with 20,000 machines.
+    LAST_REFUSED = "WITH refused AS (SELECT key, reason, max(received_at_us) AS at_us, count(*) AS messages FROM ( \
+        SELECT key, reason, received_at_us FROM quarantine ORDER BY quarantine_row DESC LIMIT 10000) GROUP BY key), \
+        named AS MATERIALIZED (SELECT CAST('points/v1/' || site || '/' || machine || '/throw' AS TEXT) AS key, machine_row \
+        FROM machine) \
+        SELECT key, reason, at_us FROM refused LEFT JOIN named USING (key) \
+        WHERE at_us > coalesce((SELECT received_at_us FROM throw INDEXED BY throw_of_machine \
+        WHERE throw.machine_row = named.machine_row ORDER BY throw_row DESC LIMIT 1), 0) \
+        AND at_us > coalesce((SELECT command.at_us FROM command INDEXED BY command_of_machine \
+        WHERE command.machine_row = named.machine_row AND command = 'retire' ORDER BY command_row DESC LIMIT 1), 0) \
+        ORDER BY messages DESC, at_us DESC";
 }

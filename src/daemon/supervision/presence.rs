@@ -12,7 +12,6 @@ use zenoh::Session;
 use crate::{
     bus::{self, BusError},
     daemon::clock,
-    store::seldom,
     throw::MachineId,
 };
 
@@ -29,30 +28,29 @@ pub(crate) struct Tokens {
 }
 
 /// Keeps `tokens` up to date with the tokens on `key_expression`, while the session is open. `name_of` returns the name
-/// of a token from its key, or `None` to ignore the token; `what` is the word for the log; `on_count` gets the number of
-/// present tokens.
+/// of a token from its key, or `None` to ignore the token. `on_change` gets the name of a token that appears (true) or
+/// disappears (false), and the number of present tokens.
 pub(crate) async fn watch(
     session: &Session,
     key_expression: &str,
-    what: &'static str,
     name_of: impl Fn(&str) -> Option<MachineId> + Send + Sync + 'static,
-    on_count: impl Fn(usize) + Send + Sync + 'static,
+    on_change: impl Fn(&MachineId, bool, usize) + Send + Sync + 'static,
     tokens: watch::Sender<Tokens>,
 ) -> Result<(), BusError> {
-    let on_change = move |key: &str, is_alive: bool| {
+    let on_token = move |key: &str, is_alive: bool| {
         let Some(name) = name_of(key) else { return };
         tokens.send_modify(|Tokens { alive, gone }| {
             if is_alive && alive.len() < MOST && alive.insert(name.clone()) {
-                seldom!(info, %name, "{what} connected");
                 gone.remove(&name);
             } else if !is_alive && alive.remove(&name) {
-                seldom!(warn, %name, "{what} disconnected");
                 if gone.len() < MOST {
-                    gone.insert(name, clock::monotonic());
+                    gone.insert(name.clone(), clock::monotonic());
                 }
+            } else {
+                return;
             }
-            on_count(alive.len());
+            on_change(&name, is_alive, alive.len());
         });
     };
-    bus::watch_tokens(session, key_expression, on_change).await
+    bus::watch_tokens(session, key_expression, on_token).await
 }
