@@ -339,7 +339,7 @@ fn identify_current(
                 let Features { duration_s: driven_s, charge_as: driven_as, .. } = features;
                 let (running_current_a, mean_current_a) = (None, None);
                 let known = std::mem::take(&mut features).without_times();
-                features = Features { driven_s, driven_as, running_current_a, mean_current_a, ..known };
+                features = Features { running_current_a, mean_current_a, driven_s, driven_as, ..known };
                 return Err(no_position(current_only::NOT_ENDED.to_owned()));
             }
             current_only::estimate(movement, throw.direction, known, settings, &mut features).map_err(no_position)
