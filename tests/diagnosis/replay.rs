@@ -49,6 +49,12 @@ async fn record(config: &Path) {
     pipeline.close().await.unwrap();
 }
 
+/// The recorded database, to change its rows.
+async fn recorded(folder: &Path) -> sqlx::SqliteConnection {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.join("pointsd.db")).foreign_keys(false);
+    sqlx::SqliteConnection::connect_with(&options).await.unwrap()
+}
+
 fn replay(config: &Path, into: &Path, more: &[&str]) -> Output {
     let program = env!("CARGO_BIN_EXE_pointsd");
     Command::new(program).args(["replay", "--config"]).arg(config).arg("--into").arg(into).args(more).output().unwrap()
@@ -100,11 +106,7 @@ async fn throws_from_a_backlog_are_replayed_in_the_order_in_which_they_were_judg
     let folder = tempfile::tempdir().unwrap();
     let same = configuration(folder.path(), "same.toml", "");
     record(&same).await;
-    let mut database = sqlx::SqliteConnection::connect_with(
-        &sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("pointsd.db")).foreign_keys(false),
-    )
-    .await
-    .unwrap();
+    let mut database = recorded(folder.path()).await;
     let (first, last) = (THROWS.0 - 6, THROWS.0 + 5);
     for table in ["trace", "estimate", "throw"] {
         let late =
@@ -130,11 +132,7 @@ async fn an_alarm_from_before_the_new_baselines_are_complete_is_not_called_gone(
     let folder = tempfile::tempdir().unwrap();
     let same = configuration(folder.path(), "same.toml", "");
     record(&same).await;
-    let mut database = sqlx::SqliteConnection::connect_with(
-        &sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("pointsd.db")),
-    )
-    .await
-    .unwrap();
+    let mut database = recorded(folder.path()).await;
     sqlx::query("DELETE FROM trace WHERE throw_row <= 20").execute(&mut database).await.unwrap();
     database.close().await.unwrap();
 
