@@ -466,6 +466,26 @@ fn throws_that_are_cut_off_do_not_end_the_alarm_about_slow_ones() {
     assert!(summary(&events).contains(&ended(Cause::SlowThrow)), "{events:?}");
 }
 
+/// Fast throws of the other direction say nothing about a slow one that is cut off now.
+#[test]
+fn fast_throws_of_one_direction_do_not_end_the_alarm_about_the_other() {
+    let mut machine = machine();
+    let one_slow = |is_cut: bool| {
+        move |o: &mut Observation| {
+            let is_slow = o.direction == Some(Direction::ReverseToNormal);
+            o.features.duration_s = Some(if is_slow && !is_cut { 4.3 * 1.3 } else { 4.3 });
+            if is_slow && is_cut {
+                o.outcome = Some(Err(Rejection::EndMissing { travel_mm: 80.0 }));
+            }
+        }
+    };
+    assert_eq!(summary(&feed(&mut machine, 10, one_slow(false))), [raised(Cause::SlowThrow)]);
+    let events = feed(&mut machine, 60, one_slow(true));
+    assert!(events.iter().all(|event| event.cause != Cause::SlowThrow), "{events:?}");
+    let events = feed(&mut machine, 40, |o| o.features.duration_s = Some(4.3));
+    assert!(summary(&events).contains(&ended(Cause::SlowThrow)), "{events:?}");
+}
+
 #[test]
 fn a_wrong_clock_explains_slow_throws() {
     for (is_clock, slow) in [(true, 0), (false, 1)] {
@@ -538,6 +558,29 @@ fn a_fault_that_a_maintenance_left_is_reported_again() {
         assert_eq!((again[0].cause, again[0].state), (cause, AlarmState::ActiveUnacknowledged));
         assert!(!again[0].text.contains("before the maintenance"), "{}", again[0].text);
     }
+}
+
+/// The maintenance did not mend the reason for which one direction is rejected.
+#[test]
+fn a_direction_that_stays_unseen_after_a_maintenance_keeps_its_alarm() {
+    let settings = Settings::default();
+    let mut machine = machine();
+    let reverse_unseen = |o: &mut Observation| {
+        if o.direction == Some(Direction::ReverseToNormal) {
+            o.outcome = Some(Err(Rejection::EndMissing { travel_mm: 80.0 }));
+        }
+    };
+    let events = feed(&mut machine, 80, reverse_unseen);
+    assert!(summary(&events).contains(&raised(Cause::NotMonitored)), "{events:?}");
+    let now = machine.throw(Vector3::zeros()).started_at;
+    let (until, by) = (now + SignedDuration::from_hours(8), || "mia".to_owned());
+    let start = Command::MaintenanceStart { until, by: by(), why: "look".to_owned() };
+    machine.monitor.command(&start, now, &settings).unwrap();
+    machine.monitor.command(&Command::MaintenanceEnd { by: by() }, now, &settings).unwrap();
+    let events = feed(&mut machine, 30, reverse_unseen);
+    assert!(events.iter().all(|event| event.cause != Cause::NotMonitored || event.event_no == 1), "{events:?}");
+    let events = feed(&mut machine, 20, |_| {});
+    assert!(summary(&events).contains(&ended(Cause::NotMonitored)), "{events:?}");
 }
 
 /// Their normal values are learned anew, so these alarms do not come back.

@@ -196,8 +196,10 @@ impl DriftAlarms {
             (Transition::Turn(_), Some(event)) => step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
             (Transition::Clear { left }, _) => {
-                let shared = self.shared_changes().find(|(of, _)| *of == cause);
                 let raised_pct = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
+                // A smaller change that the site shares, or one in the other sense, does not hide a repair.
+                let explains = |pct: f64| raised_pct.is_none_or(|raised| pct / raised > 0.5);
+                let shared = self.shared_changes().find(|(of, pct)| *of == cause && explains(*pct));
                 let text = match shared {
                     Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
                     None => text::cleared(name, cause, left, raised_pct.is_some_and(|pct| pct > 0.0)),

@@ -124,7 +124,7 @@ struct JudgedChange {
 /// Whether rain may still be the reason of a fall of the load `since` a time, after this number of throws. Throws that
 /// are made at once do not show that the fall lasts.
 pub(crate) fn may_rain_last(since: Timestamp, throws: u64, at: Timestamp) -> bool {
-    at.duration_since(since) < RAIN || throws < LONGEST_WINDOW.into()
+    at.duration_since(since).abs() < RAIN || throws < LONGEST_WINDOW.into()
 }
 
 impl FeatureWatch {

@@ -132,8 +132,10 @@ impl MachineMonitor {
             let until = maintenance.until.map_or(latest, |until| until.min(latest));
             *maintenance.until.insert(until)
         });
-        if ends.is_some_and(|until| until <= now) {
+        if let Some(until) = ends.filter(|until| *until <= now) {
             self.end_maintenance(Actor::default(), now);
+            // Throws that were made while the daemon was off, after the end of the window, count.
+            self.in_service_since = Some(until);
         }
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
         let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0 || self.unread.is_some());
@@ -286,6 +288,9 @@ impl MachineMonitor {
         self.alarms.set_out_of_service(false, actor, now);
         self.forget_recent(now);
         self.operation.reset();
+        if self.alarms.rule(Cause::NotMonitored) == Some(Rule::Usual) {
+            self.operation.wait_for_evaluated();
+        }
     }
 
     /// Forgets the last throws, and keeps the baselines.

@@ -271,7 +271,7 @@ impl Operation {
         } else if slow >= SLOW_IN_A_ROW && !explained {
             let event = event(Severity::Warning);
             step.raise(event);
-        } else if self.fast_enough >= settings.off_delay_throws {
+        } else if self.fast_enough >= settings.off_delay_throws && self.sides.iter().all(|side| side.slow == 0) {
             step.clear(Cause::SlowThrow, |name| text::machine(name, text::FAST_AGAIN));
         }
     }
@@ -422,6 +422,14 @@ impl Operation {
             (own.slow, own.very_slow) = (0, 0);
         }
         (self.run_on, self.alike) = (RunOn::default(), [0; 2]);
+    }
+
+    /// Lets an alarm about throws that are not evaluated stay until half of the next throws of each direction are.
+    pub(crate) fn wait_for_evaluated(&mut self) {
+        for own in &mut self.sides {
+            // Too few for the caveat about frequent rejections.
+            own.rejections = 0x7f;
+        }
     }
 
     /// Resets the counters after maintenance or two loggers; keeps the gaps, the logger, and what is known about the

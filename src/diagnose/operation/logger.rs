@@ -24,8 +24,11 @@ impl Operation {
     pub(crate) fn on_tick(&mut self, in_service: bool, has_thrown: bool, step: &mut Step) {
         let Step { name, at, settings, .. } = *step;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
-        // The time of the last gap can be in the future only if the clock was set back.
+        // These times can be in the future only if the clock was set back.
         self.gap_at_s = self.gap_at_s.min(unix_s(at));
+        if let Logger::Gone { since: Some(since), .. } = &mut self.logger {
+            *since = at.min(*since);
+        }
         self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
         if !in_service {
             return;

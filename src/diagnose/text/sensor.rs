@@ -95,9 +95,11 @@ pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
 
 /// Caveat about a current sensor whose known gain is taken out of the coefficients.
 pub(crate) fn known_gain(name: &str, pct: f64) -> String {
+    let sense = if pct > 0.0 { "much" } else { "little" };
     format!(
-        "Machine {name}: its current sensor reads {pct:+.1} % of the current too much or too little, which is subtracted \
-         from the coefficients before parts are judged. Sizes of faults are less certain. Repair the sensor."
+        "Machine {name}: its current sensor reads {:.1} % of the current too {sense}, which is subtracted from the \
+         coefficients before parts are judged. Sizes of faults are less certain. Repair the sensor.",
+        pct.abs()
     )
 }
 
